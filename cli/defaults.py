@@ -174,8 +174,6 @@ class DefaultedCommand(TyperCommand):
 
     Attributes:
         table: its table; empty for none.
-        overridden: returns, for the values of a call, parameter -> why its configured default does not count.
-        defaults: parameter -> its default, where the parser does not know it.
     """
 
     table = ""

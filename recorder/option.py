@@ -40,11 +40,7 @@ class Panel(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An option as a key of `[axes]`; what is empty is the option's.
-
-    Attributes:
-        for_relay: whether the relay is started with it too.
-    """
+    """An option as a key of `[axes]`; what is empty is the option's."""
 
     for_relay: bool = True
     meaning: str = ""
@@ -60,10 +56,7 @@ class Option:
     Attributes:
         metavar: name of the value; empty for a flag.
         kind: type on the command line; an Enum's values are the choices.
-        parse: makes the field's value of the text, or of all texts of a repeatable option.
-        default: the default in words, where `field_default` does not say it.
         roles: the only roles that take it; empty for all.
-        in_key: whether results with different values are not mixed.
         variables: variables of ROS 2 that override a configured default.
     """
 

@@ -34,7 +34,6 @@ PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
 
 
 def brief_lines(book: Book) -> list[Text]:
-    """Return the answer; what exceeds `MOST_LINES` is named in the last line."""
     answer = book.answer
     answers = book.analysis.details.answers if answer.verdicts else ()
     measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
@@ -89,7 +88,6 @@ def _marked(mark: tuple[str, str], text: str) -> list[Text]:
 
 
 def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterator[list[Text]]:
-    """Yield for each kind of data a heading, its facts and its bars; of several places those with the commonest outcome."""
     several, is_drawn = len({answer.data_type for answer in answers}) > 1, False
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
     for (mode, data_type), sites in answers_by_kind(compared):

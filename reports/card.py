@@ -92,7 +92,6 @@ def _svg_text(title: str, marks: Sequence[Mark]) -> str:
 
 
 def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    """Write card.svg and card.png; without matplotlib say how to get it, and write only the first."""
     svg, png = folder / "card.svg", folder / "card.png"
     marks = card_marks(book)
     svg.write_text(_svg_text(_verdict(book)[1], marks), encoding="utf-8")
@@ -105,7 +104,6 @@ def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Pat
 
 
 def card_marks(book: Book) -> list[Mark]:
-    """Lay the card out: what and when, the sentence, losses, dots, place and versions."""
     facts = {fact.label: fact.value for fact in book.overview.facts}
     kind, sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
@@ -158,7 +156,6 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
-    """Return the answers in both domain modes; of all messages where only one setup has this one."""
     alike = [answer for answer in book.analysis.details.answers if _message(answer) == _message(case)]
     return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
 

@@ -88,7 +88,6 @@ def _column(series: pl.Series) -> list[str]:
 
 
 def _text(value: object) -> str:
-    """Write a value as JSON in one line; NaN and infinity become null."""
     with suppress(TypeError, ValueError):  # nearly all values are plain JSON
         return json.dumps(value, allow_nan=False)
     return json.dumps(to_json(value, not_finite=lambda _: None), allow_nan=False)

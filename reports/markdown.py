@@ -222,7 +222,6 @@ def _more(hidden: int) -> list[str]:
 
 
 def _added(cost: Cost | None) -> str:
-    """Format a cost with interval and ratio, as in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
     if cost is None:
         return MISSING
     within = ""

@@ -35,17 +35,14 @@ _NOTES = (
 
 
 def render(book: Book) -> str:
-    """Return the whole report as plain text of 80 columns, without colours."""
     return _plain(_report(book))
 
 
 def render_brief(book: Book) -> str:
-    """Return the answer, or the recommendation if there is one, as plain text of 80 columns."""
     return _plain(_brief(book))
 
 
 def write(book: Book, folder: Path) -> None:  # noqa: ARG001 - every reporter has this signature
-    """Print the answer to stdout, after the whole report if `book` shows all; in colours if stdout is a terminal."""
     console = plain_console()
     report = _report(book) if book.shows_all else _brief(book)
     console.print(report, width=min(console.width, 120) if console.is_terminal else WIDTH)

@@ -51,8 +51,6 @@ class ClockSegment:
 
     Attributes:
         drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
-        residual_ns: largest distance of a knot from the straight line through the first and the last knot.
-        knots: one for each window, in order of time.
     """
 
     start_ns: int

@@ -59,7 +59,6 @@ def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
 
 
 def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
-    """Return first and after of parts of whole runs."""
     count = len(exchanges)
     starts = [i for i in range(1, count) if exchanges[i].run is not exchanges[i - 1].run]
     parts: list[tuple[int, int]] = []

@@ -36,7 +36,6 @@ class BatchResult:
     """What a batch gives in addition to its rows.
 
     Attributes:
-        counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         copies: events that were left out because another trace has them.
         values: metric -> int64 values that are not null, for a part of a group; None for whole groups.
     """
@@ -92,7 +91,6 @@ class _Done:
 
 
 def _pair_events(batch: Batch, parts: Parts, pool: Executor) -> tuple[RoundTrips, CopiesByKey]:
-    """Fetched events are free on return."""
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     events = {key: columns for key, (columns, _) in merged.items()}

@@ -42,8 +42,6 @@ class Rows:
         action: str,
         effect: pl.Expr | float = 1.0,
     ) -> Check:
-        """Make the check that reports each row for which `when` is true."""
-
         def observe(evidence: Evidence) -> Iterator[Observation]:
             frame = evidence.frame(self.frame)
             if frame.is_empty():
@@ -96,7 +94,6 @@ def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
 
 
 def _encodable(text: str) -> str:
-    """Spell out lone surrogates, which file names may have."""
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 

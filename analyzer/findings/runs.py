@@ -18,7 +18,6 @@ from .rows import Rows, frame_of, in_run, named
 
 
 def _exchanges(evidence: Evidence) -> pl.DataFrame:
-    """Each exchange with fields of its run and relay, and its counts."""
     rows = [
         {
             "run_id": exchange.run.run_id,

@@ -40,7 +40,6 @@ class Grouping:
     group_of_exchange: NDArray[np.uint32]
 
     def not_applied(self) -> tuple[int, ...]:
-        """Return the groups in which a middleware did not apply a requested setting."""
         barred = {
             int(group)
             for exchange, group in zip(self.exchanges, self.group_of_exchange, strict=True)
@@ -71,8 +70,6 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisOptions:
-    """Outputs in addition to the summary, and deadline and job (`pipeline.analyze`)."""
-
     rows: bool = True
     details: bool = True
     deadline_ns: int | None = None

@@ -252,7 +252,6 @@ class _Times:
         return cls(end_ns - start_ns, (start_ns != MISSING) & (end_ns != MISSING))
 
     def least_ns(self, rows: slice, wall_ns: int) -> int | None:
-        """Return the shortest time of some messages, the first clock `wall_ns` ahead; None without any."""
         values_ns = chosen_of(self.has_value[rows], self.values_ns[rows])
         return int(values_ns.min()) + wall_ns if len(values_ns) else None
 

@@ -49,7 +49,6 @@ _MESSAGE = ("run_id", "sequence")
 
 
 def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """Return the frames of `FAN_OUT_FRAMES` by name, empty where all runs have one receiver and one sender."""
     rows_of: dict[str, list[dict[str, object]]] = {"fan_out": [], "fan_out_positions": []}
     exchanges: dict[int, list[Exchange]] = defaultdict(list)
     groups: dict[int, set[int]] = defaultdict(set)

@@ -62,7 +62,6 @@ _BY_RUN_ID = ("freshness", "outages")
 def begin_frames(
     makers: Mapping[str, Callable[[Batch, Rows], pl.DataFrame]], batch: Batch, roundtrips: Rows, pool: Executor
 ) -> dict[str, Callable[[], pl.DataFrame]]:
-    """Start making the frames of a batch in a pool; return name -> function that waits for the frame."""
     return {name: pool.submit(make, batch, roundtrips).result for name, make in makers.items()}
 
 

@@ -143,7 +143,6 @@ class _Sending:
         return cls(SendTimes(sent_ns[order], offsets), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
-        """Return a value of each message as runs in the order of T1."""
         return Runs.split(values if self.order is None else values[self.order], self.times)
 
 
@@ -165,6 +164,5 @@ def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dic
 
 
 def knot_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """List the knots of the clock fits: columns of `one_way.KNOT_SCHEMA`, a row per run, relay and window."""
     knots = roundtrips.clock_knots
     return knots.with_columns(pl.Series("group", batch.group_of_exchange[knots["group"].to_numpy()]))

@@ -59,7 +59,6 @@ def _metric_of(exchange: Exchange) -> str:
 
 
 def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
-    """Return the columns that a run has, from the latency and T1 of its received messages."""
     shape: dict[str, float] = {}
     if not len(latency_ns):
         return shape

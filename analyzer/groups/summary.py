@@ -99,15 +99,12 @@ def _median_ns(session: Session, part: str, name: str) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """As in `Analysis`, with samples by metric and counts by exchange."""
-
     frame: pl.DataFrame
     distributions: pl.DataFrame
     samples: dict[str, NDArray[np.int64]]
     exchange_counts: pl.DataFrame
 
     def unsent_by_run(self, grouping: Grouping) -> dict[int, int]:
-        """Return run_id -> messages that were due and never left, of the runs that have any."""
         unsent: dict[int, int] = {}
         counts = self.exchange_counts["unsent"].fill_null(0).to_list()
         for exchange, count in zip(grouping.exchanges, counts, strict=True):
@@ -180,5 +177,4 @@ def _per_second(amount: str, span_ns: str) -> pl.Expr:
 
 
 def ratio(numerator: pl.Expr, denominator: pl.Expr) -> pl.Expr:
-    """Divide; null where the denominator is not above zero."""
     return pl.when(denominator > 0).then(numerator / denominator)

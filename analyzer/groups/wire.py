@@ -83,7 +83,6 @@ def no_wire_frames() -> WireFrames:
 
 
 def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore) -> WireFrames:
-    """Make the frames; without rows (a sketch) records are in none."""
     counts = {run_id: value for run_id, run in runs.items() if (value := object_of(run.extra.get("wire")))}
     if not counts:
         return no_wire_frames()
@@ -135,7 +134,6 @@ def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[i
 
 
 def _records(traces: Iterable[Trace]) -> pl.DataFrame:
-    """Return the records of sent messages; the relay is 0 on the way out."""
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
     is_kept = packed["direction"] != Direction.RECEIVED
@@ -157,7 +155,6 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
 
 
 def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
-    """Return the rows with a record of the way out; repeats of both ways are added, waits are the longer ones."""
     out = records.filter(relay_id=0).drop("relay_id")
     joined = rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
     return joined.select(

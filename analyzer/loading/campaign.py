@@ -96,9 +96,7 @@ class Campaign:
     """The content of the traces of a folder; traces by index, sessions and runs by id, their latest description.
 
     Attributes:
-        folder: the folder, or the only file.
         session_traces: indices of the traces that name a session; `run_traces` likewise.
-        copies: the events of each trace that another trace has, too.
     """
 
     folder: Path

@@ -65,7 +65,6 @@ def count_messages(
     absent: int = 0,
     history_ns: float | None = None,
 ) -> dict[str, int | None]:
-    """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
     t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
     t3, t4 = paired.relay_in_ns, paired.relay_out_ns
     replied, relayed, returned = t2 != MISSING, t3 != MISSING, t4 != MISSING
@@ -111,7 +110,6 @@ def count_messages(
 
 
 def count_all(t1: EventColumns, t3: EventColumns, warmup_messages: int) -> dict[str, int | None]:
-    """Count all messages of a run with `ping_every`; these replace counts of `count_messages`."""
     first = np.uint64(warmup_messages)
     t1, t3 = t1.take(t1.sequence >= first), t3.take(t3.sequence >= first)
     return {

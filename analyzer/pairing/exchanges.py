@@ -37,7 +37,6 @@ class Exchange:
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the ping's anchor; `end_ns` its last.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
-        flows: runs of the ping's machine at the middle of this one, itself included.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 

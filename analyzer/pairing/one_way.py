@@ -31,7 +31,6 @@ class DevicePair:
 
 
 def pair_devices(clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Mapping[int, int]) -> Iterator[DevicePair]:
-    """Yield each fit of the campaign from the frames of `segment_table` and `knots_of`; `boots` as in `fit_devices`."""
     boot = pl.Series("boot", [boots.get(run_id, 0) for run_id in clock_knots["run_id"]], pl.Int64)
     knots = (
         clock_knots.with_columns(boot)
@@ -151,7 +150,6 @@ def fit_exchanges(
 
 
 def _is_bounded(fit: ClockFit) -> bool:
-    """A clock that was stepped or slewed follows no line of a window."""
     return fit.same_clock or not (
         fit.steps or any(is_bent(*np.array(s.knots, np.int64).T) for s in fit.segments if len(s.knots) > 2)
     )

@@ -25,8 +25,6 @@ _UINT32_MAX = np.iinfo(np.uint32).max
 
 
 class Outcome(Enum):
-    """Fate of a published message on its way to one relay and back."""
-
     COMPLETED = "completed"
     LOST_OUTBOUND = "lost_outbound"
     LOST_IN_RELAY = "lost_in_relay"
@@ -70,7 +68,6 @@ class Published:
         )
 
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Return the row of each sequence number, -1 where no counted message has it."""
         if not len(self):
             return np.full(len(sequence), -1, np.int64)
         first = self.sequence[0]

@@ -134,7 +134,6 @@ class RoundTrips(PairedRows):
             yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
 
     def part(self, begin: int, end: int) -> RoundTrips:
-        """Return exchanges `begin` to `end` (not included): views of their rows."""
         first, behind = self.bounds[[begin, end]].tolist()
         is_here = pl.col("group").is_between(begin, end, closed="left")
         return RoundTrips(

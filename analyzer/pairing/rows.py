@@ -37,7 +37,6 @@ class RowStore(ABC):
 
     @staticmethod
     def of(rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
-        """Return a store of a frame or a Parquet file; `summary` gives its `groups`."""
         store = RowsInFile(rows) if isinstance(rows, Path) else RowsInMemory(rows)
         if summary is not None:
             store.locate(summary)
@@ -60,14 +59,12 @@ class RowStore(ABC):
     def scan(self) -> pl.LazyFrame: ...
 
     def in_file(self) -> RowStore:
-        """Return the same rows, read from their file: small to send to another process."""
         assert self.file is not None
         store = RowsInFile(self.file)
         store.groups = self.groups
         return store
 
     def locate(self, summary: pl.DataFrame) -> None:
-        """Make `groups` from the frame `summary`, in the order of the rows."""
         published = pl.col("published").cast(pl.Int64)
         self.groups = summary.select(
             pl.int_range(pl.len(), dtype=pl.UInt32).alias("group"),
@@ -82,7 +79,6 @@ class RowStore(ABC):
         return not self.scan().head(1).collect().is_empty()
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
-        """Return columns of the rows of some rows of `groups`, group by group."""
         rows = self.scan().select(columns)
         spans = [rows.slice(*span) for span in zip(groups["first"], groups["published"], strict=True)]
         return (pl.concat(spans) if spans else rows.head(0)).collect()

@@ -36,7 +36,6 @@ class RecordingHealth:
 
     Attributes:
         damages: what is broken; `notes`: what else is worth a word.
-        pauses: start and length in s of times in which all topics stopped.
     """
 
     path: str

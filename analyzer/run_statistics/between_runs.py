@@ -68,7 +68,6 @@ def estimates_of_runs(
 
 
 def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | None]:
-    """Return the units of each statistic; None for fewer than `MIN_RUNS`."""
     if sum(messages > 0 for messages in group.lengths) < MIN_RUNS:
         return [None] * len(statistics)
     shortest = min(group.lengths)

@@ -158,7 +158,6 @@ def _cosines(cells: int) -> Float64:
 
 
 def mean_distance(sent_ns: Int64) -> float:
-    """Return the mean distance in ns of ascending times; 1 if all are equal."""
     return float(sent_ns[-1] - sent_ns[0]) / max(1, len(sent_ns) - 1) or 1.0
 
 

@@ -33,7 +33,6 @@ class Run:
 
     @cached_property
     def ordered(self) -> Values:
-        """The values, ascending."""
         return merged([part.ordered for part in self.parts]) if self.parts else np.sort(self.values)
 
 

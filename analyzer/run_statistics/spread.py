@@ -35,7 +35,6 @@ def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
 
 
 def spread_from(group: Runs, statistic: Statistic, errors: Float64 | None) -> Spread:
-    """Return `spread_of_runs` from the group's `log_errors`; None computes them."""
     needs = max(statistic.needs, 2 * COSINES + 1)
     runs = group
     if any(messages < needs for messages in group.lengths):

@@ -228,7 +228,6 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
 
 
 def level_below(quantile: float) -> float | None:
-    """Return the quantile beyond which a tail's bursts are searched; None for a wide tail."""
     tail = min(quantile, 1 - quantile)
     if round(tail, 9) >= WIDEST_TAIL:
         return None

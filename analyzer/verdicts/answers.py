@@ -50,8 +50,6 @@ _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "out
 
 
 class Clarity(Enum):
-    """How far an answer can be relied on."""
-
     CLEAR = "clear"
     INCONCLUSIVE = "inconclusive"
     ONLY_ONE = "only one"  # nothing to compare it with

@@ -17,7 +17,6 @@ _OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in
 
 
 def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
-    """Return the frame of `bridge_cost` on percentiles of the latency, one kind of message at a time."""
     across = (pl.col("domain_mode") == "different").any()
     within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
     costs = [

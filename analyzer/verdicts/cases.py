@@ -140,7 +140,6 @@ _NAMED_LAST: Mapping[str, tuple[str, str]] = {
 
 
 def contender_names(parameters: pl.DataFrame) -> ContenderNames:
-    """Name every setup: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ..."""
     settings = parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).to_dicts()
     separate = {"vendor", "bridge", *_NAMED_LAST}
     parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in separate]

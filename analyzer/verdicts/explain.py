@@ -94,7 +94,6 @@ def refusals(side: ComparedSide) -> dict[str, str]:
 
 
 def explain(pairs: Pairs, medians: Medians, *, is_ratio: bool, confidence: float = 0.95) -> Answer | None:
-    """Return why the latency rises; None where it was not measured. With `is_ratio` the rise is a factor."""
     measured = {key: pair for key, pair in pairs.items() if all(medians.get(cell) for cell in pair)}
     rises = {key: {after: 1.0, before: -1.0} for key, (before, after) in measured.items()}
     whole = rises.pop(AS_IS, None)

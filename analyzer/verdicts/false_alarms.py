@@ -90,14 +90,12 @@ class FalseAlarms:
 
     @property
     def rate(self) -> float:
-        """Share of the verdicts of all ways that are false; 0 without a verdict."""
         return self.dealt / self.dealt_verdicts if self.dealt_verdicts else 0.0
 
 
 def count_false_alarms(
     base: pl.DataFrame, new: pl.DataFrame, passes: Mapping[int, int], options: CompareOptions | None = None
 ) -> FalseAlarms:
-    """Count the verdicts better or worse of two equal sides over all ways to deal their repeats (`passes`: run_id -> repeat)."""
     options = options or CompareOptions(paired=True)
     pass_of_row = pl.col("run_id").replace_strict(
         list(passes), list(passes.values()), default=None, return_dtype=pl.Int64

@@ -22,8 +22,8 @@ LOSSY_SHARE = 0.01
 
 
 class Claim(str, Enum):
-    FASTEST = "fastest"
-    SLOWER = "slower"
+    FASTEST = "leads"
+    SLOWER = "takes longer"
     LOSES_MORE = "loses more"
     LOSSY = "lossy"
 

@@ -72,7 +72,6 @@ class MatchedGroup:
         return self._published
 
     def delivered(self, metric: str) -> Runs:
-        """Return a metric of every message of each run, ns, infinite for a lost one."""
         if metric not in self._delivered:
             self._delivered[metric] = Runs.of(delivered_runs(self.runs, metric))
         return self._delivered[metric]
@@ -84,13 +83,11 @@ class MatchedGroup:
         return self._estimates[key]
 
     def survivors(self, metric: str) -> Run:
-        """Return a metric of the received messages, all runs as one series, ns."""
         if metric not in self._survivors:
             self._survivors[metric] = joined_runs([run.survivors(metric) for run in self.runs])
         return self._survivors[metric]
 
     def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
-        """Return a statistic of the received messages, ns; None where they are too few."""
         series = self.survivors(metric)
         return statistic.of_run(series) if len(series) >= statistic.needs else None
 
@@ -204,7 +201,6 @@ def interleaved_keys(
     new_runs: Iterable[RunDescription],
     match: Sequence[str],
 ) -> dict[int, Key]:
-    """Return run_id -> group of the base that each run of the new side was interleaved with, if it is a single one."""
     cells = {run.run_id: run.labels[CELL_LABEL] for run in base_runs if CELL_LABEL in run.labels}
     groups: dict[str, set[Key]] = defaultdict(set)
     for run_id, *key in base.select("run_id", *match).unique().iter_rows():

@@ -47,7 +47,6 @@ class SetupRuns:
 
     @property
     def received_share(self) -> float:
-        """Share of the messages of all runs whose reply came back; 0 without a message."""
         messages = sum(map(len, self.received))
         return sum(int(run.sum()) for run in self.received) / messages if messages else 0.0
 

@@ -126,7 +126,6 @@ class SideError:
     groups: frozenset[Key]
 
     def is_about(self, group: Key) -> bool:
-        """Return whether a group is not to be judged because of it."""
         return not self.groups or group in self.groups
 
 

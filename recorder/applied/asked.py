@@ -154,7 +154,6 @@ class ProfileRequest:
 
     Attributes:
         receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
-        replaces_builtin: `useBuiltinTransports` is false.
     """
 
     protocols: tuple[str, ...] = ()

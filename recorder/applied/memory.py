@@ -34,12 +34,9 @@ class SharedMemory:
     """One shared-memory file of a middleware that the process maps.
 
     Attributes:
-        size_bytes: of the file, or of the mapping if the file is gone.
         is_own: this process created it, None if the middleware leaves no sign of that.
         is_served: some process holds its lock, None if there is none or it cannot be tested.
         is_abandoned: nobody holds its lock: the process that served it was killed.
-        is_deleted: its participant has ended.
-        is_here: the file of that name in this namespace's `/dev/shm` is the mapped one.
     """
 
     name: str

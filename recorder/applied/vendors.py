@@ -144,8 +144,6 @@ class RosMiddleware:
 
     Attributes:
         stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
-        has_durations: whether deadline and lifespan have an effect.
-        router, router_port: program of its package that its nodes need to find each other, and its TCP port.
     """
 
     vendor: str

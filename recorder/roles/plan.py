@@ -36,7 +36,6 @@ class RunPlan:
     Attributes:
         rate_hz: infinite for messages that leave as fast as the middleware takes them.
         wake_ns: time between a probe and the message after it, 0 for no probes.
-        is_timed: whether time ends the run, and `messages` is only a bound.
     """
 
     payload: Payload

@@ -121,7 +121,6 @@ class Replies:
 
     Attributes:
         publish_ns: T1 of each message by its sequence number; 0 before it is sent.
-        payload_bytes: application bytes of each message.
         highest: sequence number with a reply, -1 before the first.
     """
 

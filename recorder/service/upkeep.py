@@ -87,7 +87,6 @@ class Upkeep:
 
     Attributes:
         sink: the sink; with `--rotate` its session's field `part` counts the files from 1.
-        shortage: the first lack of disk space that dropped events, or that ends a ping's run.
     """
 
     def __init__(

@@ -46,12 +46,7 @@ class RateAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MaxRate:
-    """The answer of a search for one cell: its `rate`.
-
-    Attributes:
-        failing_hz: the lowest rate that was not sustained.
-        reason: why the next rate was not sustained, or why the search failed.
-    """
+    """The answer of a search for one cell: its `rate`."""
 
     cell: Cell
     answer: RateAnswer

@@ -33,7 +33,6 @@ class Stream:
         publication: as the graph shows it; of several that share one stream, one of them.
         publisher_id: its number in the trace, from 1.
         publisher: its GUID; None if it is not sure.
-        has_header: whether its type has a header stamp.
         last_ns: arrival of the latest message, monotonic; 0 before the first.
         stopped_at: its messages when it was reported as stopped; None while it is not.
     """

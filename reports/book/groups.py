@@ -106,7 +106,6 @@ class VendorLabels:
         return self.labels.get(vendor, printable(vendor))
 
     def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
-        """Return the label of both vendors; the relay's is None without its trace."""
         if relay_vendor is None or relay_vendor == vendor:
             return self.of(vendor)
         return f"{self.of(vendor)} → {self.of(relay_vendor)}"
@@ -147,7 +146,6 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """Label of the cell, as in `Binary 33 KB at 10 Hz`; a topic's name."""
         if is_topic(self.data_type):
             return printable(self.data_type)
         return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_rate(self.rate_hz)}"
@@ -242,7 +240,6 @@ def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
-    """Label each group as in `Binary 33 KB at 10 Hz, same domain`, without a vendor that all share."""
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
@@ -308,7 +305,6 @@ _FOLLOWING = (_backend_label, _rmw_label)
 
 
 def in_order_of(values: Iterable[str], order: Iterable[str]) -> list[str]:
-    """Sort distinct values: first as in `order`, then by name."""
     rank = {name: index for index, name in enumerate(order)}
     return sorted(set(values), key=lambda value: (rank.get(value, len(rank)), value))
 
@@ -330,6 +326,5 @@ def _cell_order(cell: Cell) -> tuple[object, ...]:
 
 
 def drift_words(fit: Mapping[str, Any]) -> str:
-    """Return `+12.5 ± 0.3 ppm`, to a thousandth."""
     drift, bound = (round(fit[key] / 1000, 3) for key in ("drift_ppb", "drift_bound_ppb"))
     return f"{'+' if drift > 0 else ''}{format_number(drift)} ± {format_number(max(bound, 0.001))} ppm"

@@ -227,7 +227,6 @@ def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
 
 
 def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:
-    """Name sizes among all: `up to 33 KB`, `from 1 MB on`, `at every size`, `at 33 KB and 1 MB`."""
     if len(sizes) < sum(sizes[0] <= size <= sizes[-1] for size in all_sizes):
         return f"at {joined(map(format_size, sizes))}"
     low, high = format_size(sizes[0]), format_size(sizes[-1])
@@ -391,7 +390,6 @@ def _some(parts: Sequence[str], noun: str) -> str:
 
 
 def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
-    """Return who is fastest, in few words: `Zenoh, next 1.2 to 1.94 times`."""
     outcome = stretch.outcome
     if outcome is None:
         return f"it depends on the rate ({_wins(stretch.cases, labels)})"

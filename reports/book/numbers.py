@@ -60,12 +60,10 @@ def values_info(analysis: Analysis) -> Values:
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number; None for null, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else value
 
 
 def whole_ns(value_ns: float | None) -> int | None:
-    """Round a number; None for null, NaN and infinity."""
     return None if value_ns is None or not math.isfinite(value_ns) else round(value_ns)
 
 
@@ -80,7 +78,6 @@ class Intervals:
     runs: tuple[int, ...]
 
     def tail_episodes(self, metric: str, percentile: str, group: int) -> int | None:
-        """Return the bursts that a tail rests on; None for a median."""
         return _value(self.episodes, metric, percentile, group) if percentile != "p50" else None
 
     def ends(self, metric: str, percentile: str, group: int) -> tuple[int | None, int | None]:
@@ -90,7 +87,6 @@ class Intervals:
         return bool(_value(self.is_between, metric, percentile, group))
 
     def basis(self, metric: str, percentile: str, group: int) -> str:
-        """Return on how many runs an interval rests, as in `5` or `1, within one run`."""
         if _value(self.is_between, metric, percentile, group) is None:
             return MISSING
         is_between = self.is_between_runs(metric, percentile, group)

@@ -104,7 +104,6 @@ _CONDITION_WORDS = {
 
 
 def conditions_label(conditions: str) -> str:
-    """Put conditions into words: `emulated link wifi-54(loss=1), 2 runs at once`."""
     words = (_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in parse_setting(conditions).items())
     return printable(", ".join(words))
 
@@ -147,7 +146,6 @@ def data_type_rank(data_type: str) -> tuple[int, str]:
 
 
 def runs_words(row: Mapping[str, Any]) -> str:
-    """Return the runs of a row, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
     if row["pairs"]:
         return f"{row['pairs']} pairs"
     counts = f"{row['base_runs']} and {row['new_runs']}"
@@ -160,7 +158,6 @@ def received_words(row: Mapping[str, Any]) -> str:
 
 
 def episodes_words(row: Mapping[str, Any], side: str) -> str:
-    """Return the bursts that the tail of `base` or `new` rests on, as in `12 bursts`."""
     bursts = row[f"{side}_episodes"]
     is_tail = row["statistic"].startswith("p9") and row[f"{side}_ns"] is not None
     return counted(bursts, "burst") if is_tail and bursts is not None else ""

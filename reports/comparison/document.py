@@ -34,7 +34,6 @@ FORMAT_VERSION = 1
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:
-    """Return the comparison as JSON; infinite times and ratios are null."""
     document = {
         "format": FORMAT_VERSION,
         "said": info.said,
@@ -111,7 +110,6 @@ def _is_lost(value_ns: float | None) -> bool:
 
 
 def render_junit(info: ComparisonInfo) -> str:
-    """Return one test case per gate and result; an inconclusive one is skipped."""
     results = [gated.result for gated in info.gates]
     failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
     unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)

@@ -65,7 +65,6 @@ class ComparedGroup:
         return self.label.removeprefix(self.message).removeprefix(", ")
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
-        """Return the changes in the row of the result: median and p99 of the first metric."""
         return _shown(self.changes)
 
 

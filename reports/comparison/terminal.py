@@ -31,7 +31,6 @@ _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    """Return the comparison as plain text of 80 columns, without colours."""
     text = io.StringIO()
     plain_console(file=text, width=WIDTH, color_system=None).print(_report(info, shows_all))
     return without_commands("\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n")

@@ -30,7 +30,6 @@ def statistic_words(statistic: str) -> str:
 
 
 def with_article(statistic: str) -> str:
-    """Return the label of a statistic in a sentence: `the median`, `p99`."""
     label = statistic_words(statistic)
     return f"the {label}" if label.isalpha() else label
 
@@ -79,7 +78,6 @@ WIDE = "uncertain"
 
 
 def change_words(ratio: float | None) -> str:
-    """Format a ratio as a change of three digits, as in `+20 %` or `-0.352 %`, or as in `31.2 times`."""
     if ratio is None:
         return MISSING
     if math.isinf(ratio):

@@ -54,7 +54,6 @@ FIGURES: list[FigureMaker | LineFigure] = [
 
 
 def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:
-    """Draw every figure; for a few groups the chart of dots replaces those that need more."""
     few = is_few(book)
     figures = []
     for maker in FIGURES:

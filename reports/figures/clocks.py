@@ -72,7 +72,6 @@ class ClockPair:
 
     Attributes:
         elapsed_s: of each mark since the first.
-        bound_ns: largest error of each offset.
     """
 
     title: str

@@ -74,7 +74,6 @@ _NO_CURVE = "no result has two received messages."
 
 
 def percentile_curve_figure(info: DistributionCurves) -> Figure | LeftOut:
-    """Draw one curve per setup of the selected message, over 1 / (1 - q)."""
     name, title = "percentile_curve", "Percentile curve"
     if not info.any_drawn:
         return LeftOut(name, title, _NO_CURVE)

@@ -20,11 +20,7 @@ Test = Callable[[int], bool]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure that can be drawn.
-
-    Attributes:
-        follows: whether it shows the reader's metric and statistic, which then replace the word Latency in the title.
-    """
+    """A figure that can be drawn."""
 
     name: str
     title: str
@@ -44,8 +40,6 @@ class LeftOut:
 
 
 class Scope(Enum):
-    """What one view of a figure shows."""
-
     CAMPAIGN = "campaign"
     CELL = "cell"
     """The groups of one message, which the reader selects."""
@@ -53,12 +47,7 @@ class Scope(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FigureMaker:
-    """One row of the table of figures (`reports.figures.FIGURES`).
-
-    Attributes:
-        opened: whether the page shows it at once (`opened_figures`).
-        few: whether it says more about a few groups than the chart of dots, which replaces the others then.
-    """
+    """One row of the table of figures (`reports.figures.FIGURES`)."""
 
     info: Callable[[Book], Any]
     figure: Callable[[Any], Figure | LeftOut]
@@ -130,7 +119,6 @@ class Faceted:
 
 
 def plane_facet(book: Book, panels: str = "choice", lines: str = "") -> Facet:
-    """Return the facet of a figure over messages; few groups share one axis."""
     return Facet("cell" if is_few(book) else "plane", panels, lines)
 
 
@@ -161,7 +149,6 @@ def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: 
 
 
 def panel_keys(facet: Facet) -> tuple[list[str], list[str]]:
-    """Return the dimensions that separate panels: side by side, and below one another."""
     used = {*_atoms(facet.x), *_atoms(facet.lines)}
     columns = [key for key in _atoms(facet.panels) if key not in used]
     if "size" in columns and "data" not in used:
@@ -197,7 +184,6 @@ class LineFigure:
 
     Attributes:
         value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
-        drawn: of a book, whether a group has the value.
         shows: of a book, whether a group shows something; a panel needs one.
     """
 

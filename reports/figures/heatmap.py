@@ -19,8 +19,6 @@ class HeatmapPanel:
 
 @dataclass(frozen=True, slots=True)
 class Heatmap:
-    """Panels by data type, then series, with two tiles at least."""
-
     panels: tuple[HeatmapPanel, ...]
 
 

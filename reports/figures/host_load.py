@@ -31,8 +31,6 @@ class DeviceLoad:
 
 @dataclass(frozen=True, slots=True)
 class HostLoad:
-    """Group -> loads of its devices."""
-
     groups: dict[int, tuple[DeviceLoad, ...]]
     decimated: bool
 

@@ -13,8 +13,6 @@ from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, 
 
 @dataclass(frozen=True, slots=True)
 class OwnTimes(Faceted):
-    """`times_ns` is group -> median time of its runs."""
-
     times_ns: Mapping[int, int]
 
     def drawn(self, label: str) -> dict[str, object]:

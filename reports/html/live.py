@@ -96,15 +96,11 @@ class WatchOptions:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A page and its version, an HTTP entity tag that changes whenever the page does."""
-
     page: bytes
     version: str
 
 
 class Watcher:
-    """The latest page of a folder, and its server."""
-
     def __init__(self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0) -> None:
         """Bind the address at once; nothing is analyzed before `refresh`.
 

@@ -163,7 +163,6 @@ def _is_time(value_ns: float | None) -> TypeGuard[float]:
 
 
 def _aligned(unit: str, value_ns: float | None, text: str) -> tuple[str, str]:
-    """Return a time before and from the decimal point on; `text` where there is none."""
     if not _is_time(value_ns):
         return text, ""
     whole, point, fraction = format_duration(value_ns, unit).split()[0].partition(".")

@@ -87,7 +87,6 @@ _STYLES = {"whole": "green", "holes": "yellow", "damaged": "red"}
 
 
 def strip_text(strip: Sequence[float], *, is_periodic: bool) -> str:
-    """Return a strip of time: full where no message is missing, a dot where all are."""
     if not is_periodic:
         return "".join("▪" if share else " " for share in strip)
     return "".join(_LEVELS[int(share * 8)] for share in strip)
@@ -189,7 +188,6 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
 def _blocks(
     health: RecordingHealth, row: Row, holes: Sequence[Row], strip: Sequence[float]
 ) -> list[tuple[float, float, str, str]]:
-    """Return left edge, width, class and title of what is drawn: the messages, and holes above them."""
     scale = STRIP_WIDTH / max(health.duration_ns / 1e9, 1e-9)
     if not row["missing_from"]:
         part = STRIP_WIDTH / len(strip)

@@ -56,7 +56,7 @@ def nothing_recorded(monkeypatch, tmp_path):
     (tmp_path / "runs").mkdir()
     (tmp_path / "p.toml").write_text(PLAN)
 
-    def check_options(asked, *_):
+    def check_options(asked, *_, **__):
         asked.check()
         if asked.ping is not None:
             count_messages(asked.ping.messages, asked.duration_s, asked.ping.rate_hz or 10.0, asked.ping.warmup)

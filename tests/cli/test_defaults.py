@@ -168,7 +168,7 @@ DESCRIBING_TEXTS = {
     "rotate setting size topics expect flow load-to keys response-size segment buffer rate fragment",
     "bridge": "deadline lifespan",
     "sweep": "until explain-size",
-    "analyze": "clock deadline fail-if margin recommend report",
+    "analyze": "clock deadline fail-if margin recommend export report",
     "compare": "fail-if ignore",
     "watch": "",
 }

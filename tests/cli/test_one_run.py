@@ -95,7 +95,7 @@ def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, r
         assert "regressed" not in text, name
     for name in ("terminal", "html", "md"):
         words = " ".join(outputs[name].split())
-        assert f"needs 3 runs of each; there {'is 1' if runs == 1 else 'are 2'}" in words, name
+        assert f"needs 3 runs of each, there {'is 1' if runs == 1 else 'are 2'}" in words, name
     assert "likely" in outputs["recommend"]
     assert "meets" not in outputs["recommend"]
 

@@ -45,9 +45,10 @@ CORE = {
     # `process.py` runs in a process of its own, which no trial reaches.
     "wire": Part(
         (
-            *(f"recorder/wire/{name}.py" for name in ("capture", "counts", "messages", "ring", "tally", "tcp_info")),
+            *(f"recorder/wire/{name}.py" for name in ("capture", "counts", "messages", "ring", "tally")),
+            "recorder/kernel/sockets.py",
             "recorder/wire/packets",
         ),
-        ("tests/recorder/wire",),
+        ("tests/recorder/wire", "tests/recorder/kernel"),
     ),
 }

@@ -58,7 +58,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
     """A MCAP file, opened for reading at any offset.
 
     Attributes:
-        path: the file's name in errors (`shown_as`, if the file is an unpacked copy).
         size: bytes when it was opened; what a recorder adds later is not read.
 
     Raises:

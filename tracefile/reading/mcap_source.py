@@ -178,7 +178,6 @@ class McapSource:
         return notes
 
     def _is_of_others(self) -> bool:
-        """Return whether the summary lists only foreign topics, which need not be unpacked."""
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)

@@ -51,11 +51,8 @@ class Condition:
     """What was found while a recording was read; complete after its last message.
 
     Attributes:
-        damages: what is broken or missing, one line each.
         notes: what else is worth a word.
         topics: those that are declared, with or without messages.
-        claimed: messages of each topic by the file's own count.
-        chunks: first and last log time and number of messages of each chunk, in file order.
     """
 
     damages: list[str] = field(default_factory=list)

@@ -19,7 +19,6 @@ class TraceDestination:
 
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
-        fsync: whether file, folder and each chunk are on the disk, not only in the page cache.
         ring_slots: events (64 bytes each) in the ring before further ones are dropped.
         mode: the most rights of trace, ring and metadata; the umask may reduce them.
     """
@@ -50,7 +49,6 @@ class ClosedTrace:
     """Result of a recording.
 
     Attributes:
-        dropped_events: events that could not be stored.
         error: why writing failed; None if everything is in a closed file.
         ring_events: events that stayed in the ring because of `error`; readers use them, `recover` joins both.
     """

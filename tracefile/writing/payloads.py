@@ -38,11 +38,7 @@ class Payload:
 
 
 class PayloadQueue:
-    """One thread puts, another takes.
-
-    Attributes:
-        left_out: payloads that found no room.
-    """
+    """One thread puts, another takes."""
 
     def __init__(self) -> None:
         self.left_out = 0

@@ -29,12 +29,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key of a plan.
-
-    Attributes:
-        default_words: where `default` does not say it.
-        takes_list: whether a list of values is allowed.
-    """
+    """One key of a plan."""
 
     meaning: str
     limit: Limit = limits.TEXT

@@ -197,9 +197,7 @@ class Plan:
 
     Attributes:
         connectivity: the sessions'; None lets each device detect it.
-        by_hand: whether a person starts the relay.
         partners: cell without pass -> cell of the other plan that it alternates with.
-        flows: names of the flows on each relay.
         hosts: of `[[devices]]`, the relays' devices; `relay` is the first of them.
         thresholds: metric -> conditions that each result has to meet, such as `< 20 ms`.
     """

@@ -191,7 +191,6 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the folder's name within `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name

@@ -35,9 +35,6 @@ class CellResult:
         sent_bytes: application bytes of all published messages; `returned_bytes`: of those with a reply.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
-        cut_off: whether the run ended before its schedule.
-        relay_ids: the relays that answered.
-        not_applied: requested settings that the ping's middleware did not use, in words.
     """
 
     run_id: str

@@ -37,7 +37,6 @@ class CellState:
 
     Attributes:
         run_id: the run that counts, 16 hex digits.
-        killed_segment: the trace of the relay that the outage killed, which contains the first part of the run.
         further: the traces of the second relay and those after it, which contain this cell's part.
     """
 

@@ -37,7 +37,6 @@ class Station:
         relay_address: address of the relay's device, None on one machine; `further` of the other hosts.
         report_link: `NamespacePair.report`, None without an emulated link.
         drive_link: `NamespacePair.drive`, None for a link without a file.
-        environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
     ping_command: Sequence[str]

@@ -141,7 +141,8 @@ def compare_command(
         terminal.write(info, shows_all=shows_all)
     else:
         title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
-        _print_or_write(_text(report, info, comparison, title, shows_all), out)
+        has_commands = report is ComparisonReport.GITHUB
+        _print_or_write(_text(report, info, comparison, title, shows_all), out, has_commands=has_commands)
     _print_outcome(outcome, gated=bool(results))
     is_let_pass = outcome is GateOutcome.INCONCLUSIVE and inconclusive is Unsure.PASS
     raise typer.Exit(0 if is_let_pass else outcome.exit_code)
@@ -166,12 +167,12 @@ def _text(
     return document.render(info, comparison) if report is ComparisonReport.JSON else page.render(info, title)
 
 
-def _print_or_write(text: str, out: Path | None) -> None:
+def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
     from dds_trace.base.errors import OutputError
     from dds_trace.base.files import replacing
 
     if out is None:
-        sys.stdout.write(text)
+        getattr(sys.stdout, "write_commands" if has_commands else "write", sys.stdout.write)(text)
         return
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -52,6 +52,7 @@ OWN_ONLY = frozenset(
         "file-mode",
         "host",
         "keep",
+        "keys",
         "listen",
         "open",
         "out",

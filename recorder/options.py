@@ -1,7 +1,4 @@
-"""The options of a recording: each field with `option(...)` or `detail(...)` is one of `dds-record`.
-
-A new option is such a field, here or in `NodeOptions`, and the line that uses its value.
-"""
+"""The options of a recording: each field with `option(...)` or `detail(...)` is one of `dds-record`."""
 
 from __future__ import annotations
 

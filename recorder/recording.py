@@ -104,9 +104,7 @@ class RelayRecording(BaseRecording):
 
     def prepare(self, stack: ExitStack) -> None:
         served = served_data_types(self.options.types)
-        self._data_types = (
-            tuple(data_type.in_flow(flow) for flow in self.options.flows for data_type in served) or served
-        )
+        self._data_types = tuple(kind.in_flow(flow) for flow in self.options.flows for kind in served) or served
         check_serialization(self._data_types, self.options.serialization)
         super().prepare(stack)
 

@@ -39,7 +39,6 @@ class DomainLease:
         self._held: list[int] = []
 
     def take(self) -> int:
-        """A domain id of our own until `release`."""
         for domain_id in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
             with suppress(BlockingIOError):
                 return self.wait_for(domain_id, fcntl.LOCK_NB)
@@ -57,7 +56,6 @@ class DomainLease:
         return domain_id
 
     def release(self) -> None:
-        """Give all domains back."""
         for descriptor in self._held:
             os.close(descriptor)
 
@@ -84,7 +82,6 @@ def domains() -> Iterator[DomainLease]:
 
 @pytest.fixture
 def domain_id(domains: DomainLease) -> int:
-    """One domain id of the test's own."""
     return domains.take()
 
 

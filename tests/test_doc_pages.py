@@ -42,7 +42,6 @@ def sources_of_rooms():
 
 
 def anchors_of(page):
-    """The anchors that GitHub gives to the headings of a page."""
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in HEADING.findall(prose_of(page))}
 
 
@@ -97,7 +96,6 @@ def test_a_quoted_line_is_what_the_code_says(line, said_by_the_code):
 
 
 def test_the_table_of_exit_codes_is_that_of_the_code():
-    """Every way in which one of our programs ends, each once."""
     errors, more = {TraceError}, {TraceError}
     while more:
         more = {below for each in more for below in each.__subclasses__()}

@@ -1,7 +1,4 @@
-"""Windows of time in which the clocks of two devices part along a straight line.
-
-All windows of a batch are processed together, then their halves where needed.
-"""
+"""Windows of time in which the clocks of two devices part along a straight line."""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+from dds_trace.base.streams import plain
+
 from ..analysis import Analysis
 from ..model.metrics import METRICS, TOPIC_METRICS
 from ..model.parameters import PARAMETER_NAMES
@@ -69,7 +71,7 @@ def _labels(row: Mapping[str, object], names: Sequence[str], more: Mapping[str, 
 
 
 def _word(value: object) -> str:
-    text = f"{value:g}" if isinstance(value, float) else str(value)
+    text = f"{value:g}" if isinstance(value, float) else plain(str(value))
     return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 

@@ -1,7 +1,4 @@
-"""The frames about the wire: what a group's messages cost, by class of traffic and by number of repeats.
-
-Counts are in the ping's runs and in the relay's trace; records of messages, of both, are joined to the rows.
-"""
+"""The frames about the wire: what a group's messages cost, by class of traffic and by number of repeats."""
 
 from __future__ import annotations
 

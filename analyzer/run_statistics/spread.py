@@ -25,20 +25,16 @@ class Spread:
     within: float | None
 
 
-def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
+def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic, errors: Float64 | None = None) -> Spread:
     """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
 
     The part within is each run's own error, so `between**2 = max(0, variance - within**2)`. Runs that do not support the
-    statistic are left out.
+    statistic are left out. `errors` are the group's `log_errors`; None computes them.
     """
-    return spread_from(Runs.of(runs), statistic, None)
-
-
-def spread_from(group: Runs, statistic: Statistic, errors: Float64 | None) -> Spread:
+    runs = Runs.of(runs)
     needs = max(statistic.needs, 2 * COSINES + 1)
-    runs = group
-    if any(messages < needs for messages in group.lengths):
-        runs, errors = Runs(tuple(run for run in group if len(run) >= needs)), None
+    if any(messages < needs for messages in runs.lengths):
+        runs, errors = Runs(tuple(run for run in runs if len(run) >= needs)), None
     if not len(runs):
         return Spread(None, None)
     values = statistic.of_runs(runs)
@@ -120,5 +116,7 @@ def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -
     spreads, end = [], 0
     for group in groups:
         start, end = end, end + len(group)
-        spreads.append([spread_from(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)])
+        spreads.append(
+            [spread_of_runs(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)]
+        )
     return spreads

@@ -1,7 +1,4 @@
-"""The clocks of all devices of a folder: instants of one on another's clock, over others where needed, with bounds.
-
-`StampClock` places the header stamps of a bag on its recorder's clock (`--clock runs/`).
-"""
+"""The clocks of all devices of a folder: instants of one on another's clock, over others where needed, with bounds."""
 
 from __future__ import annotations
 

@@ -41,10 +41,7 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
     answers, left_out = answer(explanation, outcome.folder) if len(outcome.missing) < outcome.cells else ({}, {})
     left_out = {**explanation.left_out, **left_out}
     if as_json:
-        explained = [
-            {"setup": name, **(asdict(explained_answer) if explained_answer else {})}
-            for name, explained_answer in answers.items()
-        ]
+        explained = [{"setup": name, **(asdict(item) if item else {})} for name, item in answers.items()]
         result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         print(json.dumps({**result, "explained": explained, "left_out": left_out}))
     else:

@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 
 import psutil
 
+from dds_trace.base.files import read_regular
 from dds_trace.base.units import UNIT_BYTES
 
 from ..records import to_json
@@ -140,7 +141,7 @@ def _interface_at(name: str) -> str:
 
 def _file_text(entry: str) -> str:
     try:
-        return Path(entry.strip().removeprefix("file://")).read_text(errors="replace")
+        return read_regular(Path(entry.strip().removeprefix("file://"))).decode(errors="replace")
     except OSError:
         return ""
 

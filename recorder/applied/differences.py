@@ -68,14 +68,9 @@ def differences(requested: Asked, applied: Applied, traffic: Traffic | None = No
 
 def publisher_differences(requested: Mapping[str, str], used: Mapping[str, str]) -> tuple[Difference, ...]:
     return tuple(
-        Difference(
-            Setting(name),
-            requested_value,
-            used[name],
-            f"asked for {name} {requested_value}, the publisher has {used[name]}",
-        )
-        for name, requested_value in requested.items()
-        if name in used and used[name] != requested_value
+        Difference(Setting(name), value, used[name], f"asked for {name} {value}, the publisher has {used[name]}")
+        for name, value in requested.items()
+        if name in used and used[name] != value
     )
 
 

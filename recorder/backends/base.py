@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.files import read_regular
 
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..domains import check_domain_id, first_port
@@ -168,7 +169,7 @@ class Backend:
         if path is None:
             return {}
         try:
-            path.read_bytes()
+            read_regular(path)
         except OSError as err:
             raise OptionError(f"--configuration {path}: {err.strerror}; give an existing file") from err
         variables = {} if self.variables_of is None else self.variables_of(options.rmw, path.absolute())

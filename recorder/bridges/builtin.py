@@ -1,7 +1,4 @@
-"""`builtin`: our own bridge, two ROS 2 nodes in one process that forward serialized messages both ways.
-
-`python -m dds_trace.recorder.bridges.builtin CONFIGURATION` serves until a signal.
-"""
+"""`builtin`: our own bridge, two ROS 2 nodes in one process that forward serialized messages both ways."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`builtin-zenoh`: our own bridge over zenoh, one half on each device.
-
-`python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until a signal.
-"""
+"""`builtin-zenoh`: our own bridge over zenoh, one half on each device."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; a half for each domain.
-
-It is a program, or a plugin of zenoh's router (`zenohd`).
-"""
+"""`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; a half for each domain."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.files import read_regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,7 +83,7 @@ def _entries(value: str, separator: str | None) -> list[str]:
 def _hashed(entry: str) -> dict[str, str | None]:
     path = Path(entry.removeprefix("file://"))
     try:
-        return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        return {"name": path.name, "sha256": hashlib.sha256(read_regular(path)).hexdigest()}
     except OSError:
         if entry.startswith(_INLINE_STARTS) or "=" in entry:
             return {"name": "inline", "sha256": hashlib.sha256(entry.encode()).hexdigest()}

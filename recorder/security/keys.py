@@ -120,7 +120,13 @@ def make_keys(path: Path, level: Security) -> None:
         raise BackendUnavailableError(
             f"keys are made by the package cryptography ({err}); pip install 'dds-trace[security]' (in a clone '.[security]')"
         ) from err
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))  # mode 0700
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))  # mode 0700
+    except OSError as err:
+        raise OptionError(
+            f"--keys {path}: cannot be made ({err.strerror or err}); give a folder that can be written"
+        ) from err
     authority = _Authority()
     signed = {
         "identity_ca.cert.pem": authority.pem,

@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.local_server import LocalServer
 from dds_trace.base.units import SECOND_NS, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
@@ -64,7 +65,7 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]]) -> Iterator[str
             """Print nothing."""
 
     try:
-        server = ThreadingHTTPServer((HOST, port), Handler)
+        server = LocalServer((HOST, port), Handler)
     except OSError as error:
         raise OptionError(f"--live-port {port}: {error.strerror}; choose another port") from error
     thread = threading.Thread(target=server.serve_forever, name="tap-page", daemon=True)

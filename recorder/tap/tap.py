@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.printable import printable
 from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
@@ -190,10 +190,10 @@ class Tap:
             )
             self._update(topic, publications)
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
-        except (BackendUnavailableError, OptionError) as error:
+        except Exception as error:  # noqa: BLE001 - names are a stranger's: each library refuses them with errors of its own
             self._topics[name, type_name] = _Topic(name, type_name, None)
             self.refused[name] = str(error)
-            self._note(f"{name} is not joined: {error}")
+            self._note(f"{printable(name)} is not joined: {printable(str(error) or type(error).__name__)}")
             return
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
 
@@ -263,9 +263,7 @@ class Tap:
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         publisher, publication = self._identify(topic, source)
         heard = (
-            other_stream
-            for other_stream in self.streams
-            if other_stream.publisher == publisher and other_stream.publication.topic == topic.name
+            other for other in self.streams if other.publisher == publisher and other.publication.topic == topic.name
         )
         stream = next(heard, None)
         if stream is None:

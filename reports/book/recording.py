@@ -102,13 +102,8 @@ def _sessions(analysis: Analysis) -> RecordTable:
         )
         alike.setdefault(key, []).append(session)
     rows = [
-        (
-            *key[:-2],
-            format_count(len(sessions)),
-            format_count(sum(session.dropped_events for session in sessions)),
-            *key[-2:],
-        )
-        for key, sessions in alike.items()
+        (*key[:-2], format_count(len(group)), format_count(sum(session.dropped_events for session in group)), *key[-2:])
+        for key, group in alike.items()
     ]
     columns = (
         *("Device", "Role", "Vendor", "Backend", "RMW", "Domain", "Link"),

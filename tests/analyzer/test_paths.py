@@ -24,7 +24,6 @@ LOSSES = Path(__file__).parents[2] / "sample_traces" / "losses"
 
 @pytest.fixture
 def trace(tmp_path):
-    """A copy of a sample trace."""
     return Path(shutil.copy(find_traces(LOSSES)[0], tmp_path / "copy.mcap"))
 
 

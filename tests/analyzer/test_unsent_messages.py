@@ -67,7 +67,6 @@ def sides(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory):
-    """Both vendors in one campaign."""
     folder = tmp_path_factory.mktemp("both")
     record(folder / "whole", "whole")
     record(folder / "half", "half", first=10)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
-from dds_trace.base.files import remove_drafts, replacing
+from dds_trace.base.files import MOST_SETTINGS_BYTES, read_regular, remove_drafts, replacing
 
 
 def test_the_draft_takes_the_place_of_the_old_file(tmp_path):
@@ -95,3 +97,14 @@ def test_no_draft_is_removed_while_one_is_written(tmp_path):
 
 def test_a_folder_that_is_missing_has_no_drafts(tmp_path):
     remove_drafts(tmp_path / "missing", ["report.html"])
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "pipe", "large"])
+def test_settings_are_a_regular_file_of_bounded_size(tmp_path, path):
+    os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(MOST_SETTINGS_BYTES + 1)
+    with pytest.raises(OSError, match=r"not a regular file|larger than"):
+        read_regular(tmp_path / path)
+    (tmp_path / "small").write_bytes(b"<dds/>")
+    assert read_regular(tmp_path / "small") == b"<dds/>"

@@ -68,7 +68,6 @@ def refusal(action):
 
 
 def replaced(described, place, value):
-    """The JSON object with another value at a place."""
     if len(place) == 1:
         return {**described, place[0]: value}
     return {**described, place[0]: replaced(described[place[0]], place[1:], value)}

@@ -81,3 +81,11 @@ def test_a_full_stream_costs_words(tmp_path, stream, program, code):
     assert (tmp_path / "done").read_text() == "done"
     assert ended.returncode == code
     assert b"Traceback" not in (ended.stderr or b"")
+
+
+def test_a_report_made_of_commands_is_written_as_it_is():
+    shown = io.StringIO()
+    stream = PlainStream(shown)
+    stream.write("::warning::of a trace\n")
+    stream.write_commands("::warning::of a gate \x1b\n")
+    assert shown.getvalue().splitlines() == [":\\u003awarning::of a trace", "::warning::of a gate \\u001b"]

@@ -59,7 +59,6 @@ def play_round(seed: int, folder: Path, only: Sequence[str] = ()) -> dict[str, o
 
 
 def line_of(line: dict[str, object]) -> str:
-    """Return a round's line for people."""
     words = {name: _shown(value) for name, value in line.items() if name not in ("wrong", "seed")}
     verdict = "FAILED" if line["wrong"] else "ok"
     return f"{line['seed']:>6} {verdict:6} " + "  ".join(f"{name} {value}" for name, value in words.items())

@@ -49,7 +49,6 @@ def cells_of(folder: Path) -> dict[str, dict[str, object]]:
 
 
 def untrue_exit(call: Call, folder: Path, cells: int) -> Iterator[str]:
-    """Yield how exit code and output contradict the state."""
     states = cells_of(folder)
     complete = sum(cell["status"] == "complete" for cell in states.values())
     missing = [name for name, cell in states.items() if cell["status"] != "complete"]
@@ -77,7 +76,6 @@ def forgotten_cells(before: Mapping[str, object], folder: Path) -> Iterator[str]
 
 
 def whole_cells(folder: Path) -> dict[str, object]:
-    """Return name -> run of every cell whose recording is complete."""
     return {name: cell["run_id"] for name, cell in cells_of(folder).items() if cell["status"] in DONE}
 
 

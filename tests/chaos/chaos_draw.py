@@ -81,7 +81,6 @@ class Round:
 
 
 def installed_combinations() -> list[tuple[str, str]]:
-    """Return the backends and bridges that run on this machine."""
     return [
         (backend, bridge)
         for (backend, bridge), modules in COMBINATIONS.items()

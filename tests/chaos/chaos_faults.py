@@ -47,8 +47,6 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """One running process in the round's namespace."""
-
     pid: int
     parent: int
     command: tuple[str, ...]
@@ -90,8 +88,6 @@ def find_target(target: str, sweep: int) -> list[Process]:
 
 
 class Happening:
-    """A fault that happens."""
-
     def __init__(self, fault: Fault, world: World) -> None:
         self.target = fault.target
         self.world = world
@@ -127,8 +123,6 @@ class Kill(Happening):
 
 
 class Stop(Kill):
-    """SIGSTOP, and SIGCONT after a while."""
-
     first = signal.SIGSTOP
 
     def end(self) -> None:
@@ -136,8 +130,6 @@ class Stop(Kill):
 
 
 class Interrupt(Kill):
-    """Ctrl-C for the sweep."""
-
     first = signal.SIGINT
 
     def __init__(self, fault: Fault, world: World) -> None:
@@ -184,8 +176,6 @@ class Outage(Happening):
 
 
 class SlowDisk(Happening):
-    """Every write to the disk takes a while, for a while."""
-
     def begin(self) -> bool:
         self.world.slow.touch()
         return True
@@ -231,7 +221,6 @@ class Timetable:
             self._waiting.remove((fault, happening))
 
     def end(self) -> None:
-        """End every fault that lasts."""
         for _, happening in self._lasting:
             happening.end()
         self._lasting.clear()

@@ -44,8 +44,6 @@ POLL_S = 0.02
 
 
 class ChaosRound:
-    """A round in its folder."""
-
     def __init__(self, drawn: Round, folder: Path) -> None:
         self._drawn = drawn
         self._folder = folder
@@ -144,7 +142,6 @@ class ChaosRound:
         return [*left_namespaces(), *left_memory(bool(self._world.killed)), *left_files(*folders)]
 
     def _wait_for_the_end(self, number: int, patience_s: float) -> None:
-        """Wait until every process of the sweep is gone."""
         deadline = time.monotonic() + patience_s
         while (left := running_processes()) and time.monotonic() < deadline:
             time.sleep(POLL_S)

@@ -38,8 +38,6 @@ def test_every_seed_draws_a_plan_and_faults_that_there_are(tmp_path):
 
 @pytest.fixture
 def sweep(tmp_path):
-    """A sweep's folder with the states of its cells."""
-
     def make(**statuses):
         cells = {name: {"status": status, "run_id": f"{n:x}"} for n, (name, status) in enumerate(statuses.items())}
         (tmp_path / "state.json").write_text(json.dumps({"cells": cells}))

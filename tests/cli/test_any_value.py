@@ -39,7 +39,6 @@ def options() -> list[tuple[str, str]]:
 
 
 def arguments(command: str) -> list[tuple[str, int]]:
-    """Every argument of every command, by its place."""
     named = [each for each in get_command(COMMANDS[command]).params if each.param_type_name == "argument"]
     return [(command, place) for place in range(len(named))]
 

@@ -74,8 +74,6 @@ def bash(script, folder, environment):
 
 
 class Job:
-    """A job on GitHub that uses the action."""
-
     def __init__(self, folder, **inputs):
         self.folder = folder
         self._values = {f"inputs.{name}": each.get("default", "") for name, each in ACTION["inputs"].items()}

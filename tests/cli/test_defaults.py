@@ -165,7 +165,7 @@ def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, sai
 # Free texts with a grammar of their own: none of them names code, an address, a file or what is sent.
 DESCRIBING_TEXTS = {
     "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
-    "rotate setting size topics expect flow load-to keys response-size segment buffer rate fragment",
+    "rotate setting size topics expect flow load-to response-size segment buffer rate fragment",
     "bridge": "deadline lifespan",
     "sweep": "until explain-size",
     "analyze": "clock deadline fail-if margin recommend export report",

@@ -35,8 +35,6 @@ ping_domain = {}
 
 @pytest.fixture
 def plan(tmp_path, domains):
-    """Writes a plan over plain sockets."""
-
     def write(text):
         path = tmp_path / "small.toml"
         path.write_text(HEAD.format(domains.take(), domains.take()) + text)

@@ -116,7 +116,6 @@ PLANS = {
 
 
 def write_surroundings(folder):
-    """Write plans, and traces whose descriptions hold what nobody means."""
     for name, data in PLANS.items():
         (folder / name).write_bytes(data)
     timeline = [Message(s, t0=s * 10**8, t1=s * 10**8, t3=9, t4=10, t2=s * 10**8 + 90) for s in range(12)]

@@ -20,7 +20,6 @@ def runs(tmp_path):
 
 @pytest.fixture
 def targets(tmp_path):
-    """A folder of somebody with a file for each output."""
     folder = tmp_path / "targets"
     folder.mkdir()
     for name in (*OUTPUTS, "report.xml"):

@@ -171,7 +171,6 @@ def unrehearsed(monkeypatch):
 
 @pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_of_the_papers_plan_from_the_command_line(call):
-    """The whole list, quickly, without any middleware."""
     code, out, err = call(ROOT / "plans/paper.toml", "--dry-run")
     lines = out.splitlines()
     assert sum(line.startswith("  ros2-") for line in lines) == 5 * 780

@@ -43,7 +43,6 @@ def plan(tmp_path, domain_id):
 
 @pytest.fixture
 def environment(tmp_path):
-    """The folder of a Python environment whose dds-record runs ours."""
     program = tmp_path / "venv/bin/dds-record"
     program.parent.mkdir(parents=True)
     program.write_text(f'#!/bin/sh\nexec "{stand_ins() / "dds-record"}" "$@"\n')

@@ -24,8 +24,6 @@ INSTALLED = [("ros2", "rmw_fastrtps_cpp"), ("zenoh", None)]
 
 
 class Terminal(io.StringIO):
-    """Standard input with somebody who types these lines."""
-
     def isatty(self):
         return True
 

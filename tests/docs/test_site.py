@@ -35,8 +35,6 @@ def site(tmp_path_factory):
 
 
 class _Page(HTMLParser):
-    """What a page loads, the anchors it has, and its text."""
-
     def __init__(self, path):
         super().__init__()
         self.loads, self.anchors, self.text = [], set(), ""

@@ -43,8 +43,6 @@ LIMITS = ["-timeout=10", "-rss_limit_mb=1024", "-max_len=16384"]
 
 
 class FuzzTarget(Protocol):
-    """A target, made with a folder of its own."""
-
     def seeds(self) -> dict[str, bytes]:
         """Return good inputs by name."""
 
@@ -59,7 +57,6 @@ def open_target(name: str, folder: Path) -> FuzzTarget:
 
 
 def main() -> None:
-    """Fuzz the target that the command line names."""
     import atheris
 
     name, *arguments = sys.argv[1:] or [""]

@@ -65,7 +65,6 @@ class Target:
                 raise AssertionError(f"the error does not name the file: {err}") from err
 
     def seeds(self) -> dict[str, bytes]:
-        """Good recordings of every kind."""
         return shaped_seeds(
             self._shapes,
             {
@@ -79,7 +78,6 @@ class Target:
         )
 
     def _mcap(self, data: bytes) -> Path:
-        """The bytes are an MCAP file."""
         return self._file("bag.mcap", data)
 
     def _changed_mcap(self, data: bytes) -> Path:

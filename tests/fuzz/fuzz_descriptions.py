@@ -37,11 +37,9 @@ class Text:
     wall_anchor_ns: int = 0
 
     def to_json(self) -> str:
-        """Return the text."""
         return self.text
 
     def wall_ns(self, monotonic_ns: int) -> int:
-        """Return a wall clock's time that any MCAP file can hold."""
         return max(monotonic_ns, 0)
 
 
@@ -53,7 +51,6 @@ class Target:
         self._shapes = (self._session_text, self._run_text, self._analyzed)
 
     def try_input(self, data: bytes) -> None:
-        """Parse, or analyze and report, what the bytes stand for."""
         shaped(self._shapes, data)
 
     def seeds(self) -> dict[str, bytes]:
@@ -68,11 +65,9 @@ class Target:
         )
 
     def _session_text(self, data: bytes) -> None:
-        """The bytes are the text of a session."""
         _parse(Session, data.decode(errors="replace"))
 
     def _run_text(self, data: bytes) -> None:
-        """The bytes are the text of a run."""
         _parse(Run, data.decode(errors="replace"))
 
     def _analyzed(self, data: bytes) -> None:

@@ -35,8 +35,6 @@ RELAY = 0xBEEF
 
 
 class Target:
-    """The parsers of a recorder for what peers send."""
-
     def __init__(self, folder: Path) -> None:
         del folder
         self._shapes = (self._tcp, self._udp, self._relay, self._ping)

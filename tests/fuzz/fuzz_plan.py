@@ -99,11 +99,9 @@ class Target:
         return shaped_seeds(self._shapes, {self._text: PLAN.encode(), self._changed: bytes(3)})
 
     def _text(self, data: bytes) -> None:
-        """The bytes are the file."""
         self._path.write_bytes(data)
 
     def _changed(self, data: bytes) -> None:
-        """The bytes are changes to the values of a good plan."""
         self._path.write_text(
             toml(changed_fields(dict(TomlTable.parse(PLAN, "the plan").values), data)), errors="replace"
         )

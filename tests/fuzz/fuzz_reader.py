@@ -30,12 +30,10 @@ if TYPE_CHECKING:
 
 
 def record(opcode: int, content: bytes) -> bytes:
-    """One record."""
     return struct.pack("<BQ", opcode, len(content)) + content
 
 
 def chunk(content: bytes, compression: bytes, packed: bytes) -> bytes:
-    """A chunk whose CRC is right."""
     fields = struct.pack("<QQQII", 0, 0, len(content), zlib.crc32(content), len(compression)) + compression
     return record(Opcode.CHUNK, fields + struct.pack("<Q", len(packed)) + packed)
 
@@ -130,7 +128,6 @@ class Target:
         return {**shaped_seeds(self._shapes, of_shapes), "raw": bytes([0]) + plain}
 
     def _file(self, data: bytes) -> Path:
-        """The bytes are the whole file."""
         self._path.write_bytes(data)
         return self._path
 
@@ -143,7 +140,6 @@ class Target:
         return self._file(changed(self._good, data))
 
     def _plain_chunk(self, data: bytes) -> Path:
-        """The bytes are a chunk's records."""
         return self._file(finished(chunk(data, b"", data)))
 
     def _zstd_chunk(self, data: bytes) -> Path:
@@ -160,7 +156,6 @@ class Target:
         return self._file(finished(record(Opcode.CHUNK, fields + struct.pack("<Q", len(packed)) + packed)))
 
     def _session(self, data: bytes) -> Path:
-        """The bytes are the text of a session."""
         text = data.decode(errors="surrogateescape").encode(errors="replace").decode(errors="replace")
         channel = struct.pack("<HHI", 1, 0, 18) + b"/dds_trace/session" + struct.pack("<I", 3) + b"cdr"
         message = struct.pack("<HIQQ", 1, 0, 0, 0) + string_cdr(text)
@@ -173,11 +168,9 @@ class Target:
         return self._file(self._good[:-500])
 
     def _database(self, data: bytes) -> Path:
-        """The bytes are the database of a bag."""
         return self._bag("bag_0.db3", data)
 
     def _packed_file(self, data: bytes) -> Path:
-        """The bytes are a packed storage file of a bag."""
         return self._bag("bag_0.mcap.zstd", data)
 
     def _bag(self, name: str, data: bytes) -> Path:

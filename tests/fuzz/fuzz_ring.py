@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 
 class Target:
-    """Rings, and files cut off beside them, recovered."""
-
     def __init__(self, folder: Path) -> None:
         self._trace = folder / "t.mcap"
         self._recovered = folder / "recovered.mcap"
@@ -64,11 +62,9 @@ class Target:
         )
 
     def _alone(self, data: bytes) -> None:
-        """The bytes are the ring of a trace that is gone."""
         ring_path(self._trace).write_bytes(data)
 
     def _changed(self, data: bytes) -> None:
-        """The bytes are changes to a good ring, alone."""
         ring_path(self._trace).write_bytes(changed(self._ring, data))
 
     def _beside_cut_file(self, data: bytes) -> None:

@@ -63,7 +63,6 @@ def shaped(shapes: Sequence[Callable[[bytes], T]], data: bytes) -> T:
 
 
 def shaped_seeds(shapes: Sequence[Callable[[bytes], object]], of_shapes: Mapping[Any, bytes]) -> dict[str, bytes]:
-    """Return inputs by the names of their shapes."""
     return {shape.__name__.lstrip("_"): bytes([shapes.index(shape)]) + data for shape, data in of_shapes.items()}
 
 

@@ -29,7 +29,6 @@ class Target:
         self._shapes = (self._bytes, self._target, self._header)
 
     def try_input(self, data: bytes) -> None:
-        """Send the request that the bytes stand for, and hang up."""
         request = shaped(self._shapes, data)
         ours, theirs = socket.socketpair()
         with ours, theirs:
@@ -47,19 +46,15 @@ class Target:
             raise AssertionError(f"an answer of no meaning: {first!r}")
 
     def seeds(self) -> dict[str, bytes]:
-        """Good requests."""
         return shaped_seeds(
             self._shapes, {self._bytes: REQUEST, self._target: b"/version", self._header: b'If-None-Match: "0"'}
         )
 
     def _bytes(self, data: bytes) -> bytes:
-        """The bytes are all that is sent."""
         return data
 
     def _target(self, data: bytes) -> bytes:
-        """The bytes are the target of a request."""
         return REQUEST.replace(b"/ ", data + b" ", 1)
 
     def _header(self, data: bytes) -> bytes:
-        """The bytes are a line of the header."""
         return REQUEST[:-2] + data + b"\r\n\r\n"

@@ -81,7 +81,6 @@ class Module:
         return self.lines[mutant.line - 1].strip(), mutant.change
 
     def mutated(self, number: int) -> object:
-        """The code of the module with this mutant in it."""
         mutant = self.mutants[number]
         mutant.put(edited=True)
         try:
@@ -91,7 +90,6 @@ class Module:
 
 
 def modules_of(part: Part) -> list[Module]:
-    """The modules of a part, with their mutants."""
     found = []
     for name in part.modules:
         files = sorted((ROOT / name).glob("*.py")) if (ROOT / name).is_dir() else [ROOT / name]
@@ -151,7 +149,6 @@ def passes(items: Sequence[pytest.Item]) -> Iterator[tuple[int, bool]]:
 
 
 def import_all(modules: Sequence[Module], result: Path) -> int:
-    """Import the modules and keep the lines that run through it."""
     lines = LinesRun([each.file for each in modules])
     lines.start()
     for each in modules:
@@ -300,7 +297,6 @@ def try_part(part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str,
 
 
 def try_anew(tests: Sequence[str], module: Module, number: int, folder: Path) -> int:
-    """Import everything with this mutant in it and run these tests."""
     quiet()
     code = module.mutated(number)
 

@@ -76,7 +76,6 @@ class Mutant:
 
 
 def mutants_of(tree: ast.Module) -> list[Mutant]:
-    """All mutants of a module, in the order of its lines."""
     return sorted(_edits(tree, range(0), runs_at_import=True), key=lambda each: (each.line, each.change))
 
 
@@ -127,7 +126,6 @@ def _is_left_as_it_is(name: str) -> bool:
 
 
 def _edits_of(owner: object, name: object, node: ast.AST) -> Iterator[tuple[int, str, Callable[[bool], None]]]:
-    """(line, change, put) of each edit of this node itself."""
     if isinstance(node, ast.Compare):
         for at, operator in enumerate(node.ops):
             yield _swap(node, node.ops, at, OPERATORS[type(operator)]())

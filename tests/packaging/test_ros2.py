@@ -27,14 +27,12 @@ ROOMS = ("src/dds_trace/base", "analyzer", "cli", "recorder", "reports", "tracef
 
 @pytest.fixture
 def project():
-    """The table `[project]` of pyproject.toml."""
     toml = pytest.importorskip("tomllib" if sys.version_info >= (3, 11) else "tomli")
     return toml.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 @pytest.fixture
 def told(monkeypatch):
-    """What setup.py tells setuptools."""
     arguments = {}
     setuptools = types.ModuleType("setuptools")
     setuptools.setup = arguments.update
@@ -98,13 +96,11 @@ class Entity:
         self.args, self.kwargs = args, kwargs
 
     def perform(self, context):
-        """The value of a `LaunchConfiguration`."""
         return context[self.args[0]]
 
 
 @pytest.fixture
 def launched(monkeypatch):
-    """The actions of the launch file, given some of its arguments."""
     classes = {
         "launch": ["LaunchDescription"],
         "launch.actions": [

@@ -29,8 +29,6 @@ MESSAGES = 8
 
 
 class Silent:
-    """A `Watch`."""
-
     def note(self, text):
         pass
 

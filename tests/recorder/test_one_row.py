@@ -32,8 +32,6 @@ MESSAGES, WARMUP = 8, 2
 
 
 class Notes:
-    """A `Watch` by which a test waits for the relay."""
-
     def __init__(self):
         self.serves = threading.Event()
 

@@ -44,7 +44,6 @@ WITH_UNIT = re.compile(r"(?<![\d.,:])(\d+\.\d+) ?(ns|µs|ms|s|%|Hz|times|points|
 
 
 def faults(text):
-    """What nobody can read among the numbers of a text."""
     found = [f"{what}: {match[0]}" for what, pattern in TOO_MUCH.items() for match in pattern.finditer(text)]
     for number, unit in WITH_UNIT.findall(text):
         close_to_all = unit == "%" and 99 <= float(number) < 100

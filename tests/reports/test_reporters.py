@@ -298,7 +298,6 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks(sentences):
 
 
 def scripts_of(page):
-    """The script that runs, and those that it unpacks and inserts."""
     (unpacking,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     return [unpacking, *(unpacked(text) for text in re.findall(r'data-packed="(?:plotly|page)">(.*?)<', page))]
 

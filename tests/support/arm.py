@@ -36,13 +36,11 @@ class ArmPython:
 
     @property
     def words(self) -> list[str]:
-        """The start of a command."""
         (program,) = self.root.glob("usr/bin/python3.[0-9]*[0-9]")
         return [str(QEMU), "-L", str(self.root), str(program)]
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables with which it finds its wheels and this repository."""
         paths = (self.wheels, REPOSITORY / "src")
         return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -114,7 +112,6 @@ def _download_wheels(folder: Path, version: str) -> None:
 
 
 def _describe_ourselves(wheels: Path) -> None:
-    """The metadata of dds-trace, which is run from this repository."""
     folder = wheels / f"dds_trace-{__version__}.dist-info"
     folder.mkdir()
     (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: dds-trace\nVersion: {__version__}\n")

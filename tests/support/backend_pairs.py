@@ -15,7 +15,6 @@ ROOMY = ("--depth", 1000)
 
 
 def events(trace, stage, run_id):
-    """The events of a run at one stage, by sequence."""
     columns = trace.events[stage]
     rows = np.flatnonzero(columns.run_id == run_id)
     return {int(columns.sequence[row]): row for row in rows}, columns

@@ -56,7 +56,6 @@ def image(count: int, store: Any = ROS2) -> Any:
 
 
 def jpeg(count: int, store: Any = ROS2) -> Any:
-    """A CompressedImage of `count` bytes."""
     return store.types["sensor_msgs/msg/CompressedImage"](
         header=header(store), format="jpeg", data=np.full(count, 7, np.uint8)
     )

@@ -105,7 +105,6 @@ def _stamped(message: Message, stage: Stage, **fields: int) -> Event:
 
 
 def assert_same_results(found: Analysis, expected: Analysis) -> None:
-    """Every number of two analyses agrees."""
     assert found.load_roundtrips().equals(expected.load_roundtrips())
     assert found.summary.equals(expected.summary)
     assert found.distributions.equals(expected.distributions)

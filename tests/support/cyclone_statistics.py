@@ -43,7 +43,6 @@ class _Statistics(ctypes.Structure):
 
 
 def statistics_of(entity: int) -> dict[str, int]:
-    """`dds_create_statistics` of the library that is loaded already."""
     loaded = re.search(r"/\S*libddsc\S*", Path("/proc/self/maps").read_text())
     library = ctypes.CDLL(loaded[0])
     library.dds_create_statistics.restype = ctypes.POINTER(_Statistics)

@@ -40,7 +40,6 @@ class Good:
 
 
 def text(rng: random.Random, size: int) -> bytes:
-    """A serialized std_msgs/String."""
     data = bytes(rng.choices(range(32, 127), k=size))
     return b"\0\1\0\0" + struct.pack("<I", size + 1) + data + b"\0"
 

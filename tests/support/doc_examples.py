@@ -20,8 +20,6 @@ COMMAND = re.compile(r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridg
 
 @dataclass(frozen=True)
 class Example:
-    """A block of a page."""
-
     page: Path
     language: str
     text: str
@@ -32,7 +30,6 @@ class Example:
 
 
 def examples(language: str, page: Path | None = None) -> Iterator[Example]:
-    """The fenced blocks of a language, of one page or all."""
     for path in PAGES if page is None else [page]:
         for found in FENCE.finditer(path.read_text(encoding="utf-8")):
             if found["language"] == language:

@@ -43,7 +43,6 @@ def record(trace: str, *options: str) -> None:
 
 
 def main(folder: str, *options: str) -> None:
-    """Let the disk die under the recorder."""
     root = Path(folder)
     (root / "served").mkdir()
     (root / "disk").mkdir()

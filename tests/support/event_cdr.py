@@ -24,7 +24,6 @@ def pack_event(
 
 
 def unpack_event(data: bytes) -> tuple[int, ...]:
-    """The eight fields of a serialized event."""
     assert len(data) == len(CDR_HEADER) + EVENT.size
     assert data[: len(CDR_HEADER)] == CDR_HEADER
     return EVENT.unpack_from(data, len(CDR_HEADER))

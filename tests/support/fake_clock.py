@@ -28,12 +28,10 @@ class FakeClock:
         return ClockAnchor(self.now_ns + self.wall_offset_ns, self.now_ns)
 
     def at(self, monotonic_ns: int, call: Callable[[], None]) -> None:
-        """Call `call` when time gets to `monotonic_ns`."""
         self._count += 1
         heapq.heappush(self._due, (monotonic_ns, self._count, call))
 
     def advance_to(self, monotonic_ns: int) -> None:
-        """Let time pass, with all that is due on the way."""
         while self._due and self._due[0][0] <= monotonic_ns:
             due_ns, _, call = heapq.heappop(self._due)
             self.now_ns = max(self.now_ns, due_ns)

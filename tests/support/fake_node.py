@@ -42,8 +42,6 @@ class FakeSubscription:
 
 
 class FakeNode:
-    """A `dds_trace.recorder.backends.node.Node` of raw messages."""
-
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")
         self.middleware = Middleware("ros2", "fakedds", "rmw_fake")
@@ -67,7 +65,6 @@ class FakeNode:
         return self.subscriptions[topic]
 
     def deliver(self, topic: str, message: bytes, source_ns: int = 0, received_ns: int = 0) -> None:
-        """Let the subscription of `topic` receive `message`."""
         self.subscriptions[topic].receive(message, source_ns, received_ns)
 
     def read_security(self) -> str:

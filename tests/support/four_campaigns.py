@@ -126,7 +126,6 @@ def demo() -> Analysis:
 def measured(
     ways: list[Way], places: list[Place], data: list[tuple[str, int]], rates: tuple[float, ...], messages: int
 ) -> Iterator[Measured]:
-    """The groups of a campaign, three runs each."""
     drawn = random.Random(5)
     for place in places:
         for way in ways:

@@ -27,7 +27,6 @@ AT_MOST_EVENTS = 2_000_000
 
 
 def main(folder: str, report: str) -> None:
-    """Fill the disk."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", DISK, "none", folder], check=True)
     trace = Path(folder) / "a.mcap"
     sink = TraceSink(TraceDestination(trace, chunk_seconds=0.01, ring_slots=RING_SLOTS), ping_session(state="open"))

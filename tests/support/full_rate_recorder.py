@@ -65,7 +65,6 @@ def _record(sink: TraceSink, told: memoryview, thread: int, last: int) -> None:
 
 
 def main(trace: str, progress: str, threads: str, events: str = str(1 << 60)) -> None:
-    """Record until killed or done."""
     with Path(progress).open("r+b") as stream:
         shared = memoryview(mmap.mmap(stream.fileno(), 0))
     told = [shared[thread * PROGRESS_BYTES : (thread + 1) * PROGRESS_BYTES].cast("Q") for thread in range(int(threads))]

@@ -33,7 +33,6 @@ PACKAGE = str(Path(dds_trace.tracefile.writing.sink.__file__).parents[1])
 
 
 def go_on(sink: TraceSink) -> None:
-    """Go on in `b.mcap`, and keep one event there."""
     sink.go_on_in(TraceDestination(sink._files.writer.path.with_name("b.mcap"), ring_slots=RING_SLOTS))
     sink.record(1, 1, BEFORE, STAMPED_NS)
 
@@ -74,7 +73,6 @@ def open_sink(trace: Path, clock_ns: Callable[[], int] = lambda: STAMPED_NS, rin
 
 
 def keep_earlier(sink: TraceSink) -> None:
-    """Keep `BEFORE` events."""
     for sequence in range(BEFORE):
         sink.record(1, 1, sequence, 1000 + sequence)
 
@@ -94,7 +92,6 @@ def play(trace: Path, method: str, number: int) -> None:
 
 
 def main(folder: str, method: str, stride: str) -> None:
-    """Fork one child after the other."""
     told, killed, number = [], True, 0
     while killed:
         trace = Path(folder) / f"{number}" / "a.mcap"

@@ -31,7 +31,6 @@ def limit_file_size(size: int) -> None:
 
 
 def open_sink(path: Path, **options: int) -> TraceSink:
-    """A sink whose chunks end by events alone."""
     destination = TraceDestination(path, chunk_seconds=NEVER_S, **options)
     return TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
 

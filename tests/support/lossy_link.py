@@ -37,8 +37,6 @@ _counter = itertools.count(1000)  # not a number of `NamespacePair`, which clear
 
 @dataclass
 class LossyLink:
-    """Both sides, and the forwarder's list, which is whole after `stop`."""
-
     sides: tuple[Side, Side]
     log: Path
     forwarder: subprocess.Popen[str]
@@ -62,7 +60,6 @@ class LossyLink:
         return said[0]
 
     def stop(self) -> None:
-        """End the link."""
         self.forwarder.communicate(timeout=_PATIENCE_S)
 
 

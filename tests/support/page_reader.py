@@ -103,7 +103,6 @@ class Reader:
         return len(heights), misfits, self.tab.evaluate(height) - planned
 
     def marks(self, figure):
-        """How many points, bars or tiles plotly drew in a figure."""
         return self.tab.evaluate(
             "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length", figure
         )

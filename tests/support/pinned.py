@@ -89,7 +89,6 @@ def of_statistic(name: str, statistic: str) -> dict[str, Any]:
 
 
 def power() -> list[Any]:
-    """How many runs it takes."""
     return [runs_to_decide(0.07, 0.05, 0.02), runs_to_decide(0.3, 0.1, 0.1, 0.8)]
 
 
@@ -176,7 +175,6 @@ def _plain(held: Any) -> Any:
 
 
 def _flat(held: Any, path: str = "") -> dict[str, Any]:
-    """The numbers and words below each other's names."""
     parts = held.items() if isinstance(held, dict) else enumerate(held) if isinstance(held, list) else None
     if parts is None:
         return {path: held}

@@ -49,7 +49,6 @@ def warm_ups() -> list[Any]:
 
 
 def trends() -> list[Any]:
-    """Rises and falls, some of messages that depend on each other."""
     return [
         find_trend(np.exp(0.4 * run[: 120 + 9 * seed] + 0.08 * (seed - 20) * np.linspace(0, 1, 120 + 9 * seed)))
         for seed, run in enumerate(autoregressive(41, 500, 0.7, seed=3))
@@ -110,7 +109,6 @@ def tails() -> list[Any]:
 
 
 def spreads() -> list[Any]:
-    """Spreads between and within runs."""
     return [
         spread_of_runs(runs, one)
         for runs in _groups()
@@ -153,7 +151,6 @@ def bursts() -> list[Any]:
 
 
 def samples() -> list[Any]:
-    """Tests and intervals of two samples, and ranks about a quantile."""
     found: list[Any] = []
     for seed in range(20):
         draw = np.random.default_rng([8, seed])

@@ -48,7 +48,6 @@ def read_plain(path: Path) -> dict[str, Any]:
 
 
 def percentile(ordered: list[int], q: float) -> float:
-    """Linear interpolation between order statistics (numpy's `linear`)."""
     position = q * (len(ordered) - 1)
     low = math.floor(position)
     high = min(low + 1, len(ordered) - 1)
@@ -56,7 +55,6 @@ def percentile(ordered: list[int], q: float) -> float:
 
 
 def metric_summary(values: list[int]) -> dict[str, float | None]:
-    """Mean, min, max and the percentiles that the sample supports."""
     ordered = sorted(values)
     out: dict[str, float | None] = {"count": len(ordered)}
     if not ordered:

@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from dds_trace.analyzer.clocks.fit import find_stretches
 from dds_trace.analyzer.clocks.lines import CANDIDATES, DRIFT, OffsetIntervals
 from dds_trace.analyzer.clocks.lines import ROUNDING_NS as _ROUNDING_NS
-from dds_trace.analyzer.clocks.stretches import find_stretches
 from dds_trace.analyzer.clocks.windows import HALF_MESSAGES, WINDOW_NS
 
 

@@ -93,7 +93,6 @@ def record(folder: Path, domain: str, messages: int, options: list[str]) -> tupl
 
 
 def main(folder: str, domain: str, seed: str, cuts: str, messages: str, *options: str) -> None:
-    """Record, take the power away, and copy what is left."""
     root, moment = Path(folder), random.Random(seed)
     (root / "served").mkdir()
     (root / "cuts").mkdir()

@@ -23,15 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Finished:
-    """How a process ended and what it said."""
-
     status: int
     stdout: str
     stderr: str
 
 
 def counts_in(text: str) -> list[int]:
-    """The whole numbers of a line about counts, in their order."""
     return [int(number) for number in re.findall(r"\b\d+\b", text)]
 
 
@@ -81,7 +78,6 @@ class RunningCommand:
         return self._process.poll() is None
 
     def wait_for_line(self, text: str) -> str:
-        """The first line on stderr that holds `text`."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
             ended = self._process.poll() is not None
@@ -96,7 +92,6 @@ class RunningCommand:
         self._process.send_signal(number)
 
     def finish(self) -> Finished:
-        """Wait for its own end."""
         status = self._process.wait(PATIENCE_S)
         for reader in self._readers:
             reader.join(PATIENCE_S)
@@ -108,7 +103,6 @@ class RunningCommand:
         return self.finish()
 
     def clean_up(self) -> None:
-        """End it whatever happened."""
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait(PATIENCE_S)
@@ -140,11 +134,9 @@ def wait_for_chunks(path: Path) -> None:
 
 
 def ping(domain_id: int, out: Path, *more: object) -> Finished:
-    """A ping from its start to its end."""
     return run("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *more)
 
 
 def run(*arguments: object, environment: dict[str, str] | None = None) -> Finished:
-    """A command from its start to its end."""
     with running(*arguments, environment=environment) as command:
         return command.finish()

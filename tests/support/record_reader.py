@@ -32,7 +32,6 @@ def records_of(path: Path) -> list[tuple[str, bytes]]:
 
 
 def last_json(path: Path, name: str) -> dict[str, Any]:
-    """The last `run` or `session` description."""
     with path.open("rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages([f"/dds_trace/{name}"])
         *_, (_, _, message) = messages

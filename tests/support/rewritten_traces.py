@@ -41,8 +41,6 @@ def shift_relay_clock(source: Path, target: Path, clock: Callable[[int], int]) -
 
 
 def rewrite_sessions(source: Path, target: Path, fields: Mapping[str, Any]) -> None:
-    """Copies traces, these fields of every session replaced."""
-
     def change(topic: str, data: bytes) -> bytes:
         return string_cdr(json.dumps(_json(data) | fields)) if topic == "/dds_trace/session" else data
 

@@ -42,7 +42,6 @@ needs_secured_cyclone = pytest.mark.skipif(_reason_to_skip() is not None, reason
 
 
 def secured_environment() -> Path:
-    """Its folder, made once (half a minute)."""
     given = os.environ.get(VARIABLE)
     made = given or kept(_make, f"secured cyclonedds {VERSION}")()
     if not made:

@@ -29,12 +29,10 @@ needs_root = pytest.mark.skipif(
 
 
 def middleware_files() -> set[Path]:
-    """The middlewares' files in shared memory."""
     return {path for pattern in PATTERNS for path in SHM.glob(pattern)}
 
 
 def files_in_use() -> set[str]:
-    """Files of shared memory that some process has mapped or open."""
     used: set[str] = set()
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended meanwhile

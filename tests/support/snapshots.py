@@ -29,7 +29,6 @@ def port(number=7411, *, is_own=True, is_served=True):
 
 
 def counted(**interfaces):
-    """Interface -> sent and received bytes."""
     return {name: InterfaceCounters(*pair) for name, pair in interfaces.items()}
 
 

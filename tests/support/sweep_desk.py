@@ -33,8 +33,6 @@ THIRD, FOURTH = FIRST + "_best_effort", SECOND + "_best_effort"
 
 
 class Heard:
-    """A `SweepProgress` that remembers."""
-
     def __init__(self):
         self.begun, self.ended_cells, self.notes, self.relays = None, [], [], []
 
@@ -83,7 +81,6 @@ def write_ping(path, run_id, published=MESSAGES, state="finished", timeline=TIME
 
 
 def write_invented_traces(folder):
-    """Write the traces that the stand-ins copy."""
     for number in range(RUNS):
         write_ping(folder / f"ok-{number}.mcap", 1 + number)
     write_ping(folder / "half.mcap", 0x88, state="started")
@@ -96,8 +93,6 @@ def write_invented_traces(folder):
 
 
 class Desk:
-    """A folder for a sweep and a script for its stand-ins."""
-
     def __init__(self, folder, invented_traces):
         self.folder = folder
         self.stand_in = folder / "stand-in"

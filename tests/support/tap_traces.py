@@ -106,7 +106,6 @@ class Hearing:
 
 
 def write_tap(path: Path, clock: Clock, hearings: Sequence[Hearing], *, session_id: int, end_ns: int = 0) -> Path:
-    """Write the trace of a tap."""
     session = clock.session(ping_session, session_id, role="tap")
     messages = [RawMessage(SESSION_TOPIC, string_cdr(session.to_json()), session.wall_anchor_ns, STRING)]
     events = []

@@ -114,7 +114,6 @@ def event(
     payload_bytes: int = 33_000,
     relay_id: int = 0,
 ) -> Event:
-    """One event."""
     return (run_id, sequence, monotonic_ns, scheduled_ns, source_ns, received_ns, payload_bytes, relay_id)
 
 
@@ -181,7 +180,6 @@ def write_pair(
 
 
 def merged_events(parts: Iterable[Mapping[Stage, Sequence[Event]]]) -> dict[Stage, list[Event]]:
-    """The events of all parts in one trace."""
     merged: dict[Stage, list[Event]] = {}
     for part in parts:
         for stage, events in part.items():
@@ -196,7 +194,6 @@ def write_runs(
     ping: Session | None = None,
     relay: Session | None = None,
 ) -> None:
-    """Write `ping.mcap` and `relay.mcap` of several runs, each with its messages."""
     fields = [{"run_id": run.run_id, "payload_bytes": run.payload_bytes} for run, _ in recorded]
     runs, messages = [run for run, _ in recorded], [messages for _, messages in recorded]
     sent, relayed = (

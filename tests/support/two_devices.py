@@ -35,7 +35,6 @@ class Block:
 
 
 def command_blocks(page: Path) -> list[Block]:
-    """The blocks of shell commands of a page, in their order."""
     section, found = "", []
     for part in re.finditer(r"^## (?P<heading>.+)$|^```sh\n# (?P<device>\w+)'s device.*\n(?P<body>(?:.*\n)+?)```$",
                             page.read_text(), re.MULTILINE):  # fmt: skip

@@ -33,7 +33,6 @@ def ipv4(payload, source=PING, destination=RELAY, *, protocol=17, ip_id=7, offse
 
 
 def udp(payload, source_port=40000, destination_port=7411):
-    """A UDP datagram."""
     return struct.pack(">HHHH", source_port, destination_port, 8 + len(payload), 0) + payload
 
 
@@ -47,7 +46,6 @@ def tcp(sequence, payload=b"", source_port=7500, destination_port=50000, flags=0
 
 
 def rtps(*submessages, prefix=PREFIX):
-    """An RTPS packet."""
     return b"RTPS\x02\x03\x01\x10" + prefix + b"".join(submessages)
 
 
@@ -103,7 +101,6 @@ def nack_frag(sequence, writer=WRITER):
 
 
 def stamped(run_id, sequence, relay_id=0, more=b""):
-    """A serialized message with a header, our stamp in its frame_id."""
     stamp = b"dt1:%016x:%016x:%08x" % (run_id, sequence, relay_id)
     return b"\0\1\0\0" + bytes(8) + struct.pack("<I", 47) + stamp + b"\0\0" + more
 

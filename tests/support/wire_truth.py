@@ -69,12 +69,10 @@ class Truth:
 
     @property
     def again(self) -> int:
-        """Sendings of what was sent before."""
         return sum(1 for _ in self.earlier())
 
     @property
     def needless(self) -> int:
-        """Sendings of what had come through before."""
         return sum(not all(one.dropped for one in same) for _, same in self.earlier())
 
     @property
@@ -90,7 +88,6 @@ class Truth:
 
     @property
     def dropped(self) -> int:
-        """Sendings that the link dropped."""
         return sum(one.dropped for sendings in self.sent.values() for one in sendings)
 
 
@@ -107,7 +104,6 @@ def read_frames(path: Path) -> Iterator[Frame]:
 
 
 def truth_of(path: Path, side: int) -> Truth:
-    """What one side sent."""
     truth = Truth()
     open_datagrams: dict[bytes, tuple[bytearray, list[bool]]] = {}
     octets_sent: dict[bytes, set[int]] = {}

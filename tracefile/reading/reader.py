@@ -1,7 +1,4 @@
-"""A trace read back: all of it, piece by piece, or batch by batch.
-
-The same events come from every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
-"""
+"""A trace read back: all of it, piece by piece, or batch by batch."""
 
 from __future__ import annotations
 

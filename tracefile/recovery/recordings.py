@@ -31,6 +31,10 @@ _LATEST_NS = 2**63 - 1
 _HEADER_BYTES = 64
 
 
+MOST_CHANNELS = 65_535
+"""Ids of channels are of 16 bits, and the writer counts from 1."""
+
+
 @dataclass(slots=True)
 class RecordingRecovery:
     """What was recovered of a recording.
@@ -174,6 +178,10 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
         def declared(channel: Channel) -> int:
             key = channel.id, channel.topic, channel.schema_id
             if key not in channels:
+                if len(channels) == MOST_CHANNELS:
+                    raise TraceFormatError(
+                        source, f"declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have"
+                    )
                 schema = walk.schemas.get(channel.schema_id)
                 schema_id = 0
                 if schema is not None:

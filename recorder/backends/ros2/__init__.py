@@ -1,7 +1,4 @@
-"""`ros2`: nodes of the ROS 2 on this machine (Humble to Kilted, apt or wheels), with any middleware.
-
-Only `node.py` imports rclpy.
-"""
+"""`ros2`: nodes of the ROS 2 on this machine (Humble to Kilted, apt or wheels), with any middleware."""
 
 from __future__ import annotations
 

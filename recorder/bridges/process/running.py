@@ -8,20 +8,87 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
+
+import psutil
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.tracefile.format.json_fields import Json
 
-from ...applied.differences import Difference
+from ...applied.applied import Applied, read_applied
+from ...applied.asked import Asked, asked_settings
+from ...applied.differences import Difference, differences
 from ...errors import BridgeError
 from ..base import Bridge, BridgeOptions, Half, load_bridge, split_halves
 from .programs import program_environment
-from .read_back import ProgramReadBack
 from .supervise import SupervisedProgram, describe_end, killing_signal
+
+LINK_MIDDLEWARES = ("zenoh", "socket")
+"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are not for them."""
+
+
+class ProgramReadBack:
+    """What one program of a bridge uses, read after the first echo and before the program is stopped."""
+
+    def __init__(self, bridge: Bridge, options: BridgeOptions, pid: int) -> None:
+        self._bridge = bridge
+        self._options = options
+        self._pid = pid  # or its first child that has sockets, if it is a script
+        self._requested: tuple[Asked, ...] = ()
+        self._applied: Applied | None = None
+
+    def read(self) -> None:
+        if self._applied is None:
+            self._pid = self._pid_with_sockets()
+        applied = read_applied(self._applied, self._pid)
+        if applied.latest.sockets is None:  # it has ended, or is another user's
+            return
+        self._applied = applied
+        vendors = (library.vendor for library in applied.begin.libraries)
+        vendor = next((vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES), self._bridge.compiled_in)
+        self._requested = tuple(
+            asked_settings(
+                vendor,
+                domain_id=side.domain_id,
+                transport=self._options.transport.value,
+                tuned=self._options.tuned,
+                discovery=self._options.discovery.value,
+            )
+            for side in self._options.sides()
+        )
+
+    def _pid_with_sockets(self) -> int:
+        pids = [self._pid]
+        with suppress(psutil.Error):
+            pids += [child.pid for child in psutil.Process(self._pid).children(recursive=True)]
+        return next((pid for pid in pids if read_applied(pid=pid).begin.sockets), self._pid)
+
+    @property
+    def not_applied(self) -> tuple[Difference, ...]:
+        if self._applied is None:
+            return ()
+        name = self._bridge.name
+        by_setting = {
+            difference.setting: replace(
+                difference, asked=f"{name}: {difference.asked}", words=f"the bridge {name}: {difference.words}"
+            )
+            for requested in self._requested
+            for difference in differences(requested, self._applied)
+        }
+        return tuple(by_setting.values())
+
+    def fields(self) -> dict[str, Json]:
+        if self._applied is None:
+            return {}
+        return {
+            "asked": [requested.to_json() for requested in self._requested],
+            "applied": self._applied.to_json(),
+            "not_applied": [difference.to_json() for difference in self.not_applied],
+        }
+
 
 UP_TIMEOUT_S = 20.0
 """ROS 2 on a small board needs seconds to start."""

@@ -76,7 +76,10 @@ def read_drive(path: str) -> Drive:
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     names, *records = [[cell.strip() for cell in record] for record in csv.reader(line for _, line in numbered)] or [[]]
     if "time_s" not in names or not set(names) <= {*COLUMNS} or len({*names}) < max(2, len(names)):
-        raise OptionError(f"{path}: the first line names {', '.join(names) or 'nothing'}; write {','.join(COLUMNS)}")
+        unknown = f" ({', '.join(names)})" if "time_s" in names else ""  # nothing of a file that is no drive is printed
+        raise OptionError(
+            f"{path}: the first line{unknown} does not name columns of a drive; write {','.join(COLUMNS)}"
+        )
     rows = [_row(f"{path}:{number}", names, record) for (number, _), record in zip(numbered[1:], records, strict=True)]
     times = [row[0] for row in rows]
     if len(rows) < 2 or times[0] != 0:

@@ -1,7 +1,4 @@
-"""The tree of errors. A message says what is wrong, where (path, offset, topic), and what to do next.
-
-`cli` turns a `TraceError` into one line on stderr and the class's `exit_code`.
-"""
+"""The tree of errors. A message says what is wrong, where (path, offset, topic), and what to do next."""
 
 from __future__ import annotations
 

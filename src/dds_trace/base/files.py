@@ -100,6 +100,23 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
     return os.fdopen(descriptor, "rb")
 
 
+MOST_SETTINGS_BYTES = 16 << 20
+"""Far more than any configuration, plan or link file has."""
+
+
+def read_regular(path: Path) -> bytes:
+    """Read a file of settings whole.
+
+    Raises:
+        OSError: as `open_regular`, or it is larger than `MOST_SETTINGS_BYTES`.
+    """
+    with open_regular(path) as file:
+        data = file.read(MOST_SETTINGS_BYTES + 1)
+    if len(data) > MOST_SETTINGS_BYTES:
+        raise OSError(errno.EFBIG, "larger than any file of settings", str(path))
+    return data
+
+
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:
     total = 0
     while total < len(target):  # the kernel returns at most 2 GiB at once

@@ -70,6 +70,11 @@ class PlainStream:
             self._give_up(err)
         return len(text)
 
+    def write_commands(self, text: str) -> None:
+        """Write lines that GitHub's runner is to take for commands, as a report of ours is made of them."""
+        self.flush()
+        self._stream.write(plain(text))
+
     def flush(self) -> None:
         try:
             self._stream.flush()

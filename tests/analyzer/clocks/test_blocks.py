@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dds_trace.analyzer.clocks import stretches, windows
+from dds_trace.analyzer.clocks import fit, windows
+from dds_trace.analyzer.clocks.fit import find_stretches
 from dds_trace.analyzer.clocks.lines import DRIFT, OffsetIntervals
-from dds_trace.analyzer.clocks.stretches import find_stretches
 from dds_trace.analyzer.clocks.windows import WINDOW_NS
 
 TICK_NS = round(1 / DRIFT)
@@ -24,8 +24,6 @@ def drawn(seed, messages=40):
 
 
 def plain_stretches(points, after_step):
-    """Message by message, each held against every one before it."""
-
     def is_reached(one, other):
         reach = DRIFT * abs(points.time[other] - points.time[one])
         return points.lower[one] - reach <= points.upper[other] and points.lower[other] <= points.upper[one] + reach
@@ -48,9 +46,9 @@ def plain_stretches(points, after_step):
     ("blocks", "part"), [((1, 1), 1), ((1, 4), 2), ((3, 5), 2), ((4, 8), 3), ((4096, 1 << 17), 32)]
 )
 def test_stretches_are_those_of_every_message_held_against_every_other(blocks, part, monkeypatch):
-    monkeypatch.setattr(stretches, "_BLOCKS", blocks)
-    monkeypatch.setattr(stretches, "_PART", part)
-    monkeypatch.setattr(stretches, "_MESSAGES_AFTER_STEP", 3)
+    monkeypatch.setattr(fit, "_BLOCKS", blocks)
+    monkeypatch.setattr(fit, "_PART", part)
+    monkeypatch.setattr(fit, "_MESSAGES_AFTER_STEP", 3)
     found = 0
     for seed in range(25):
         points = drawn(seed)

@@ -20,7 +20,6 @@ START_NS = 40 * 24 * 3600 * S  # forty days after boot: an int64 that a float32 
 
 
 def fit_clock(*stamps, **names):
-    """One fit alone."""
     (fitted,) = fit_clocks([RelayedMessages(*stamps, **names)])
     return fitted
 

@@ -16,7 +16,6 @@ S = 1_000_000_000
 
 
 def intervals(*messages):
-    """Bounds from (time, lower, upper) of each message."""
     return OffsetIntervals(*(np.array(each, float) for each in zip(*messages, strict=True)))
 
 

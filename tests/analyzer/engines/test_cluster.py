@@ -72,7 +72,6 @@ def bucket():
 
 @pytest.fixture(scope="module")
 def cluster(bucket, tmp_path_factory):
-    """Address of a scheduler, and its two workers."""
     folder = tmp_path_factory.mktemp("dask")
     quiet = ("--no-dashboard", "--host", "127.0.0.1")
     scheduler = start("distributed.cli.dask_scheduler", *quiet, "--port", "0")

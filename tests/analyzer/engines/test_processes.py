@@ -75,7 +75,6 @@ def runs(runs):
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
-    """Where temporary files go."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -98,7 +97,6 @@ def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, 
 
 
 def test_a_large_batch_stays_here(runs, monkeypatch, started):
-    """Its rows are too many for a pipe."""
     here = []
     process = local.process
     monkeypatch.setattr(local, "process", lambda *batch: here.append(batch) or process(*batch))
@@ -182,7 +180,6 @@ def test_a_script_that_analyzes_is_not_run_again_by_workers(runs, tmp_path):
 
 
 def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
-    """A worker of `multiprocessing.Pool`, which calls itself a daemon."""
     script = tmp_path / "script.py"
     script.write_text(
         "import multiprocessing, sys\n"

@@ -403,7 +403,6 @@ def write_second(folder, **session):
 
 
 def difference(finding):
-    """The field that differs, and its values with their devices."""
     return finding.what.split()[0], re.findall(r"(\S+) on (\w+)", finding.what)
 
 

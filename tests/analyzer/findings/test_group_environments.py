@@ -14,7 +14,6 @@ MS = 1_000_000
 
 
 def messages(number):
-    """Thirty messages, each run a minute after the one before."""
     times = [number * 60_000 * MS + s * 100 * MS for s in range(30)]
     return [Message(s, t0=t, t1=t, t3=t + MS, t4=t + MS, t2=t + 2 * MS + s) for s, t in enumerate(times)]
 

@@ -125,7 +125,6 @@ def test_a_wall_clock_set_during_the_session_voids_the_run(stamps):
 
 
 def test_a_stamp_on_its_anchor_contradicts_nothing():
-    """Nothing waited, and nothing took time to be written."""
     at_once = {
         "relay_source_ns": PING_WALL + 5_000,
         "relay_received_ns": RELAY_WALL + 60_000,

@@ -34,7 +34,6 @@ def spool():
 
 @pytest.fixture
 def files_read(monkeypatch):
-    """Names of the traces that are read from here on."""
     names = []
     read = traces.read_trace_in_pieces
     monkeypatch.setattr(traces, "read_trace_in_pieces", lambda path, take: names.append(path.name) or read(path, take))
@@ -153,7 +152,6 @@ def runs_in_turns(tmp_path):
 
 @pytest.fixture
 def _in_pieces(monkeypatch):
-    """Events are read some ten at a time."""
     monkeypatch.setattr(dds_trace.tracefile.reading.reader, "PIECE_EVENTS", 10)
     monkeypatch.setattr(dds_trace.tracefile.mcapfile.blocks, "_BLOCK_CHUNKS", 1)
 

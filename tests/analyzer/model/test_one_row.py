@@ -37,7 +37,6 @@ def with_rows(tmp_path, file, rows):
 
 
 def analyze_with(tmp_path, file, rows, runs):
-    """The outputs of `dds-analyze` in such a process."""
     environment = with_rows(tmp_path, file, rows)
     (tmp_path / "traces").mkdir()
     for number, of_run in enumerate(runs, 1):

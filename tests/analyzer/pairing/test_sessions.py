@@ -11,7 +11,6 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 
 
 def session(number, role, start_ns, relay_id=None):
-    """A session whose wall clock and monotonic clock start with it."""
     return Session(number, role, "a", "ros2", "fastdds", None, 5, relay_id, "wired", start_ns, start_ns)
 
 

@@ -20,7 +20,6 @@ from dds_trace.analyzer.run_statistics.bursts import (
 
 
 def places(text: str):
-    """The places of the marks in a drawn line."""
     return np.flatnonzero(np.array(list(text)) == "x")
 
 

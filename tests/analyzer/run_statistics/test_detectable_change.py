@@ -33,7 +33,6 @@ def share_called_slower(changes, groups):
 
 
 def drawn_pairs(runs, spread, seed):
-    """Pairs of equal sides whose runs differ by `spread`."""
     levels = np.exp(spread * np.random.default_rng(seed).standard_normal((2 * TRIALS, runs, 1)))
     drawn = levels * np.ones(9)
     return list(zip(drawn[::2], drawn[1::2], strict=True))

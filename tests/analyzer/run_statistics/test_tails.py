@@ -63,8 +63,6 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
 )
 @settings(deadline=None)
 def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
-    """Tails within wider ones, with ties and losses, in whatever order."""
-
     def compared(beyond, tails):
         rows = [(tail.sizes.tolist(), tail.streaks, tail.bursts, tail.squares) for tail in tails]
         return (beyond.indices.tolist(), beyond.positions.tolist(), beyond.offsets.tolist()), rows

@@ -16,7 +16,6 @@ NO_MARGIN = RankingOptions(margin=0.0)
 
 
 def estimate(mean, spread=0.05):
-    """Runs at `mean` and `spread` below and above it."""
     values = np.exp(mean + spread * np.array([-1.0, 0.0, 1.0]))
     return Estimate(replace(INTERVAL, value=math.exp(mean)), Units(values, 180, 180, 3, None))
 

@@ -104,7 +104,6 @@ def test_without_a_fingerprint_of_both_roles_nothing_is_said(unknown):
 
 
 def record(folder, first, kernel):
-    """Three runs of one group on one device."""
     for number in range(first, first + 3):
         messages = evenly((400_000 + s for s in range(30)), start_ns=number * 10_000_000_000, relay_ns=10_000)
         hosts = {"ping": {"host": {"kernel": kernel}}, "relay": {"host": {"kernel": "6.1"}}}

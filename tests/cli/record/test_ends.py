@@ -50,7 +50,6 @@ def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path)
 
 
 def test_a_relay_whose_reader_is_gone_serves_on_and_closes_its_trace(domain_id, tmp_path):
-    """As over an `ssh` whose connection broke."""
     out = tmp_path / "relay.mcap"
     relays = [Path(sys.executable).with_name("dds-record"), *("--role", "relay", "--domain", str(domain_id))]
     with subprocess.Popen(

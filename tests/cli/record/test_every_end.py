@@ -102,8 +102,6 @@ pytestmark = [pytest.mark.middleware, pytest.mark.timeout(400)]
 
 
 class Bench:
-    """Three recordings of a role, and what answers each."""
-
     def __init__(self, stack, domains, folder: Path, transport: str, pair: NamespacePair | None) -> None:
         self._stack, self._domains, self._folder, self._pair = stack, domains, folder, pair
         discovery = "localhost" if pair is None else "subnet"

@@ -60,7 +60,6 @@ def start_relay(domain_id, out, backend):
 
 
 def has_reply(out):
-    """Whether a first reply has come back to the ping."""
     ring = ring_path(out)
     contents = read_ring(ring, 0) if ring.exists() else None
     return contents is not None and Stage.T2 in dict(events_by_stage(contents.slots))

@@ -25,7 +25,6 @@ POINTS, JPEG = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"
 
 
 def sizes_of(path, stage):
-    """Bytes of each message by sequence."""
     return {event["sequence"]: event["payload_bytes"] for event in events_of(path, stage)}
 
 
@@ -83,7 +82,6 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
 
 @contextmanager
 def lidar(domain_id, topic, rate_hz):
-    """A node of another program that publishes on a topic."""
     script = Path(__file__).parents[2] / "support" / "topic_publisher.py"
     process = subprocess.Popen(
         [sys.executable, "-W", "ignore", script, topic, str(rate_hz), "1000"],

@@ -38,13 +38,11 @@ ROOM = 100_000_000
 
 
 def run_of(path):
-    """The run of a ping's trace."""
     return read_trace(path).runs[0].run_id
 
 
 @pytest.fixture
 def manager(tmp_path):
-    """A socket that stands for the service manager's."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         listener.settimeout(30)

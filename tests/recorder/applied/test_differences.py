@@ -42,7 +42,6 @@ FAR = {"net.ipv4.ip_local_port_range.min": 40_000}
 
 
 def carried(lo, eth1, **more):
-    """Both interfaces count from zero."""
     return applied(begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(lo, lo), eth1=(eth1, eth1)), **more)
 
 

@@ -35,7 +35,6 @@ class Honest:
 
     @property
     def is_apart(self) -> bool:
-        """Whether it needs a network namespace of its own."""
         return self.discovery == "subnet" or "unknown" not in self.paths
 
     @property
@@ -69,7 +68,6 @@ HONEST = [
 
 @pytest.fixture(scope="module")
 def subnet():
-    """The way into a network namespace with an interface for multicast."""
     with network_with("link0", ("route", "add", "224.0.0.0/4", "dev", "link0")) as inside:
         yield inside
 

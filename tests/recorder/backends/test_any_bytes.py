@@ -75,7 +75,6 @@ def node_stranger(backend, domain_id, other, **more):
 
 @contextmanager
 def socket_stranger(domain_id, other, **more):
-    """Besides whole frames to both, noise at the relay's port."""
     address = ("127.0.0.1", load_backend("socket").port_of(domain_id))
     kind = socket.SOCK_DGRAM if more else socket.SOCK_STREAM
     with node_stranger("socket", domain_id, other, **more) as send_frame:

@@ -37,8 +37,6 @@ def options(domain_id, name="one", **more):
 
 
 class Mailbox:
-    """What a subscription received, to be waited for."""
-
     def __init__(self):
         self.messages = []
         self._some = threading.Condition()

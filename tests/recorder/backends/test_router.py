@@ -39,7 +39,6 @@ def port(monkeypatch):
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """A function that installs a stand-in of rmw_zenohd."""
     program = tmp_path / "lib" / RMW / "rmw_zenohd"
     program.parent.mkdir(parents=True)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")

@@ -15,8 +15,6 @@ NOTE = ClockNote("jetson", 7, 3, 9, 500 * MS, 501 * MS, 1000 * MS, "chrony: foll
 
 
 class Mail:
-    """A publisher that keeps its last message."""
-
     def publish(self, message):
         self.message = message
 

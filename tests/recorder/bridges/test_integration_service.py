@@ -21,7 +21,6 @@ POINTS = BridgedTopic("points", "sensor_msgs/msg/PointCloud2")
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Installs the stand-in with system handles of these names."""
     for variable in integration_service.PREFIX_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr(integration_service, "SYSTEM_PREFIXES", ())

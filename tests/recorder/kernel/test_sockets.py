@@ -18,7 +18,6 @@ from dds_trace.recorder.kernel.sockets import DiagError, dump_sockets, read_sock
 
 
 def found(opened):
-    """What `read_sockets` says of one socket."""
     (only,) = [each for each in read_sockets() if each.inode == os.fstat(opened.fileno()).st_ino]
     return only
 

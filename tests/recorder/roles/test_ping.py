@@ -296,7 +296,6 @@ def test_a_hopeless_run_waits_for_no_reply():
 
 
 def forged(link, sequence, relay=RELAY):
-    """A reply that nobody sent for a message of the run."""
     message = bytearray(plan().payload.messages[0].data)
     RAW_HEADER_STAMP.write(message, link.ping.run_id, sequence)
     link.reply(message, relay)

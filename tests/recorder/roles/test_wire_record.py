@@ -19,8 +19,6 @@ SESSION_ID = 0xABC
 
 
 class Capture:
-    """A capture that has seen one message of each run."""
-
     pid = 4711
 
     def __init__(self, *run_ids):

@@ -26,7 +26,6 @@ KINDS = {
 
 
 def signed_text(path):
-    """The XML in a signed document."""
     text, signature = message_from_bytes(path.read_bytes()).get_payload()
     assert signature.get_content_type() == "application/x-pkcs7-signature"
     return ET.fromstring(text.get_payload().strip())
@@ -121,3 +120,11 @@ def test_a_sweep_makes_keys_of_each_level_and_removes_them(monkeypatch, tmp_path
     assert list(tmp_path.iterdir()) == []
     with shared_keys(["off"]) as words:
         assert words == ()
+
+
+def test_a_folder_that_is_not_there_is_made_or_refused_in_one_line(tmp_path):
+    make_keys(tmp_path / "parent" / "keys", Security.SIGN)
+    assert stat.S_IMODE((tmp_path / "parent" / "keys").stat().st_mode) == 0o700
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OptionError, match=r"--keys .*file/keys: cannot be made"):
+        make_keys(tmp_path / "file" / "keys", Security.SIGN)

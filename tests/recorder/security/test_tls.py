@@ -25,7 +25,6 @@ def keys(tmp_path_factory):
 
 
 def connected(keys_of_ping, keys_of_relay):
-    """Both ends after their handshake, or the error of each."""
     ends = socket.socketpair()
     made = [None, None]
 

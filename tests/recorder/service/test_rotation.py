@@ -15,14 +15,12 @@ from dds_trace.tracefile.writing.sink import TraceSink
 
 
 def record(path, **changes):
-    """A trace of our recorder, closed."""
     TraceSink(TraceDestination(path, ring_slots=16), relay_session(state="open", **changes)).close()
     return path
 
 
 @pytest.fixture
 def files(tmp_path):
-    """The files of the recording `RELAY_SESSION_ID` with `--out relay.mcap`."""
     return RotatedFiles(TraceDestination(tmp_path / "relay.mcap"), RELAY_SESSION_ID)
 
 

@@ -18,7 +18,6 @@ def plan(axes, more=""):
 
 @pytest.fixture
 def sleepy(monkeypatch, tmp_path):
-    """A machine whose processors sleep, and may be kept from it."""
     driver = tmp_path / "current_driver"
     driver.write_text("acpi_idle\n")
     monkeypatch.setattr(module, "IDLE_DRIVER", driver)

@@ -31,8 +31,6 @@ BIN = Path(sys.executable).parent
 
 
 class Sweep:
-    """A plan and its `dds-sweep` processes."""
-
     def __init__(self, folder, domains, text):
         self.folder = folder
         self.plan = folder / "small.toml"

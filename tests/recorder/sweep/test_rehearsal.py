@@ -39,8 +39,6 @@ rate = [10, 20]
 
 
 class Stage:
-    """A folder for a rehearsal, and what its stand-ins were asked."""
-
     def __init__(self, folder, monkeypatch):
         self.folder = folder
         self.program = folder / "stand_in.py"

@@ -20,8 +20,6 @@ CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable
 
 
 class Bench:
-    """A tap of some patterns on a fake node."""
-
     def __init__(self, *patterns: str, graph=(CAMERA,), keeps_payload=False):
         self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
         self.node.graph = list(graph)
@@ -288,3 +286,23 @@ def test_the_text_of_a_type_has_all_that_it_is_made_of():
     assert second.splitlines()[0] == "MSG: std_msgs/Header"
     assert third.splitlines()[0] == "MSG: builtin_interfaces/Time"
     assert definition_of("my_msgs/msg/Odd", members.get) == ""
+
+
+def test_what_a_graph_announces_is_refused_by_topic_once():
+    class StrictNode(FakeTapNode):
+        def create_tap(self, topic, type_name, receive, *, qos):
+            if topic != CAMERA.topic:
+                raise ValueError(f"{type_name}: no such type")
+            return super().create_tap(topic, type_name, receive, qos=qos)
+
+    node, notes = StrictNode(), []
+    node.graph = [Publication("/camera/\x1b[2J", "nonsense", "bb" * 16, "/x", Qos()), CAMERA]
+    tap = Tap(
+        node, JsonSink(), TopicPatterns(("*",)), session_id=1, qos=chosen_qos(None, None, None), note=notes.append,
+        clock=FakeClock(),
+    )  # fmt: skip
+    for _ in range(3):
+        tap.look()
+    assert len([note for note in notes if "no such type" in note]) == 1
+    assert "\x1b" not in "".join(notes)
+    assert set(node.subscriptions) == {CAMERA.topic}

@@ -41,8 +41,6 @@ STAMP_NS = 1_700_000_000_123_456_789
 
 
 class Watch:
-    """Keeps the notes, and how many messages came."""
-
     def __init__(self):
         self.notes, self.messages = [], 0
 
@@ -75,7 +73,6 @@ def tapping(path, backend, domain_id, *topics, **more):
 
 
 def image(number):
-    """A message of its own content, with a stamp."""
     data_type = data_types()["binary"]
     message = data_type.make(1001 + number % 3, number).messages[0].data
     data_type.raw.stamp.write(message, 5, number)

@@ -54,7 +54,6 @@ def traces(tmp_path, domain_id):
 
 
 def of_topic(trace, topic):
-    """The events of one topic, and the topic's description."""
     described = next(text for text in trace.publishers if text["topic"] == topic)
     events = trace.events[Stage.TAP]
     return TapColumns.from_events(events.take(events.relay_id == described["publisher_id"])), described

@@ -14,7 +14,6 @@ BLOCK_BYTES, BLOCKS = 1024, 3
 
 @pytest.fixture
 def ring():
-    """A ring without its socket."""
     made = PacketRing.__new__(PacketRing)
     memory = bytearray(BLOCK_BYTES * BLOCKS)
     made._block_bytes, made._blocks, made._next, made._unreleased = BLOCK_BYTES, BLOCKS, 0, 0

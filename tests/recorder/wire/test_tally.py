@@ -49,7 +49,6 @@ def add(tally, frames, times_ns=None, *, packet_type=OUTGOING, is_loopback=False
 
 
 def counted(tally):
-    """(class, direction) -> packets, bytes, submessages, IP fragments."""
     return {
         (kind, direction): (one.packets, one.bytes, one.submessages, one.ip_fragments)
         for (kind, direction), one in tally.run.classes.items()

@@ -41,12 +41,10 @@ def within(share, value):
 
 
 def sent(counts, *kinds):
-    """Of some classes, what this side sent."""
     return [one for one in counts.classes if one.direction == "sent" and (not kinds or one.name in kinds)]
 
 
 def fragments_again(counts):
-    """Samples, or fragments of samples, that this side sent again."""
     return sum(one.fragments for one in sent(counts, "data_again", "data_frag_again"))
 
 
@@ -180,7 +178,6 @@ def test_cyclones_own_statistics_agree(tmp_path, count, size, unit_bytes):
 
 @pytest.fixture(scope="module")
 def fastdds_statistics(tmp_path_factory):
-    """The listener for the statistics topics, built by cargo."""
     if shutil.which("cargo") is None:
         pytest.skip("no cargo here to build the listener with")
     folder = SUPPORT / "fastdds_statistics"

@@ -112,7 +112,6 @@ def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
 
 
 def taken(command):
-    """What `dds-record` makes of a printed command."""
     program, *words = shlex.split(command)
     options = []
     app(words, obj=options.append, standalone_mode=False)

@@ -193,8 +193,6 @@ def _with_info(found):
 
 
 class Page(HTMLParser):
-    """Tags and texts of a page."""
-
     def __init__(self, text):
         super().__init__()
         self.tags, self.links, self.text = [], [], []

@@ -12,7 +12,6 @@ from dds_trace.reports.reporters import load_reporter
 
 @pytest.fixture(scope="session")
 def chromium():
-    """One browser."""
     with open_browser() as browser:
         yield browser
 
@@ -38,7 +37,6 @@ def pages(show):
 
 @pytest.fixture(scope="session")
 def tab(chromium):
-    """The tab that the readers share."""
     return chromium.new_page()
 
 

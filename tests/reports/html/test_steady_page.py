@@ -18,7 +18,6 @@ DRAWN = """async () => {
 
 
 def test_every_figure_is_as_high_as_its_room_on_a_phone(read_with, pages):
-    """On a wide window `test_browser.py` looks at every page."""
     one = read_with(viewport={"width": 390, "height": 900})
     one.open(pages("lossy machine"))
     rows, misfits, growth = one.draw_all_as_planned()

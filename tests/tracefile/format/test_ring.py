@@ -31,7 +31,6 @@ def slot(ticket: int, stage: int, sequence: int | None = None) -> bytes:
 
 
 def ring_file(path: Path, *slots: bytes, dropped: int = 0, slot_count: int = SLOTS) -> Path:
-    """A ring by hand."""
     text = json.dumps({"format": 1, "session": json.loads(ping_session(state="open").to_json())}).encode()
     header = struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, slot_count, SLOTS_AT, dropped, len(text)) + text
     path.write_bytes(header.ljust(SLOTS_AT, b"\0") + b"".join(slots).ljust(SLOTS * 64, b"\0"))

@@ -32,7 +32,6 @@ def schema(name=EVENT_SCHEMA_NAME):
 
 @pytest.fixture
 def parsed(monkeypatch):
-    """Contents of the records that were parsed, in order."""
     contents = []
 
     def parse(kind, content):

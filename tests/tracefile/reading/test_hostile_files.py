@@ -134,8 +134,6 @@ MESSAGES = "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, 
 
 @pytest.fixture
 def database(tmp_path):
-    """A bag whose database is made by statements."""
-
     def make(*statements):
         (tmp_path / "metadata.yaml").write_text("")
         with closing(sqlite3.connect(tmp_path / "bag_0.db3")) as connection, connection:

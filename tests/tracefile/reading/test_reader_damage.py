@@ -57,7 +57,6 @@ def small_trace(folder, **options):
 
 
 def record_ends(path) -> list[tuple[int, int]]:
-    """Opcode and end offset of every record of a whole file."""
     ends, at = [], len(MAGIC)
     with RecordFile(path) as file:
         while not ends or ends[-1][0] != Opcode.FOOTER:
@@ -68,7 +67,6 @@ def record_ends(path) -> list[tuple[int, int]]:
 
 
 def chunk_starts(path) -> list[int]:
-    """Offset of every chunk behind another record of a whole file."""
     pairs = itertools.pairwise(record_ends(path))
     return [start for (_, start), (opcode, _) in pairs if opcode == Opcode.CHUNK]
 

@@ -22,7 +22,6 @@ def rows(columns):
 
 
 def record(sink, events):
-    """Stamp events in the order of their time."""
     tagged = [(fields[2], NUMBERS[stage], fields) for stage, held in events.items() for fields in held]
     for _, number, fields in sorted(tagged):
         sink.record(number, *fields)

@@ -6,6 +6,7 @@ import re
 import pytest
 from bags import imu, text, write_bag2
 from damaged_bags import KINDS, damage, make_good, read_recovered
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
@@ -98,3 +99,17 @@ def test_what_holds_nothing_is_refused_in_one_line(tmp_path):
         with pytest.raises(TraceFormatError, match=name):
             recover_recording(tmp_path / name)
     assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "b.db3", "c.mcap"}
+
+
+def test_more_channels_than_a_file_can_have_are_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("dds_trace.tracefile.recovery.recordings.MOST_CHANNELS", 3)
+    with (tmp_path / "many.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        for number in range(4):
+            channel = writer.register_channel(f"/{number}", "cdr", schema)
+            writer.add_message(channel, number, b"\0\1\0\0\1\0\0\0\0", number)
+        writer.finish()
+    with pytest.raises(TraceFormatError, match="more than 3 channels"):
+        recover_recording(tmp_path / "many.mcap")

@@ -64,7 +64,6 @@ def sequences(path: Path) -> list[int]:
 
 
 def boundaries(path: Path) -> list[int]:
-    """Where records begin, and the end."""
     file = RecordFile(path)
     found = [len(MAGIC)]
     while found[-1] < file.size:
@@ -173,7 +172,6 @@ def test_recovering_twice_changes_nothing(trace):
 
 
 def test_a_ring_left_by_a_kill_at_the_very_end_is_removed(trace):
-    """Killed after the footer and before the ring was deleted."""
     ring = ring_path(trace).read_bytes()
     recover(trace)
     ring_path(trace).write_bytes(ring)

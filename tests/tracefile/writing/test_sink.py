@@ -53,7 +53,6 @@ def open_sink(path: Path, **options: Any) -> TraceSink:
 
 
 def messages(path: Path) -> Iterator[tuple[str, Message]]:
-    """Topic and message, in file order, every CRC checked."""
     topics: dict[int, str] = {}
     with path.open("rb") as stream:
         for record in StreamReader(stream, validate_crcs=True).records:
@@ -64,7 +63,6 @@ def messages(path: Path) -> Iterator[tuple[str, Message]]:
 
 
 def events(path: Path) -> list[tuple[int, ...]]:
-    """Stage and the eight fields of every event, in file order."""
     return [
         (int(topic[-1]), *unpack_event(message.data))
         for topic, message in messages(path)
@@ -73,7 +71,6 @@ def events(path: Path) -> list[tuple[int, ...]]:
 
 
 def texts(path: Path, topic: str) -> list[str]:
-    """The strings of a topic."""
     return [
         message.data[8 : 7 + int.from_bytes(message.data[4:8], "little")].decode()
         for found, message in messages(path)
@@ -422,7 +419,6 @@ def test_fsync_asks_the_disk_for_each_chunk(tmp_path, monkeypatch):
 
 
 def test_records_lie_as_other_tools_expect(tmp_path):
-    """Schema, channel, messages in each chunk, a message index behind it."""
     sink = open_sink(tmp_path / "a.mcap")
     sink.record(1, 1, 0, 0)
     sink.close()

@@ -23,7 +23,6 @@ from dds_trace.recorder.errors import BridgeError
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """Registers the stand-in in the part that the test gives it."""
     monkeypatch.setitem(BRIDGE_MODULES, "stand-in", "stand_in_bridge")
 
     def play(part, halves=Halves.NEVER, **settings):

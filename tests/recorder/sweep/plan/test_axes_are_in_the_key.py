@@ -33,7 +33,6 @@ OTHER = {
 
 
 def options_of(arguments):
-    """The `RecordOptions` that `dds-record` makes of its arguments."""
     with (
         mock.patch("dds_trace.cli.record.run.record_until_stopped") as record,
         mock.patch.object(sys, "argv", ["dds-record", *arguments, "--out", "x.mcap"]),

@@ -106,6 +106,12 @@ def test_what_the_file_has_is_not_given_twice(tmp_path, key):
         plan_with(tmp_path, f'file = "drive.csv"\n{key}')
 
 
+def test_nothing_of_another_file_is_printed(tmp_path):
+    with pytest.raises(OptionError) as raised:
+        read_drive(written(tmp_path, "root:secret:1\n"))
+    assert "secret" not in str(raised.value)
+
+
 def test_the_drive_of_the_repository_can_be_read():
     plan = read_plan(PLANS / "drive.toml")
     assert (plan.link.drive.length_s, len(plan.link.drive.rows)) == (60, 121)

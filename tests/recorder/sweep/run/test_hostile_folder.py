@@ -12,7 +12,6 @@ from dds_trace.base.errors import OutputError, TraceFormatError
 
 @pytest.fixture
 def target(desk):
-    """A folder of somebody."""
     folder = desk.folder / "home"
     folder.mkdir()
     (folder / "thesis.tex").write_text("mine")

@@ -19,8 +19,6 @@ rate = [10, 20]
 
 
 class Robot(RelayDevice):
-    """A device without zenoh."""
-
     def __init__(self):
         self.asked = []
 

@@ -75,7 +75,6 @@ def remote(server, tmp_path):
 
 
 def there(tmp_path):
-    """The sweep's folder on the device."""
     return tmp_path / "home/.cache/dds-trace/my sweep"
 
 

@@ -158,7 +158,6 @@ def replaying(ends, clock, **link):
 
 
 def carried_after(ends, clock, line):
-    """Nanoseconds from a frame's way in to its way out."""
     began_ns = clock.now_ns
     ends[0].send(LONG_FRAME)
     line.take()

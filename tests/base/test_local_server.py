@@ -1,0 +1,56 @@
+"""A stranger takes a bounded part of a server."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from contextlib import ExitStack
+from http.server import BaseHTTPRequestHandler
+from urllib.request import urlopen
+
+import pytest
+
+from dds_trace.base import local_server
+from dds_trace.base.local_server import MOST_CONNECTIONS, LocalServer
+
+
+class Handler(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(b"here")
+
+    def log_message(self, *_):
+        """Print nothing."""
+
+
+@pytest.fixture
+def server():
+    with LocalServer(("127.0.0.1", 0), Handler) as served:
+        thread = threading.Thread(target=served.serve_forever, args=(0.05,))
+        thread.start()
+        yield served
+        served.shutdown()
+        thread.join()
+
+
+def silent(stack, server):
+    return stack.enter_context(socket.create_connection(server.server_address, timeout=60))
+
+
+def test_what_exceeds_the_bound_is_closed_at_once(server):
+    with ExitStack() as stack:
+        connections = [silent(stack, server) for _ in range(MOST_CONNECTIONS + 1)]
+        assert connections[-1].recv(1) == b""
+        connections[0].sendall(b"GET / HTTP/1.0\r\n\r\n")
+        assert connections[0].makefile("rb").read().endswith(b"here")
+
+
+def test_a_silent_connection_ends(server, monkeypatch):
+    monkeypatch.setattr(local_server, "CONNECTION_S", 0.2)
+    with ExitStack() as stack:
+        for connection in [silent(stack, server) for _ in range(MOST_CONNECTIONS)]:
+            assert connection.recv(1) == b""
+        host, port = server.server_address
+        with urlopen(f"http://{host}:{port}/", timeout=60) as answer:
+            assert answer.read() == b"here"

@@ -1,7 +1,4 @@
-"""`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; a half for each domain.
-
-It knows the direction of ROS topics. It is a program, or a plugin of zenoh's router (`zenohd`).
-"""
+"""`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; a half for each domain."""
 
 from __future__ import annotations
 

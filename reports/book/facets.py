@@ -1,7 +1,4 @@
-"""Dimensions along which a report spreads its groups, with the label of each value.
-
-`choice` is the setup (middleware, way between the domains, whatever else differs), `place` the device pair and link.
-"""
+"""Dimensions along which a report spreads its groups, with the label of each value."""
 
 from __future__ import annotations
 

@@ -107,9 +107,13 @@ def _from_size(least: int, largest: int) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
-    """Return which setups are not to be used; not those whose losses have a cure (row of the summary -> cure)."""
-    lossy = [_lost_words(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
-    return f"Do not use, because of losses: {_some(lossy, 'more in the table')}." if lossy else ""
+    """Return which setups are not to be used, the worst result of each; not those whose losses have a cure (row -> cure)."""
+    lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
+    worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
+    shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
+    more = [f"and {len(lossy) - len(shown)} more in the table"] if len(lossy) > len(shown) else []
+    words = "; ".join([*(_lost_words(row, where) for row, where in shown), *more])
+    return f"Do not use, because of losses: {words}." if lossy else ""
 
 
 def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
@@ -139,15 +143,16 @@ def _advised(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple
 
 
 def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:
+    """Name setup, message, rate and link; not what all results share, nor the domains, as a setup across them names its bridge."""
     labels = contender_labels(answers, vendors)
-    has_modes = len({answer.domain_mode for answer in answers}) > 1
+    types, places = {answer.data_type for answer in answers}, {place_of(answer) for answer in answers}
     has_devices = len({(answer.ping_device, answer.relay_device) for answer in answers}) > 1
     lossy = []
     for answer in answers:
-        mode = f", {MODES.get(answer.domain_mode, printable(answer.domain_mode))}" if has_modes else ""
-        size, rate = format_size(answer.payload_bytes), format_rate(answer.rate_hz)
         devices = "" if has_devices else f"{device_pair(answer.ping_device, answer.relay_device)}, "
-        where = f"{data_type_label(answer.data_type)} {size} at {rate}{mode}, {place_of(answer).removeprefix(devices)}"
+        kind = f"{data_type_label(answer.data_type)} " if len(types) > 1 else ""
+        place = f", {place_of(answer).removeprefix(devices)}" if len(places) > 1 else ""
+        where = f"{kind}{format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}{place}"
         lossy += [(row, f"{labels[row.subject]} with {where}") for row in answer.of_claim(Claim.LOSSY)]
     return sorted(lossy, key=lambda one: -(one[0].value or 0.0))
 

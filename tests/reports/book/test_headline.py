@@ -85,7 +85,7 @@ def test_the_study_is_described_by_size_and_device_pair_and_not_by_one_full_reco
     points = "\n".join(answer.points)
     assert points.count("(3 pairs of devices and links)") == 2
     assert "about 7 repeats" in points
-    assert "MB at 40 Hz, different domains" in points
+    assert "MB at 40 Hz, pi3-a" in points
     assert points.count("% lost)") == 3
     assert "3 runs of each" in answer.points[-1]
     sentences(answer.headline, *answer.points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import ssl
 import threading
@@ -89,8 +90,9 @@ def test_a_certificate_of_another_authority_is_refused(keys, tmp_path):
     assert isinstance(relay, OSError)
 
 
+@contextlib.contextmanager
 def served(answer):
-    """An address at which one program accepts connections and answers each in its own way."""
+    """The address at which one program accepts connections and answers each in its own way."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve():
@@ -101,8 +103,14 @@ def served(answer):
                 return
             answer(connection)
 
-    threading.Thread(target=serve, daemon=True).start()
-    return listener
+    serving = threading.Thread(target=serve)
+    serving.start()
+    try:
+        yield listener.getsockname()
+    finally:
+        listener.shutdown(socket.SHUT_RDWR)  # closed only, it would take one more connection where `accept` waits
+        listener.close()
+        serving.join()
 
 
 def test_a_program_at_an_address_with_and_without_tls(keys):
@@ -113,7 +121,7 @@ def test_a_program_at_an_address_with_and_without_tls(keys):
             connection.close()
 
     with served(shake) as secured, served(socket.socket.close) as plain:
-        addresses = secured.getsockname(), plain.getsockname()
+        addresses = secured, plain
         assert [speaks_tls(*address) for address in addresses] == [True, False]
         assert "with TLS" in unlike_tls([addresses[0]], is_secured=False)
         assert "without TLS" in unlike_tls([addresses[1]], is_secured=True)

@@ -110,7 +110,8 @@ def count_rooms() -> tuple[dict[str, Counter[str]], list[str]]:
 
 def count_house(product: Counter[str]) -> dict[str, float]:
     """Return what has a bar: the counts of the product, the two shares of its language, and what comes with it."""
-    assets = [path for path in (ROOT / "reports").rglob("*") if path.suffix in {".js", ".css", ".j2"}]
+    endings = {".js", ".css", ".j2", ".html"}
+    assets = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in endings]
     tests = (ROOT / "tests").rglob("*.py")
     return {
         **{name: product[name] for name in ("lines", "modules", "words")},

@@ -7,8 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
+from importlib.resources import files
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.local_server import LocalServer
@@ -21,33 +23,28 @@ from ..roles.live import Health, LiveRow, LiveTable
 
 HOST = "127.0.0.1"
 _NAMES = ("127.0.0.1", "localhost")
-_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>dds-trace tap</title>
-<style>body{font:16px system-ui;margin:2rem}td,th{padding:.2rem 1rem;text-align:right}td:first-child,th:first-child{text-align:left}
-.OK{color:#067647}.LATE{color:#b54708}.STALE{color:#b42318}</style><h1>Topics</h1><table><thead><tr><th>topic<th>state<th>rate (Hz)
-<th>expected (Hz)<th>age (ms)<th>p99 (ms)<th>missing<th>silent (s)</thead><tbody></tbody></table>
-<p>Ages are by this device's clock.</p><script>
-const shown=(value,scale)=>value===null?"-":(value/scale).toPrecision(3);
-async function look(){const rows=await (await fetch("live.json")).json();
-document.querySelector("tbody").replaceChildren(...rows.map(row=>{const line=document.createElement("tr");
-[row.topic,row.health,shown(row.rate_hz,1),shown(row.expected_hz,1),shown(row.age_ns,1e6),shown(row.age_p99_ns,1e6),row.missing,
-shown(row.silence_ns,1e9)].forEach(text=>line.insertCell().textContent=text);line.cells[1].className=row.health;return line}))}
-look();setInterval(look,1000)</script></html>"""
 
 
 @contextmanager
-def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]]) -> Iterator[str]:
+def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "this device") -> Iterator[str]:
     """Serve the table of `rows` within the block; yield the address.
 
     Raises:
         OptionError: the port is in use.
     """
 
+    page = (
+        (files("dds_trace.recorder.tap") / "live.html")
+        .read_text(encoding="utf-8")
+        .replace("{{device}}", escape(device))
+    )
+
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             if self.headers.get("Host", "").partition(":")[0] not in _NAMES:  # another name comes from DNS rebinding
                 self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
             elif self.path == "/":
-                self._send("text/html; charset=utf-8", _PAGE)
+                self._send("text/html; charset=utf-8", page)
             elif self.path == "/live.json":
                 self._send("application/json", json.dumps([row.to_dict() for row in rows()]))
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -70,7 +71,8 @@ class TapRecording(BaseRecording):
             keeps_payload=options.payload,
         )
         if options.live_port is not None:
-            self.watch.note(f"live on {stack.enter_context(serve_page(options.live_port, self._live.rows))}")
+            device = self.options.device or os.uname().nodename
+            self.watch.note(f"live on {stack.enter_context(serve_page(options.live_port, self._live.rows, device))}")
         self.read_back.read_begin()
         self.node.start()
         self._cpu_ns, self._start_ns = time.process_time_ns(), time.monotonic_ns()

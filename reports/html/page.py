@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import shlex
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
@@ -17,8 +18,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES, planned_messages
-from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
@@ -40,7 +40,6 @@ from ..book.groups import (
     group_labels,
     qos_label,
 )
-from ..book.next_command import recording_commands
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
 from ..book.verdicts import MODES
@@ -193,6 +192,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     return {
         "title": printable(book.analysis.title),
         "made_by": f"dds-trace {__version__}",
+        "recommend": f"dds-analyze {shlex.quote(printable(book.analysis.title))} --recommend",
         "metrics": [
             {"key": key, "label": label, "menu": METRIC_MENU.get(key, label)}
             for key, label in METRIC_LABELS.items()
@@ -208,19 +208,9 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "cell": [group.cell for group in groups.groups],
             "filters": {filtering.key: filtering.index for filtering in filters},
         },
-        "series": [
-            {"label": label, "domain": series.domain_mode, "commands": commands}
-            for label, series, commands in zip(groups.labels, groups.series, _commands(book), strict=True)
-        ],
+        "series": [{"label": label} for label in groups.labels],
         "percentiles": [
-            {
-                "key": p.name,
-                "label": p.label,
-                "share": p.quantile,
-                "messages": planned_messages(p.quantile),
-                "is_decade": p.is_decade,
-            }
-            for p in PERCENTILES
+            {"key": p.name, "label": p.label, "share": p.quantile, "is_decade": p.is_decade} for p in PERCENTILES
         ],
         "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
         "dimensions": {
@@ -267,17 +257,6 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             for figure in figures
         },
     }
-
-
-def _commands(book: Book) -> list[list[str]]:
-    rows = book.analysis.summary.to_dicts()
-    first = {group.series: group.index for group in reversed(book.groups.groups)}
-    commands = []
-    for series in range(len(book.groups.series)):
-        row = rows[first[series]]
-        job = Job(row["data_type"], row["payload_bytes"], row["rate_hz"], 1, 0.5)
-        commands.append([command for _, command in recording_commands(row, job, 1)])
-    return commands
 
 
 @dataclass(frozen=True, slots=True)

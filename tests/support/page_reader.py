@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 from analyses import EVERY_ANALYSIS
@@ -106,3 +108,21 @@ class Reader:
         return self.tab.evaluate(
             "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length", figure
         )
+
+
+AXE_HOMES = tuple(  # axe-core comes inside this package; it is read, never imported
+    str(Path(folder) / "axe.min.js")
+    for folder in getattr(find_spec("axe_playwright_python"), "submodule_search_locations", None) or ()
+)
+AXE_RULES = "['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']"
+
+
+def violations(tab, where, rules=AXE_RULES):
+    """What axe-core finds against WCAG AA and its best practice, or some of their rules, in a part of the page."""
+    axe = next((Path(home) for home in AXE_HOMES if home and Path(home).is_file()), None)
+    if axe is None:
+        pytest.skip("axe-core is not here (pip install axe-playwright-python)")
+    tab.evaluate(axe.read_text(encoding="utf-8"))
+    options = f"{{runOnly: {rules}, resultTypes: ['violations']}}"  # what passes is megabytes
+    found = tab.evaluate(f"async () => (await axe.run({where}, {options})).violations")
+    return [(each["id"], [node["html"][:200] for node in each["nodes"]]) for each in found]

@@ -88,11 +88,11 @@ def test_memory_is_bounded_and_losses_add_up():
 
 
 def test_the_page_has_the_table_and_answers_only_its_own_name():
-    with serve_page(0, lambda: ROWS) as address:
+    with serve_page(0, lambda: ROWS, "robot <1>") as address:
         with urllib.request.urlopen(address + "live.json") as answer:
             rows = json.load(answer)
         with urllib.request.urlopen(address) as answer:
-            assert b"live.json" in answer.read()
+            assert b"Topics of robot &lt;1&gt;" in answer.read()
         foreign = urllib.request.Request(address + "live.json", headers={"Host": "evil.example"})
         with pytest.raises(urllib.error.HTTPError):
             urllib.request.urlopen(foreign)

@@ -4,15 +4,13 @@ import json
 import re
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
-from pathlib import Path
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
 from four_campaigns import CAMPAIGNS
-from page_reader import EVERY_PAGE, Reader
+from page_reader import AXE_RULES, EVERY_PAGE, Reader, violations
 from pyarrow.parquet import read_schema
 from roundtrip_frames import in_runs
 
@@ -31,11 +29,6 @@ from dds_trace.reports.reporters import load_reporter
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
-
-AXE_HOMES = tuple(  # axe-core comes inside this package; it is read, never imported
-    str(Path(folder) / "axe.min.js")
-    for folder in getattr(find_spec("axe_playwright_python"), "submodule_search_locations", None) or ()
-)
 
 
 @pytest.mark.parametrize("name", EVERY_PAGE)
@@ -348,7 +341,6 @@ AXE_PAGES = [
     ("demo", "light", 420),
     ("lossy machine", "dark", 1360),
 ]
-AXE_RULES = "['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']"
 
 # Rows with the same elements, classes and styles have the same contrasts, which take most of axe's time.
 ONE_ROW_OF_A_KIND = """for (const body of document.querySelectorAll("tbody")) {
@@ -399,17 +391,6 @@ def opened_for_axe(read_with, address, scheme, width):
         "'.first details, #recording details, #figure-heatmap details, .filter:first-child')) details.open = true"
     )
     return tab
-
-
-def violations(tab, where, rules=AXE_RULES):
-    """What axe-core finds against WCAG AA and its best practice, or some of their rules, in a part of the page."""
-    axe = next((Path(home) for home in AXE_HOMES if home and Path(home).is_file()), None)
-    if axe is None:
-        pytest.skip("axe-core is not here (pip install axe-playwright-python)")
-    tab.evaluate(axe.read_text(encoding="utf-8"))
-    options = f"{{runOnly: {rules}, resultTypes: ['violations']}}"  # what passes is megabytes
-    found = tab.evaluate(f"async () => (await axe.run({where}, {options})).violations")
-    return [(each["id"], [node["html"][:200] for node in each["nodes"]]) for each in found]
 
 
 @pytest.mark.parametrize("name", ["lossy machine", "study"])

@@ -11,9 +11,12 @@ import urllib.request
 
 import pytest
 from campaigns import write_runs
+from page_reader import violations
 
 import dds_trace.analyzer.loading.traces
 from dds_trace.base.errors import OutputError
+from dds_trace.recorder.roles.live import Health, LiveRow
+from dds_trace.recorder.tap.page import serve_page
 from dds_trace.reports.html import live
 from dds_trace.reports.html.live import Watcher, WatchOptions, is_own_name
 
@@ -229,3 +232,28 @@ def test_what_a_sweep_is_recording_is_no_warning(watcher, tmp_path):
     write_runs(tmp_path, [2])
     watcher.refresh()
     assert b".parts/b.ping.mcap" not in fetch(watcher.address).read().partition(b'id="recording-title"')[0]
+
+
+TOPICS = [
+    LiveRow(
+        "/robot_1/front_left_camera/image_raw/compressed", Health.OK, 29.9, 30.0, 12_000_000, 31_000_000, 3, 10_000_000
+    ),
+    LiveRow("/lidar", Health.STALE, 0.0, None, None, None, 0, None),
+    LiveRow("/imu", Health.LATE, 80.0, 100.0, 1_000_000, 2_000_000, 0, 9_000_000),
+]
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1000), ("dark", 390)])
+def test_the_live_page_of_a_tap_is_read_on_a_phone_and_in_the_dark(read_with, scheme, width):
+    with serve_page(0, lambda: TOPICS, "rover <7>") as address:
+        one = read_with(color_scheme=scheme, viewport={"width": width, "height": 800})
+        one.tab.goto(address)
+        one.tab.wait_for_selector("tbody tr")
+        assert one.tab.locator("h1").inner_text() == "Topics of rover <7>"
+        assert [cell.inner_text() for cell in one.tab.locator("tbody th").all()] == [row.topic for row in TOPICS]
+        assert one.tab.evaluate("document.documentElement.scrollWidth") == width
+        assert one.tab.locator("thead th").count() == one.tab.locator("tbody tr").first.locator("th, td").count()
+        assert violations(one.tab, "document") == []
+        assert one.complaints == []
+    one.tab.wait_for_selector("text=does not answer")

@@ -135,6 +135,10 @@ def test_a_narrower_window_draws_narrower_figures(reader, pages):
 def test_paper_is_whole(reader, pages, name, paper):
     tab = reader.open(pages(name))
     tab.evaluate("void (window.back = toPaper())")
+    shown = "[...document.querySelectorAll('%s')].filter((one) => one.getClientRects().length).length"
+    assert tab.evaluate(shown % ".figure:has(> .fold:not([open]))") == 0, "a closed heading says nothing on paper"
+    assert tab.evaluate(shown % "#figures .figure") >= 2
+    assert tab.evaluate(shown % ".findings details[open]") == 0
     room = 703 if paper == "A4" else 725  # px between margins of 12 mm
     over = tab.evaluate(
         "room => [...document.querySelectorAll('main *')].filter(e => e.getClientRects().length && !e.closest('svg, .unseen')"

@@ -1,15 +1,25 @@
 "use strict";
-// On paper: white, as wide as A4 and US Letter both have room for; what is open on the screen, no column cut off.
-const MOST_PRINTED = 24; // rows of the table of all results
+// On paper: white, as wide as A4 and US Letter both have room for; what is open on the screen and a paper's figures of
+// few panels, a finding in a few lines, no column cut off.
+const MOST_PRINTED = 12; // rows of the table of all results
+const MOST_PANEL_ROWS = 12; // rows of panels of the figures that paper opens
+const OPENED_ON_PAPER = ".first details:not([open], .further, .findings *)";
+const CLOSED_ON_PAPER = ".findings details[open]"; // each place of each finding is in the JSON report
 
 /** Redraws at the width of paper, and returns what puts the screen back. */
 function toPaper() {
   const root = document.documentElement;
   const themeBefore = root.dataset.theme;
-  const opened = [...document.querySelectorAll(".first details:not([open], .further)")];
+  const figures = PRINTED_FIGURES.map((name) => blocks.find((one) => one.name === name)).filter(Boolean);
+  let room = MOST_PANEL_ROWS;
+  const fitting = figures.slice(0, 4).filter(({ rows }) => (room -= rows.length) >= 0);
+  const folds = fitting.map(({ article }) => article.querySelector(".fold:not([open])"));
+  const opened = [...document.querySelectorAll(OPENED_ON_PAPER), ...folds.filter(Boolean)];
+  const closed = [...document.querySelectorAll(CLOSED_ON_PAPER)];
   setTheme("light");
   root.classList.add("paper");
   for (const details of opened) details.open = true;
+  for (const details of closed) details.open = false;
   for (const block of blocks) {
     block.spoil();
     block.draw();
@@ -22,6 +32,7 @@ function toPaper() {
   return () => {
     for (const undo of cut) undo();
     for (const details of opened) details.open = false;
+    for (const details of closed) details.open = true;
     root.classList.remove("paper");
     setTheme(themeBefore);
     showGroups();

@@ -18,7 +18,7 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 from .model.columns import SUMMARY_COLUMNS
 from .model.metrics import schema_of
 from .model.presenter import presenter
-from .model.unsent import with_unsent
+from .model.runs import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
@@ -156,7 +156,7 @@ class Analysis:
         return self.rows.load()
 
     def load_messages(self) -> pl.DataFrame:
-        """Read the round trips, the unsent messages (`unsent.with_unsent`) and the messages of topics into memory."""
+        """Read the round trips, the unsent messages (`runs.with_unsent`) and the messages of topics into memory."""
         messages = with_unsent(self.load_roundtrips(), self.unsent)
         if self.topic_messages.is_empty():
             return messages

@@ -27,8 +27,7 @@ from .loading.campaign import Campaign, Paths, Place, Progress
 from .loading.event_index import total_copies
 from .loading.traces import TraceSpool
 from .pairing.exchanges import Exchanges, find_exchanges
-from .pairing.parquet import write_summary
-from .pairing.provenance import provenance
+from .pairing.parquet import provenance, write_summary
 from .pairing.rows import RowWriter
 from .saving.results import replacing_results
 from .topics.frames import find_topics

@@ -206,7 +206,7 @@ def main_command(
     values = locals()
     from dds_trace.analyzer.exports.kinds import export as write_export
     from dds_trace.analyzer.model.finding import Severity
-    from dds_trace.analyzer.pairing.provenance import read_provenance
+    from dds_trace.analyzer.pairing.parquet import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
     from dds_trace.analyzer.verdicts.job import parse_job

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
-from dds_trace.reports.html.packing import packed_script, policy_hash
+from dds_trace.reports.html.page import packed_script, policy_hash
 
 STAND_IN = '<p class="note" data-policy="{hash}">Kept without plotly.js {version}: just results draws the figures.</p>'
 STAND_IN_PATTERN = re.compile(r'<p class="note" data-policy="(?P<hash>sha256-[^"]+)">Kept without plotly\.js .*?</p>')

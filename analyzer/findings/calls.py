@@ -7,9 +7,9 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_duration
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..model.finding import Severity, Subject
-from ..model.foreign import number_of, object_of
 from .evidence import Evidence, Observation, check
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from itertools import pairwise
 import polars as pl
 
 from dds_trace.base.units import counted, format_duration
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..clocks.boots import share_boot
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
-from ..model.foreign import number_of, object_of
 from .evidence import Evidence, Observation, check
 from .rows import Rows, frame_of, named
 

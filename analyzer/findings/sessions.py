@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import number_of, objects_of
 
 from ..loading.campaign import part_of
 from ..model.applied import is_tuned, socket_drops
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
-from ..model.foreign import number_of, objects_of
 from .evidence import Evidence, Observation, check, some
 from .rows import Rows, frame_of, in_recording
 

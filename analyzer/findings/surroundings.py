@@ -6,9 +6,9 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..model.finding import Subject
-from ..model.foreign import number_of, object_of
 from .evidence import Evidence
 from .rows import Rows, frame_of, in_recording
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from dds_trace.tracefile.format.json_fields import number_of, object_of, objects_of
+
 from ..clocks.boots import machine_of
-from ..model.foreign import number_of, object_of, objects_of
 from ..model.metrics import frame_schema
 from ..model.setting import parse_setting
 from ..statistics.percentiles import summarize_values

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import polars as pl
 
 from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 from dds_trace.tracefile.reading.trace import Trace
 
-from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
 
 MOST_OF_SESSION = 2000

@@ -8,9 +8,9 @@ from typing import TypedDict
 import polars as pl
 
 from dds_trace.base.limits import STORED_TIME_NS
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 from dds_trace.tracefile.reading.trace import Trace
 
-from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
 from ..pairing.rows import RowStore
 from .batch import Grouping

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
-from ..model.foreign import number_of, object_of
 from ..model.metrics import METRICS
-from ..model.unsent import MOST_MESSAGES
+from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import PairedRows
 from ..statistics.histogram import Histogram, histogram_of

@@ -12,11 +12,10 @@ import numpy as np
 import polars as pl
 
 from dds_trace.tracefile.format.descriptions import Run
-from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.format.json_fields import Json, JsonObject, number_of, object_of, objects_of
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
 from dds_trace.tracefile.reading.trace import Trace
 
-from ..model.foreign import number_of, object_of, objects_of
 from ..model.metrics import frame_schema
 from ..pairing.rows import RowStore
 from .batch import Grouping

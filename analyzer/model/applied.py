@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dds_trace.tracefile.format.descriptions import Session
-
-from .foreign import object_of, objects_of
+from dds_trace.tracefile.format.json_fields import object_of, objects_of
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` that are no interfaces."""

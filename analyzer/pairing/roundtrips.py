@@ -17,7 +17,7 @@ from dds_trace.tracefile.format.events import EventColumns, Stage
 from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
-from ..model.unsent import MOST_MESSAGES
+from ..model.runs import MOST_MESSAGES
 from .counts import COUNT_SCHEMA, count_all, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import (

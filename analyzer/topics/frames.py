@@ -12,10 +12,10 @@ import numpy as np
 import polars as pl
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.json_fields import number_of
 
 from ..loading.campaign import Campaign
 from ..model.columns import ROUNDTRIP_COLUMNS
-from ..model.foreign import number_of
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
 from ..pairing.rows import RowStore

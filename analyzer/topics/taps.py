@@ -11,11 +11,10 @@ import polars as pl
 
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
-from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.json_fields import JsonObject, object_of
 
 from ..loading.campaign import Campaign
 from ..loading.event_index import EventPart, merge_parts
-from ..model.foreign import object_of
 from .device_clocks import Machine, machine_of_session
 
 TAP_ROLE = "tap"

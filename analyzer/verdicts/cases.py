@@ -12,8 +12,8 @@ import polars as pl
 
 from ..model.names import tell_apart, where_alike, where_it_varies
 from ..model.parameters import CONTENDER_COLUMNS, ParameterValue
+from ..model.runs import with_unsent
 from ..model.setting import choice_of, condition_of
-from ..model.unsent import with_unsent
 from ..statistics.intervals import Interval
 
 Setting = Mapping[str, ParameterValue]

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..model.foreign import object_of
+from dds_trace.tracefile.format.json_fields import object_of
+
 from ..model.runs import pass_numbers
 from ..run_statistics.between_runs import student_ends
 from ..statistics.intervals import MIN_RUNS

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from ..model.names import group_words, is_topic, value_word, varying_parameters
-from ..model.runs import delivered_runs, split_runs
+from ..model.runs import UNSENT, delivered_runs, split_runs
 from ..model.setting import without_relay
-from ..model.unsent import UNSENT
 from ..run_statistics.between_runs import Estimate, estimates_of_runs
 from ..run_statistics.received import received_interval
 from ..run_statistics.runs import Run, Runs, Statistic, joined_runs

@@ -14,9 +14,8 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
-from .other_side import unlike_participant
+from .other_side import Strangers, unlike_participant
 from .sizes import Sizes, call_option, response_size_option, size_option
-from .strangers import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping

@@ -1,4 +1,4 @@
-"""A relay of a DDS domain that has security where the ping has none, or the other way round."""
+"""What this process does not accept of others, and relays that have security where the ping has none, or the other way round."""
 
 from __future__ import annotations
 
@@ -7,12 +7,41 @@ import os
 import re
 import subprocess
 import sys
+import threading
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from ..choices import Security
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+
+class Strangers:
+    """Counts of what peers sent and this process did not accept, by kind.
+
+    Accepted messages never pay for its lock.
+    """
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._noted: set[str] = set()
+
+    def count(self, kind: str, number: int = 1) -> None:
+        with self._lock:
+            self._counts[kind] += number
+
+    @property
+    def counts(self) -> dict[str, int]:
+        with self._lock:
+            return dict(self._counts)
+
+    def take_new(self) -> list[str]:
+        new = sorted(self.counts.keys() - self._noted)
+        self._noted.update(new)
+        return new
+
 
 _SECURED_NAME = re.compile(rf"dds_trace_\w+_({'|'.join(level.value.replace('-', '_') for level in Security)})")
 

@@ -12,8 +12,7 @@ from dds_trace.base.errors import OptionError
 from ..backends.node import Node
 from .bag import BAG
 from .base import DataType, Payload, PayloadContext, Source
-from .binary import BINARY
-from .file import FILE
+from .binary import BINARY, FILE
 from .header import header_data_type
 from .imu import IMU, IMU_FILE
 from .string import STRING

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node
-    from ..backends.strangers import Strangers
+    from ..backends.other_side import Strangers
     from ..host.clock import Clock
     from ..payloads.base import Feed
     from .lanes import Lane

@@ -12,7 +12,7 @@ from dds_trace.tracefile.format.json_fields import JsonObject
 from ..applied.carried import LOOPBACK
 from ..backends import load_backend, load_backends
 from ..backends.node import Node
-from ..backends.strangers import Strangers
+from ..backends.other_side import Strangers
 from ..choices import Discovery
 from ..host.clock import ClockAnchor
 from ..host.environment import join_environments

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import base64
+import gzip
+import hashlib
+import json
 import math
 import shlex
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -45,8 +48,11 @@ from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
 from ..book.verdicts import MODES
 from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
-from .packing import json_island, packed, packed_script, policy_hash
 from .styles import line_styles
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40
@@ -307,3 +313,37 @@ def filters_info(groups: Groups) -> tuple[Filter, ...]:
             rank = {option: index for index, option in enumerate(distinct)}
             filters.append(Filter(key, label, tuple(distinct), tuple(rank[option] for option in options)))
     return tuple(filters)
+
+
+def json_island(value: object) -> str:
+    """Encode JSON that cannot end its `<script>` element: sorted keys, no NaN."""
+    text = json.dumps(
+        value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
+    )
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    # A lone surrogate (of a file name) cannot be written as UTF-8.
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _fields(record: DataclassInstance) -> dict[str, object]:
+    # Not `asdict`, which copies every number of a campaign.
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+@lru_cache(maxsize=4)  # plotly.js, and scripts of a watched folder
+def packed_script(text: str) -> str:
+    return packed(text)
+
+
+def packed(text: str) -> str:
+    """Return text as gzip in base64: letters, digits, `+`, `/` and `=`, which cannot end an element."""
+    return base64.b64encode(gzip.compress(text.encode("utf-8"), mtime=0)).decode("ascii")
+
+
+def unpacked(text: str) -> str:
+    return gzip.decompress(base64.b64decode(text)).decode("utf-8")
+
+
+def policy_hash(script: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"

@@ -225,10 +225,10 @@ def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_p
 
 @pytest.mark.parametrize("more", [[], ["--against", "SAME", "--json"]])
 def test_a_missing_middleware_is_one_line_and_no_recording_starts(call, tmp_path, monkeypatch, more):
-    from dds_trace.recorder.sweep.run import missing
+    from dds_trace.recorder.sweep.run import runner
 
     absent = SimpleNamespace(label="Zenoh", install="pip install zenoh", find_installed=list)
-    monkeypatch.setattr(missing, "load_backend", lambda _: absent)
+    monkeypatch.setattr(runner, "load_backend", lambda _: absent)
     path = tmp_path / "absent.toml"
     path.write_text('[axes]\nbackend = "zenoh"\nrate = [10, 20, 30, 40]\n')
     code, out, err = call(path, "--out", tmp_path / "runs", *more)

@@ -17,10 +17,10 @@ from fake_node import FakeNode, ListSink
 from fuzz_shapes import shaped, shaped_seeds
 
 from dds_trace.base.threads import FastLock
+from dds_trace.recorder.backends.other_side import Strangers
 from dds_trace.recorder.backends.socket.greeting import Greeting, PeerError
 from dds_trace.recorder.backends.socket.tcp import _TcpPeer
 from dds_trace.recorder.backends.socket.udp import MAX_UNFINISHED, UdpLinks, _UdpPeer
-from dds_trace.recorder.backends.strangers import Strangers
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import RunPlan

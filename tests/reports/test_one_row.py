@@ -13,7 +13,7 @@ from dds_trace.cli.analyze import main
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
-from dds_trace.reports.html.packing import unpacked
+from dds_trace.reports.html.page import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 
 

@@ -27,7 +27,7 @@ from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.brief import INLINE_BAR, MOST_LINES
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
-from dds_trace.reports.html.packing import unpacked
+from dds_trace.reports.html.page import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 
 

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from dds_trace.reports.book.groups import format_count, format_ratio, markdown
-from dds_trace.reports.html.packing import json_island
+from dds_trace.reports.html.page import json_island
 
 
 @pytest.mark.parametrize(

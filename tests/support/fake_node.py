@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
-from dds_trace.recorder.backends.strangers import Strangers
+from dds_trace.recorder.backends.other_side import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable

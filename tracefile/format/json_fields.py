@@ -160,3 +160,19 @@ class DescriptionFields:
         return TraceFormatError(
             self._path, f"field {name!r} of the {self._what} description is {shown(value)}, not {kind_name}"
         )
+
+
+def object_of(value: object) -> JsonObject:
+    """Return a value of a foreign trace, which may be any JSON; nothing for anything but an object."""
+    return value if isinstance(value, dict) else {}
+
+
+def objects_of(values: object) -> list[JsonObject]:
+    """Return the objects of a list; none for anything else."""
+    return [object_of(value) for value in values] if isinstance(values, list) else []
+
+
+def number_of(value: object) -> float | None:
+    """Return a number that fits into 64 bits, else None (NaN too)."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value if is_number and -(2.0**63) < value < 2.0**63 else None  # type: ignore[operator,return-value]  # narrowed above

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from ...security.tls import TlsSocket
     from ..node import RawMessage
-    from ..strangers import Strangers
+    from ..other_side import Strangers
     from .greeting import Address, Receivers
 
 HALF_OPEN_S = 5.0

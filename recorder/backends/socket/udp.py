@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..node import RawMessage
-    from ..strangers import Strangers
+    from ..other_side import Strangers
     from .greeting import Address, Receivers
 
 FRAGMENT_BYTES = 60_000

@@ -15,7 +15,6 @@ from dds_trace.base.units import spell_size
 
 from ...option_table import OPTIONS, choices_of
 from ...options import DEFAULT_RATE_HZ
-from .outage import OutageBy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,6 +22,14 @@ if TYPE_CHECKING:
     from dds_trace.base.limits import Limit
 
     from ...option import Option
+
+
+class OutageBy(Enum):
+    LINK = "link"  # the ping's interface goes down, and comes up with its address
+    ADDRESS = "address"  # likewise, and comes up with another address
+    LOSS = "loss"  # the link stays up, and every packet is lost
+    RELAY = "relay"  # the relay is killed, and another one is started
+
 
 _T = TypeVar("_T")
 

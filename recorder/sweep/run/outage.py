@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypedDict
 
-from ..plan.cells import Cell
-from ..plan.outage import OutageBy
+from ..plan.cells import Cell, OutageBy
 from ..plan.plan import RunSettings
 from ..station.namespaces import NamespacePair
 

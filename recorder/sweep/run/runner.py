@@ -13,21 +13,22 @@ import signal
 import time
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.ring import ring_path
 
+from ...backends import load_backend
 from ...errors import RelayLostError
 from ..folder import TRACE_ENDINGS, clear_parts, make_parts, place_of, remove_files
+from ..plan.cells import Cell
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.flows import is_crowded, recorded_together, relay_places
 from ..plan.schedule import Estimate, start_lead_s
 from ..station.programs import Program
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
-from .missing import middlewares_of, missing_middlewares
 from .outage import Outage
 from .result import read_result
 from .split import CellPart, split_relay_trace
@@ -37,12 +38,11 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from ..plan.cells import Cell
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
     from ..plan.schedule import CellGroup
+    from ..station.devices import RelayDevice
     from ..station.station import Station
-    from .missing import Middlewares
     from .outage import OutageReport
     from .progress import SweepProgress
     from .result import CellResult
@@ -384,3 +384,44 @@ class Runner:
     def _segment_names(self, group: CellGroup) -> Iterator[str]:
         began_ms = time.time_ns() // 1_000_000
         return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))
+
+
+Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None, str | None]"
+"""Environment, backend and RMW of the ping, backend and RMW of the relay, and the middleware's own configuration."""
+
+
+def middlewares_of(cell: Cell) -> Middlewares:
+    return cell.environment, cell.backend, cell.rmw, cell.relay.backend, cell.relay.rmw, cell.configuration
+
+
+def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, str]:
+    reasons: dict[tuple[str, str | None, str | None, bool], str | None] = {}
+
+    def reason_of(backend: str, rmw: str | None, middleware: str | None, *, is_remote: bool) -> str | None:
+        key = backend, rmw, middleware, is_remote
+        if key not in reasons:
+            reasons[key] = None if is_remote else _missing_here(backend, rmw)
+            # Only the middleware itself knows which keys it knows.
+            if is_remote or (
+                not reasons[key] and (middleware is not None or load_backend(backend).environment.sources())
+            ):
+                arguments = relay_arguments(plan, Cell(backend=backend, rmw=rmw, configuration=middleware))
+                reasons[key] = device.rehearse(arguments)
+        return reasons[key]
+
+    missing = {}
+    for needed in dict.fromkeys(map(middlewares_of, plan.cells)):
+        environment, backend, rmw, relay_backend, relay_rmw, environment_name = needed
+        if environment:
+            continue
+        relay = reason_of(relay_backend, relay_rmw, environment_name, is_remote=plan.has_two_devices)
+        if reason := reason_of(backend, rmw, environment_name, is_remote=False) or relay:
+            missing[needed] = reason
+    return missing
+
+
+def _missing_here(name: str, rmw: str | None) -> str | None:
+    backend = load_backend(name)
+    if not backend.find_installed():
+        return f"{backend.label} is not here: {backend.install}"
+    return backend.missing_rmw(rmw) if rmw is not None and backend.missing_rmw is not None else None

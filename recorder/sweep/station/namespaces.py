@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
+from ..plan.cells import OutageBy
 from ..plan.link import EndCounters
-from ..plan.outage import OutageBy
 from .emulation import INTERFACE, SYSTEM_PATH, count_traffic, ip, open_tap, queue_disciplines, start_forwarder, tc
 
 if TYPE_CHECKING:

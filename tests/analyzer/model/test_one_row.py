@@ -13,7 +13,7 @@ import pytest
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.reports.html.packing import unpacked
+from dds_trace.reports.html.page import unpacked
 
 ROOT = Path(__file__).resolve().parents[3]
 MS = 1_000_000

@@ -6,8 +6,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
 
-from dds_trace.analyzer.model.runs import delivered_runs, split_runs
-from dds_trace.analyzer.model.unsent import with_unsent
+from dds_trace.analyzer.model.runs import delivered_runs, split_runs, with_unsent
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.matching import MatchedGroup
 

@@ -23,8 +23,7 @@ from trace_files import (
 
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.pairing import roundtrips
-from dds_trace.analyzer.pairing.parquet import roundtrips_writer, write_summary
-from dds_trace.analyzer.pairing.provenance import provenance
+from dds_trace.analyzer.pairing.parquet import provenance, roundtrips_writer, write_summary
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OutputError
 from dds_trace.base.version import __version__

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from trace_files import run
 
-from dds_trace.analyzer.model.unsent import MOST_MESSAGES
+from dds_trace.analyzer.model.runs import MOST_MESSAGES
 from dds_trace.analyzer.pairing.pair import MISSING, Published
 from dds_trace.analyzer.pairing.roundtrips import count_unsent, settled
 from dds_trace.tracefile.format.events import EventColumns

@@ -29,7 +29,7 @@ from dds_trace.reports.figures.lines import (
     VENDOR_COMPARISON,
 )
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
-from dds_trace.reports.html.packing import json_island
+from dds_trace.reports.html.page import json_island
 
 
 @pytest.fixture

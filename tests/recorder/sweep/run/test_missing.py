@@ -2,7 +2,7 @@
 
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.run import missing
+from dds_trace.recorder.sweep.run.runner import middlewares_of, missing_middlewares
 from dds_trace.recorder.sweep.station.devices import RelayDevice
 
 PLAN = """
@@ -29,8 +29,8 @@ class Robot(RelayDevice):
 
 def test_a_remote_device_is_asked_once_for_each_middleware():
     plan, robot = parse_plan(PLAN, "x", "x", list), Robot()
-    found = missing.missing_middlewares(plan, robot)
-    without = [cell for cell in plan.cells if missing.middlewares_of(cell) in found]
+    found = missing_middlewares(plan, robot)
+    without = [cell for cell in plan.cells if middlewares_of(cell) in found]
     assert len(plan.cells) == 8
     assert {cell.relay_backend for cell in without} == {"zenoh"}
     assert len(without) == 4
@@ -41,7 +41,7 @@ def test_a_remote_device_is_asked_once_for_each_middleware():
 
 def test_the_software_of_another_environment_is_unknown():
     plan = parse_plan('[axes]\nenvironment = "/elsewhere"\nrmw = "rmw_of_somebody_cpp"\n', "x", "x", list)
-    assert missing.missing_middlewares(plan, Robot()) == {}
+    assert missing_middlewares(plan, Robot()) == {}
 
 
 def test_an_installed_ros_middleware_is_not_missing(tmp_path, monkeypatch):

@@ -15,13 +15,7 @@ from .quick_help import argument, command_app, declare_command, option
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
-    from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.reports.comparison.info import ComparisonInfo
-
-
-class Unsure(str, Enum):
-    PASS = "pass"  # noqa: S105 - no password: to let pass
-    FAIL = "fail"
 
 
 class ComparisonReport(str, Enum):
@@ -55,9 +49,9 @@ def compare_command(
     allow_missing: Annotated[
         bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")
     ] = False,
-    inconclusive: Annotated[
-        Unsure, option("--inconclusive EXIT", "Exit of an inconclusive gate: pass (0) or fail (21).", show_default=True)
-    ] = Unsure.FAIL,
+    strict: Annotated[
+        bool, option("--strict", "Fail where a gate is inconclusive (21), in place of a warning (0).")
+    ] = False,
     paired: Annotated[
         bool, option("--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep.")
     ] = False,
@@ -97,8 +91,9 @@ def compare_command(
 
     The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
     whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new
-    side. A run that did not finish lets no gate pass. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive
-    (too few runs or messages); 22 nothing to compare (no result in common).
+    side. A gate that cannot be decided (too few runs or messages, a run that did not finish) is inconclusive: a warning, or
+    exit code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 nothing to compare
+    (no result in common).
 
         dds-analyze compare main/ branch/ --fail-if default --report md
     """
@@ -143,8 +138,10 @@ def compare_command(
         title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
         has_commands = report is ComparisonReport.GITHUB
         _print_or_write(_text(report, info, comparison, title, shows_all), out, has_commands=has_commands)
-    _print_outcome(outcome, gated=bool(results))
-    is_let_pass = outcome is GateOutcome.INCONCLUSIVE and inconclusive is Unsure.PASS
+    is_let_pass = outcome is GateOutcome.INCONCLUSIVE and not strict
+    if results or outcome is GateOutcome.NOTHING_TO_COMPARE:
+        warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
+        print(f"dds-trace compare: {outcome.value}{warning}", file=sys.stderr)
     raise typer.Exit(0 if is_let_pass else outcome.exit_code)
 
 
@@ -181,10 +178,3 @@ def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
     except OSError as err:
         raise OutputError(f"{out}: cannot be written ({err.strerror or err}); give another --out") from err
     print(f"Wrote {out}")
-
-
-def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:
-    from dds_trace.analyzer.verdicts.gate import GateOutcome
-
-    if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:
-        print(f"dds-analyze compare: {outcome.value}", file=sys.stderr)

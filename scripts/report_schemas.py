@@ -77,6 +77,7 @@ ADDED = {
     DataVerdict: {"place", "within_one_run"},
     CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio", "judgements"},
     Finding: {"subject", "cure"},
+    ChangeRow: {"base_typical_ns", "new_typical_ns"},
     Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""
@@ -325,7 +326,7 @@ def comparison_schema() -> Schema:
         "verdict": {"enum": list(WORST_FIRST), "description": "what is said of the result"},
         "where": {**text, "description": "statistics or metrics of the verdict; empty if it holds for all"},
         "delivery": {**of_record(DeliveryRow), "description": "messages of both sides"},
-        "changes": a_list(an_object(change), "one for each metric and statistic"),
+        "changes": a_list(an_object(change, ADDED[ChangeRow]), "one for each metric and statistic"),
         "distributions": a_list(an_object({"metric": text, "base": side, "new": side}), "times at fixed shares"),
     }
     result = of_record(GateResult)["properties"]
@@ -343,6 +344,10 @@ def comparison_schema() -> Schema:
         "format": {"const": comparison_document.FORMAT_VERSION},
         "said": {**text, "description": words["said"]},
         "seen": {**text, "description": words["seen"]},
+        "changed": {
+            "type": "boolean",
+            "description": "whether a gate failed, or a result is faster, slower, lost or of one side only",
+        },
         "outcome": {"enum": [*of_hint(GateOutcome)["enum"], None], "description": words["outcome"]},
         "options": {**options, "description": "how the sides were compared"},
         "sights": a_list(of_record(DetectableChange), words["sights"]),
@@ -362,7 +367,7 @@ def comparison_schema() -> Schema:
             "What `dds-analyze compare --report json` writes. A field may be added within a format; none is renamed or removed, "
             "and none changes its meaning."
         ),
-        **an_object(properties),
+        **an_object(properties, {"changed"}),
         "$defs": {"parameters": parameters(), "alone": an_object({"label": text, "parameters": group["parameters"]})},
     }
 

@@ -43,7 +43,10 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One statistic of one group on both sides. What the samples do not support is None."""
+    """One statistic of one group on both sides. What the samples do not support is None.
+
+    `typical` is of the base's and the new side's mean run, on the scale of the comparison: `ratio` and `difference` are of these two.
+    """
 
     base: Interval
     new: Interval
@@ -59,6 +62,7 @@ class Change:
     degrees: float | None = None
     pairs: int = 0
     pair_spread: float | None = None
+    typical: tuple[float | None, float | None] = (None, None)
 
     def verdict(self, same_within: float) -> Verdict:
         """Return the verdict on a time: the same if the ratio is wholly within `1 +- same_within`."""
@@ -131,7 +135,7 @@ def change_of_estimates(
     sides = base.interval, new.interval
     scale = scale_of(np.concatenate([base.units.values, new.units.values]))
     if scale is Scale.NONE:
-        return Change(*sides, Basis.BETWEEN_RUNS)
+        return Change(*sides, Basis.BETWEEN_RUNS, typical=(base.interval.value, new.interval.value))
     if scale is Scale.RECIPROCAL:
         return _change_of_reciprocals(*sides, base.units, new.units, p_of_losses)
     if scale is Scale.LINEAR:
@@ -172,6 +176,7 @@ def _change_of_logarithms(
         smallest_ratio=math.exp(smallest_shift(test.error, test.degrees, base.confidence)),
         pairs=test.pairs,
         pair_spread=test.error * math.sqrt(test.pairs) if test.pairs else None,
+        typical=(before[0], after[0]),
     )
 
 
@@ -200,6 +205,7 @@ def _change_of_values(base: Interval, new: Interval, base_units: Units, new_unit
         difference_high=test.difference + reach,
         p_value=test.p_value,
         degrees=test.degrees,
+        typical=(float(base_units.values.mean()), float(new_units.values.mean())),
     )
 
 
@@ -208,7 +214,7 @@ def _change_of_reciprocals(
 ) -> Change:
     above, below = 1 / base_units.values, 1 / new_units.values
     if not above.any() and not below.any():  # everything is lost on both sides
-        return Change(base, new, Basis.BETWEEN_RUNS)
+        return Change(base, new, Basis.BETWEEN_RUNS, typical=(math.inf, math.inf))
     test = welch_test(above, below)
     ratio_low, ratio_high = fieller_ends(above, below, test, base.confidence)
     # Where all runs of one side are lost their reciprocals do not vary, and Student's t takes five runs for certainty;
@@ -226,6 +232,7 @@ def _change_of_reciprocals(
         ratio_high=ratio_high,
         p_value=p_value,
         degrees=test.degrees,
+        typical=tuple(1 / mean if (mean := float(side.mean())) else math.inf for side in (above, below)),  # type: ignore[arg-type]
     )
 
 
@@ -254,6 +261,7 @@ def _change_within(base: Interval, new: Interval) -> Change:
         ratio=_ratio(base.value, new.value),
         ratio_low=ratio[0],
         ratio_high=ratio[1],
+        typical=(base.value, new.value),
     )
 
 
@@ -326,7 +334,13 @@ def smallest_detectable_ratio(change: Change, tests: int, confidence: float, sam
         return None
     degrees = max(1.0, math.floor(change.degrees * 4) / 4)  # as in `power.smallest_shift`
     error = math.log(change.smallest_ratio) / shift_for_power(degrees, confidence)
-    shift = error * shift_for_power(degrees, 1 - (1 - confidence) / max(1, tests))
+    shift = math.log(change.smallest_ratio) * among_tests(degrees, tests, confidence)
     reach = student_quantile((1 + confidence) / 2, degrees)
     beyond = math.log1p(same_within) + error * (student_quantile(POWER, degrees) - reach)
     return math.exp(max(shift, beyond))
+
+
+def among_tests(degrees: float, tests: int, confidence: float) -> float:
+    """Return how many times larger a change has to be to be found among so many tests, if it is the only one."""
+    degrees = max(1.0, math.floor(degrees * 4) / 4)
+    return shift_for_power(degrees, 1 - (1 - confidence) / max(1, tests)) / shift_for_power(degrees, confidence)

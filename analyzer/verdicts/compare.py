@@ -412,6 +412,8 @@ def _changes(
                 verdict=change.verdict(options.same_within).value,
                 basis=change.basis.value,
                 p_adjusted=None,
+                base_typical_ns=change.typical[0],
+                new_typical_ns=change.typical[1],
             )
             changes.append((with_clock_bounds(row, base.bound_ns, new.bound_ns), change))
         yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes

@@ -27,6 +27,8 @@ class ChangeRow:
         new_messages: messages of the new side that have it.
         base_ns: the statistic with lost messages infinitely late, ns.
         new_ns: the same of the new side.
+        base_typical_ns: the statistic of the base's typical run, ns; the change is of the typical runs.
+        new_typical_ns: the same of the new side.
         new_low_ns: lower end of the new side's own interval, ns.
         new_high_ns: its upper end, ns.
         difference_ns: new - base, ns.
@@ -78,6 +80,8 @@ class ChangeRow:
     p_value: float | None
     p_adjusted: float | None
     smallest_ratio: float | None
+    base_typical_ns: float | None
+    new_typical_ns: float | None
 
 
 def with_clock_bounds(row: ChangeRow, base_ns: int, new_ns: int) -> ChangeRow:

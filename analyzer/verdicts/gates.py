@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import counted, format_number
 
 from ..model.names import group_words, is_topic, varying_parameters
-from ..run_statistics.change import Change
+from ..run_statistics.change import Change, among_tests
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval
@@ -43,6 +43,10 @@ class GateResult:
         reason: why the outcome is inconclusive, and what it takes to decide; or what is missing.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         smallest_drop: the same of a received ratio: the smallest loss of share.
+        found_from: the change, in the unit of the limit, from which on the gate would have failed with a probability of 80 %
+            if only this group had it.
+        runs_needed: runs a side that would decide an inconclusive gate, by the spread of the runs so far.
+        runs_present: runs of the side that has fewer.
     """
 
     gate: Gate
@@ -54,6 +58,14 @@ class GateResult:
     reason: str = ""
     smallest_ratio: float | None = None
     smallest_drop: float | None = None
+    found_from: float | None = None
+    runs_needed: int | None = None
+    runs_present: int = 0
+
+
+class _Advice(NamedTuple):
+    text: str
+    runs: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +79,12 @@ class _Measured:
     high: float | None
     basis: Basis
     degrees: float | None
-    advice: str
+    advice: _Advice
     smallest_ratio: float | None
     smallest_drop: float | None = None
     p_of_lost: float = 0.0
+    runs: int = 0
+    base_ns: float = 0.0
 
     def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
         """Return the probability of an estimate this far beyond a limit that is the truth."""
@@ -91,6 +105,20 @@ class _Measured:
         degrees = math.inf if self.degrees is None else self.degrees
         reach = student_quantile((1 + confidence) / 2, degrees)
         return max(least, student_cdf(-reach * (far - at) / (far - near), degrees))
+
+    def found_from(self, gate: Gate, tests: int, confidence: float) -> float | None:
+        """Return the change in the unit of the limit that fails the gate with a probability of 80 % among so many groups."""
+        smallest = self.smallest_drop if self.smallest_ratio is None else self.smallest_ratio
+        if smallest is None or self.degrees is None or gate.against is Against.NEW:
+            return None
+        scale = among_tests(self.degrees, tests, confidence) * (1 if gate.operator in (">", ">=") else -1)
+        if self.smallest_ratio is None:
+            return gate.limit + scale * smallest
+        ratio = gate.limit if gate.against is Against.RATIO else 1 + gate.limit / self.base_ns if self.base_ns else 0.0
+        if ratio <= 0:
+            return None
+        ratio *= math.exp(scale * math.log(smallest))
+        return ratio if gate.against is Against.RATIO else (ratio - 1) * self.base_ns
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
@@ -164,21 +192,25 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
     by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
     for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):
-        is_barred = group.group in comparison.barred
-        reason = _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
+        is_equal = comparison.same_recordings and gate.against is not Against.NEW  # nothing can have changed
+        is_barred = group.group in comparison.barred and not is_equal
+        reason = "" if is_equal else _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
         unfinished = comparison.unfinished.get(group.group, 0)
-        if unfinished and not reason and outcome is GateOutcome.PASSED:
+        if unfinished and not is_equal and not reason and outcome is GateOutcome.PASSED:
             reason = f"{counted(unfinished, 'run')} did not finish: record {'it' if unfinished == 1 else 'them'} again"
         yield GateResult(
             gate=gate,
             where=f"{group.where}; {NOT_APPLIED}" if is_barred else group.where,
-            outcome=GateOutcome.INCONCLUSIVE if reason or is_barred else outcome,
+            outcome=GateOutcome.PASSED if is_equal else GateOutcome.INCONCLUSIVE if reason or is_barred else outcome,
             measured=group.value,
             low=group.low,
             high=group.high,
             reason=reason,
             smallest_ratio=group.smallest_ratio,
             smallest_drop=group.smallest_drop,
+            found_from=group.found_from(gate, len(groups), confidence),
+            runs_needed=group.advice.runs if reason and group.advice.text in reason else None,
+            runs_present=group.runs,
         )
 
 
@@ -192,10 +224,10 @@ def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_c
     if errors:
         return f"a side is not fit to be judged: {errors[0]}"
     if group.basis is Basis.WITHIN_RUN:
-        return f"{Basis.WITHIN_RUN.value}: {group.advice}"
+        return f"{Basis.WITHIN_RUN.value}: {group.advice.text}"
     if by_chance_of:
-        return f"beyond the limit, but one of {by_chance_of} results is by chance ({FAMILY}); {group.advice}"
-    return group.advice if outcome is GateOutcome.INCONCLUSIVE else ""
+        return f"beyond the limit, but one of {by_chance_of} results is by chance ({FAMILY}); {group.advice.text}"
+    return group.advice.text if outcome is GateOutcome.INCONCLUSIVE else ""
 
 
 def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
@@ -216,21 +248,24 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
             smallest_ratio=change.smallest_ratio,
             # A typical run at the limit is beyond it in every second run.
             p_of_lost=min(alpha / 2, 0.5**change.new.units) if is_of_new else (change.p_value or 0.0) / 2,
+            runs=change.new.runs if is_of_new else min(change.base.runs, change.new.runs),
+            base_ns=change.typical[0] or 0.0,
         )
 
 
-def _advice(gate: Gate, change: Change) -> str:
+def _advice(gate: Gate, change: Change) -> _Advice:
     sides = [change.new] if gate.against is Against.NEW else [change.base, change.new]
     if few := _too_few_runs(sides):
-        return few
+        return _Advice(few, MIN_RUNS)
     statistic = STATISTIC_BY_NAME[gate.statistic]
     short = [side for side in sides if side.value is None]
     if short:
-        return f"{gate.statistic} takes {statistic.needs} messages, there are {short[0].samples}"
+        return _Advice(f"{gate.statistic} takes {statistic.needs} messages, there are {short[0].samples}")
     if statistic.quantile is not None:
         more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
         if any(more):
-            return f"the tail rests on too few bursts; record about {format_number(max(m or 0 for m in more))} more messages a side"
+            messages = format_number(max(m or 0 for m in more))
+            return _Advice(f"the tail rests on too few bursts; record about {messages} more messages a side")
     runs = None
     if gate.against is Against.RATIO and gate.limit > 0:
         runs = runs_to_settle_ratio(change, gate.limit)
@@ -239,7 +274,7 @@ def _advice(gate: Gate, change: Change) -> str:
     elif gate.against is Against.NEW:
         runs = runs_to_settle_value(change.new, gate.limit)
     if runs is None:
-        return "the measured value is too close to the limit, or too much was lost, for more runs to decide"
+        return _Advice("the measured value is too close to the limit, or too much was lost, for more runs to decide")
     return _runs_would_decide(max(runs, *(side.runs + 1 for side in sides)), sides)
 
 
@@ -249,9 +284,9 @@ def _too_few_runs(sides: Sequence[Interval]) -> str:
     return f"it takes {MIN_RUNS} runs a side, there are {' and '.join(str(side.runs) for side in sides)}"
 
 
-def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> str:
+def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> _Advice:
     present = " and ".join(str(side.runs) for side in sides)
-    return f"about {runs} runs a side would decide, there are {present}"
+    return _Advice(f"about {runs} runs a side would decide, there are {present}", runs)
 
 
 def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
@@ -276,16 +311,17 @@ def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
             advice=_advice_on_received(gate.limit, value, low, high, sides),
             smallest_ratio=None,
             smallest_drop=None if is_of_new else change.smallest_drop,
+            runs=min(side.runs for side in sides),
         )
 
 
 def _advice_on_received(
     limit: float, value: float | None, low: float | None, high: float | None, sides: Sequence[Interval]
-) -> str:
+) -> _Advice:
     if few := _too_few_runs(sides):
-        return few
+        return _Advice(few, MIN_RUNS)
     if value is None or low is None or high is None or value == limit:
-        return "more runs of this kind do not decide"
+        return _Advice("more runs of this kind do not decide")
     reach = high - value if value < limit else value - low
     fewest = max(side.runs for side in sides)
     return _runs_would_decide(max(fewest + 1, math.ceil(fewest * (reach / (value - limit)) ** 2)), sides)

@@ -38,6 +38,7 @@ def render(info: ComparisonInfo, comparison: Comparison) -> str:
         "format": FORMAT_VERSION,
         "said": info.said,
         "seen": info.seen,
+        "changed": info.is_changed,
         "outcome": None if info.outcome is None else info.outcome.value,
         "options": asdict(comparison.options),
         "sights": info.sights,
@@ -115,7 +116,7 @@ def render_junit(info: ComparisonInfo) -> str:
     unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)
     counts = {"tests": str(len(results)), "failures": str(failed), "errors": "0", "skipped": str(unsure)}
     root = ET.Element("testsuites", counts)
-    suite = ET.SubElement(root, "testsuite", {"name": "dds-analyze compare", **counts, "time": "0"})
+    suite = ET.SubElement(root, "testsuite", {"name": "dds-trace compare", **counts, "time": "0"})
     for result in results:
         name = {
             "classname": printable(result.where, MAX_FINDING_CHARACTERS),

@@ -45,6 +45,8 @@ WORST_FIRST = (
     "faster",
 )
 
+UNCHANGED = {"no clear change", "too few runs", "the same"}
+
 
 @dataclass(frozen=True, slots=True)
 class ComparedGroup:
@@ -113,6 +115,12 @@ class ComparisonInfo:
     notes: tuple[str, ...]
     rules: tuple[str, ...]
 
+    @property
+    def is_changed(self) -> bool:
+        """Whether a gate failed, or a result is faster, slower, lost or of one side only."""
+        verdicts = {group.verdict for group in self.groups} - UNCHANGED
+        return bool(verdicts or self.only_base or self.only_new) or self.outcome is GateOutcome.REGRESSED
+
 
 def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
     frames = (comparison.delivery, comparison.only_base, comparison.only_new)
@@ -124,7 +132,9 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
-        said=("Both sides are the same recordings. " if comparison.same_recordings else "") + _answer(groups)
+        said="Both sides are the same recordings: nothing can have changed."
+        if comparison.same_recordings
+        else _answer(groups)
         if groups
         else "The two sides have no result in common: there is nothing to compare.",
         seen=("" if comparison.same_recordings else _seen(sights, groups, shared))

@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from ..book.groups import markdown
+from ..book.groups import joined, markdown
 from ..book.verdicts import received_words, runs_words
 from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
+    MOST_RATIO,
+    MOST_ROWS,
     VERDICTS,
+    WIDE,
     both_words,
     change_with_interval,
     change_words,
-    found_from_words,
-    gate_cells,
-    metric_words,
+    gate_notes,
+    gate_rows,
     statistic_cells,
     statistic_words,
-    time_words,
 )
-
-MOST_GROUPS = 50
-"""Results and gates without `--all`, for a comment of a pull request."""
-MOST_DRAWN = 5
-MOST_LABEL = 40
 
 _MARKS = {
     GateOutcome.PASSED: "✅",
@@ -42,59 +36,30 @@ _MARKS = {
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    most = None if shows_all else MOST_GROUPS
+    """Return the verdict, a table of at most ten rows and what to do, as a comment takes it; or everything."""
+    most = None if shows_all else MOST_ROWS
     mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
-    shown = info.groups[:most]
     lines = ["# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
-    lines += [markdown(info.seen), ""] if info.seen else []
-    lines += [*_counted_gates(info), *_picture(info.groups)]
-    folded: list[str] = []
+    lines += [markdown(info.seen), ""] if info.seen and not info.gates else []
+    hidden: Counter[str] = Counter()
     if info.gates:
-        folded += [*_table(GATE_COLUMNS, gate_cells(info.gates[:most]), right=(2, 3)), ""]
-        folded += _more(len(info.gates), "gate", shows_all=shows_all)
-    if shown:
-        folded += [*_groups(info, shown), *_more(len(info.groups), "result", shows_all=shows_all), *_statistics(shown)]
-    folded += [*(f"- {markdown(note)}" for note in info.notes), ""] if info.notes else []
+        rows, notes = gate_rows(info.gates, shows_all=shows_all), gate_notes(info.gates)
+        lines += [*_table(GATE_COLUMNS, [cells for _, cells in rows[:most]], right=(2, 3)), ""]
+        lines += [*(f"- {markdown(note)}" for note in notes[:most]), ""] if notes else []
+        hidden["gate"] = len(rows) - len(rows[:most])
+    shown = info.groups if shows_all else () if info.gates else info.groups[:most]
+    hidden["result"] = len(info.groups) - len(shown)
+    lines += _groups(info, shown) if shown else []
+    lines += _statistics(shown) if shows_all and shown else []
+    lines += [*(f"- {markdown(note)}" for note in info.notes[:most]), ""] if info.notes else []
     for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
         if names:
-            folded += [f"{title}:", "", *(f"- {markdown(name)}" for name in names[:most]), ""]
-            folded += _more(len(names), "result", shows_all=shows_all)
-    folded += [f"{markdown(rule)}\n" for rule in info.rules] if shown else []
-    if not folded:
-        return "\n".join(lines)
-    counts = ((len(info.groups), "result"), (len(info.gates), "gate"), (len(info.notes), "note"))
-    title = ", ".join(counted(count, noun) for count, noun in counts if count) or "what only one side has"
-    return "\n".join([*lines, f"<details><summary>{title}</summary>", "", *folded, "</details>", ""])
-
-
-def _counted_gates(info: ComparisonInfo) -> list[str]:
-    counts = Counter(gated.result.outcome.value for gated in info.gates)
-    words = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
-    return [f"{counted(len(info.gates), 'gate')}: {words}.", ""] if words else []
-
-
-def _picture(groups: Sequence[ComparedGroup]) -> list[str]:
-    rows = [(group, group.shown()[0]) for group in groups[:MOST_DRAWN] if group.changes]
-    rows = [
-        (group, row) for group, row in rows if all(math.isfinite(row[end] or math.inf) for end in ("base_ns", "new_ns"))
-    ]
-    if not rows:
-        return []
-    width = min(max(len(group.label) for group, _ in rows), MOST_LABEL)
-    lines = []
-    for group, row in rows:
-        longest = max(row["base_ns"], row["new_ns"], 1)
-        base, new = (
-            f"{'▇' * max(1, round(20 * row[end] / longest))} {time_words(row[end])}" for end in ("base_ns", "new_ns")
-        )
-        lines += [
-            f"{printable(group.label, width):{width}}  base {base}",
-            f"{'':{width}}  new  {new}  {change_words(row['ratio'])}, {group.verdict}",
-        ]
-    statistic = statistic_words(rows[0][1]["statistic"])
-    remaining = f" of {len(groups)}, worst first" if len(groups) > len(rows) else ""
-    title = f"{metric_words(rows[0][1]['metric'])}, {statistic}: {counted(len(rows), 'result')}{remaining}"
-    return ["<pre>", title, *(markdown(line) for line in lines), "</pre>", ""]
+            lines += [f"{title}:", "", *(f"- {markdown(name)}" for name in names[:most]), ""]
+            hidden["result"] += len(names) - len(names[:most])
+    lines += [f"{markdown(rule)}\n" for rule in info.rules] if shows_all and shown else []
+    more = [counted(count, noun) for noun, count in hidden.items() if count]
+    lines += [f"And {joined(more)} more: `dds-trace compare` with `--all` or `--report html`.", ""] if more else []
+    return "\n".join(lines)
 
 
 def _groups(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[str]:
@@ -125,7 +90,7 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
             *statistic_cells(row),
             "" if row["superiority"] is None else f"{row['superiority']:.0%}",
             runs_words(row),
-            found_from_words(row["smallest_ratio"]),
+            _found_from(row["smallest_ratio"]),
             VERDICTS[row["verdict"]],
         )
         for group in groups
@@ -144,6 +109,10 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
     ]
 
 
+def _found_from(ratio: float | None) -> str:
+    return "" if ratio is None else change_words(ratio) if ratio <= MOST_RATIO else WIDE
+
+
 def _table(names: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[int] = ()) -> list[str]:
     ruler = "|".join("---:" if column in right else "---" for column in range(len(names)))
     return [
@@ -151,8 +120,3 @@ def _table(names: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[
         f"|{ruler}|",
         *(f"| {' | '.join(map(markdown, row))} |" for row in rows),
     ]
-
-
-def _more(count: int, noun: str, *, shows_all: bool) -> list[str]:
-    remaining = 0 if shows_all else count - MOST_GROUPS
-    return [f"And {counted(remaining, noun)} more: `--all`.", ""] if remaining > 0 else []

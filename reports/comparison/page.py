@@ -23,7 +23,8 @@ from .words import (
     VERDICTS,
     both_words,
     change_words,
-    gate_cells,
+    gate_notes,
+    gate_rows,
     interval_words,
     metric_words,
     statistic_cells,
@@ -61,7 +62,8 @@ def render(info: ComparisonInfo, title: str) -> str:
         shown_labels=[statistic_words(row["statistic"]) for row in shown],
         groups=[_group(group) for group in info.groups],
         gate_columns=GATE_COLUMNS,
-        gates=gate_cells(info.gates),
+        gates=[cells for _, cells in gate_rows(info.gates, shows_all=True)],
+        gate_notes=gate_notes(info.gates),
     )
 
 

@@ -16,10 +16,9 @@ from dds_trace.base.units import counted
 
 from ..book.groups import format_ratio
 from .info import ComparedGroup, ComparisonInfo, mean_change
-from .words import Gated, both_words, change_words, statistic_words
+from .words import GATE_COLUMNS, MOST_ROWS, Gated, both_words, change_words, gate_notes, gate_rows, statistic_words
 
 WIDTH = 80
-MOST_GROUPS = 10
 COLUMN_WIDTHS = 23, 17, 9, 18
 """Message, times, each change, verdict."""
 JUDGED = ("worse", "better", "same")
@@ -44,10 +43,10 @@ def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
 def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
     # Text objects only: rich would interpret [markup] in a str.
     parts: list[RenderableType] = [Text(info.said, style="bold")]
-    parts += [Text(info.seen)] if info.seen else []
+    parts += [Text(info.seen)] if info.seen and not info.gates else []
     parts += [Text(), *_gates(info.gates, shows_all)] if info.gates else [Text()]
     if info.groups:
-        shown = info.groups if shows_all else info.groups[:MOST_GROUPS]
+        shown = info.groups if shows_all else info.groups[:MOST_ROWS]
         parts += [*_tables(info, shown), *_rest(info.groups[len(shown) :]), Text()]
     for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
         parts += _named(title, names, shows_all)
@@ -106,19 +105,29 @@ def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:
 
 
 def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
-    failed = [gate for gate in gates if gate.result.outcome is not GateOutcome.PASSED]
-    shown = gates if shows_all else failed[:MOST_GROUPS]
-    lines = [Text(gate.line, style=_OUTCOME_COLORS.get(gate.result.outcome, "yellow")) for gate in shown]
-    if not shows_all:
-        hidden, passed = len(failed) - len(shown), len(gates) - len(failed)
-        lines += [Text(f"and {hidden} more that did not pass: --all", style="dim")] if hidden else []
-        lines += [Text(f"passed: {counted(passed, 'gate')}", style="green")] if passed else []
-    return [*lines, Text()]
+    rows, notes = gate_rows(gates, shows_all=shows_all), gate_notes(gates)
+    most = None if shows_all else MOST_ROWS
+    parts: list[RenderableType] = []
+    shown = [
+        (("", *(title.lower() for title in GATE_COLUMNS[1:4]), ""), "dim"),
+        *((cells, _OUTCOME_COLORS.get(outcome, "yellow")) for outcome, cells in rows[:most]),
+    ]
+    widths = [max(len(cells[column]) for cells, _ in shown) for column in range(4)]
+    previous = ""
+    for cells, color in shown:
+        parts += [Text(cells[4], style="bold")] if cells[4] != previous else []
+        previous = cells[4]
+        line = Text("  ".join(cell.ljust(width) for cell, width in zip(cells[:4], widths, strict=True)).rstrip())
+        line.stylize(color, 0, None if color == "dim" else 1)
+        parts.append(line)
+    hidden = len(rows[most:]) + len(notes[most:]) if most else 0
+    more = [Text(f"and {hidden} more: --all", style="dim")] if hidden else []
+    return [*parts, *map(Text, notes[:most]), *more, Text()]
 
 
 def _named(title: str, names: Sequence[str], shows_all: bool) -> list[RenderableType]:
     if not names:
         return []
-    shown = names if shows_all else names[:MOST_GROUPS]
+    shown = names if shows_all else names[:MOST_ROWS]
     more = [Text(f"  and {len(names) - len(shown)} more: --all", style="dim")] if len(shown) < len(names) else []
     return [Text(f"{title}:"), *(Text(f"  {name}") for name in shown), *more, Text()]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dds_trace.analyzer.verdicts.gate import Against
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
 from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, format_duration, format_number, three_digits
+from dds_trace.base.units import MISSING, counted, format_duration, format_number, three_digits
 
 from ..book.groups import ALL_METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
 from ..book.verdicts import episodes_words
@@ -41,22 +43,16 @@ def unjudged_words(statistics: Sequence[str]) -> list[str]:
     return [f"{reason} to judge {joined(names)}" for reason, names in reasons if names]
 
 
-def found_from_words(ratio: float | None) -> str:
-    if ratio is None:
-        return ""
-    return change_words(ratio) if ratio <= MOST_RATIO else WIDE
-
-
 def time_words(value_ns: float | None) -> str:
     return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
 
 
 def both_words(row: Mapping[str, Any]) -> str:
-    return f"{time_words(row['base_ns'])} → {time_words(row['new_ns'])}"
+    return f"{time_words(row['base_typical_ns'])} → {time_words(row['new_typical_ns'])}"
 
 
 def side_words(row: Mapping[str, Any], side: str) -> str:
-    value_ns, received_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
+    value_ns, received_ns = row[f"{side}_typical_ns"], row[f"{side}_survivors_ns"]
     words = time_words(value_ns)
     if words == LOST and received_ns is not None:
         words += f" (received {format_duration(received_ns)})"
@@ -129,7 +125,13 @@ def gate_interval_words(result: GateResult) -> str:
     is_ratio = result.gate.against is Against.RATIO or (result.gate.statistic and result.gate.against is Against.NEW)
     if is_ratio and low is not None and high is not None and _is_wide(low, high):
         return WIDE
-    return f"{measured_words(result, low)} to {measured_words(result, high)}"
+    return ends_words(measured_words(result, low), measured_words(result, high))
+
+
+def ends_words(low: str, high: str) -> str:
+    """Return `-3 to +5 %` of two ends with the same unit."""
+    _, space, unit = high.rpartition(" ")
+    return f"{low.removesuffix(space + unit)} to {high}"
 
 
 def why_words(result: GateResult) -> str:
@@ -154,18 +156,67 @@ class Gated:
         return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (f": {why}" if why else "")
 
 
-GATE_COLUMNS = ("Gate", "Result", "Measured", "Interval", "Outcome", "Why")
+MARKS = {GateOutcome.PASSED: "✓", GateOutcome.REGRESSED: "✗", GateOutcome.INCONCLUSIVE: "?"}
+GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Found (80 %) from", "Result")
+MOST_ROWS = 10
+"""Rows and notes without `--all`."""
+
+GateCells = tuple[str, str, str, str, str]
 
 
-def gate_cells(gates: Sequence[Gated]) -> list[tuple[str, str, str, str, str, str]]:
-    return [
-        (
-            gated.result.gate.text,
-            gated.where,
-            measured_words(gated.result, gated.result.measured),
-            gate_interval_words(gated.result),
-            gated.result.outcome.value,
-            why_words(gated.result),
-        )
+def gate_rows(gates: Sequence[Gated], *, shows_all: bool = False) -> list[tuple[GateOutcome, GateCells]]:
+    """Return a row for each failed gate and result, then one for each other gate, of the result that is nearest to failing."""
+    rows: dict[object, list[Gated]] = {}
+    for number, gated in enumerate(gates):
+        is_single = shows_all or gated.result.outcome is GateOutcome.REGRESSED
+        rows.setdefault(number if is_single else (gated.result.outcome, gated.result.gate.text), []).append(gated)
+    return [(alike[0].result.outcome, _gate_cells(alike)) for alike in rows.values()]
+
+
+def _gate_cells(alike: Sequence[Gated]) -> GateCells:
+    is_above = alike[0].result.gate.operator in (">", ">=")
+    measured = [gated for gated in alike if gated.result.measured is not None] or alike
+    worst = max(measured, key=lambda gated: (gated.result.measured or 0.0) * (1 if is_above else -1))
+    found = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
+    words = measured_words(worst.result, worst.result.measured)
+    interval = gate_interval_words(worst.result)
+    _, space, unit = words.rpartition(" ")
+    more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
+    return (
+        MARKS[worst.result.outcome],
+        worst.result.gate.text,
+        words if worst.result.low is worst.result.high is None else f"{words} ({interval.removesuffix(space + unit)})",
+        _range_words(*(found_from_words(worst.result, end) for end in (found[0], found[-1]))) if found else "",
+        worst.where + more,
+    )
+
+
+def _range_words(least: str, most: str) -> str:
+    return least if least == most else ends_words(least, most)
+
+
+def found_from_words(result: GateResult, found: float) -> str:
+    is_ratio = result.gate.against is Against.RATIO
+    return WIDE if is_ratio and found > MOST_RATIO else measured_words(result, found)
+
+
+def gate_notes(gates: Sequence[Gated]) -> list[str]:
+    """Return why gates failed that measured nothing, and once what it takes to decide the others."""
+    notes = [
+        f"{gated.result.gate.text}: {gated.where}: {gated.result.reason}"
         for gated in gates
+        if gated.result.outcome is GateOutcome.REGRESSED and gated.result.reason
     ]
+    unsure = [gated for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
+    by_runs = [gated for gated in unsure if gated.result.runs_needed is not None]
+    if by_runs:
+        most = max(by_runs, key=lambda gated: gated.result.runs_needed or 0)
+        result, present = most.result, min(gated.result.runs_present for gated in by_runs)
+        where = f" ({result.gate.text} in {most.where} takes most)" if len(by_runs) > 1 else ""
+        rests = f"an estimate from the spread of {present} runs" if present >= MIN_RUNS else f"there are {present}"
+        notes.append(
+            f"Undecided: {counted(len(by_runs), 'gate')}; {result.runs_needed} runs a side would decide{where}: {rests}."
+        )
+    others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.runs_needed is None)
+    notes += [f"Undecided: {counted(count, 'gate')}: {reason}." for reason, count in others.items()]
+    return [printable(note, MAX_FINDING_CHARACTERS) for note in notes]

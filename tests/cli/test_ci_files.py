@@ -127,7 +127,7 @@ def test_a_stock_runner_gets_ros_2_and_one_that_has_it_does_not(desk, has_ros, e
 
 @pytest.mark.middleware
 def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comment_anew(desk):
-    job = Job(desk(repeats=1), base="main/plan.toml", new="plan.toml", inconclusive="pass", looks="2")
+    job = Job(desk(repeats=1), base="main/plan.toml", new="plan.toml", looks="2")
     done = job.run("compare")
     assert done.returncode == 0, done.stderr
     first = done.stdout.splitlines()[0]
@@ -144,7 +144,7 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
 
     verdict = job.run("verdict")
     assert (verdict.returncode, "::warning::" in verdict.stdout) == (0, True)
-    strict = Job(job.folder, inconclusive="fail")
+    strict = Job(job.folder, strict="true")
     strict._values |= {name: value for name, value in job._values.items() if name.startswith("steps.")}
     assert strict.run("verdict").returncode == 21
 

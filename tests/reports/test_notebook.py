@@ -69,7 +69,7 @@ def test_a_comparison_shows_its_answer_a_row_a_result_and_what_is_left_out():
     campaign = CAMPAIGNS["500 groups"]()
     html = compare(campaign, campaign)._repr_html_()
     text = " ".join(Screen(html).texts)
-    assert text.startswith("Both sides are the same recordings.")
+    assert text.startswith("Both sides are the same recordings")
     rows = html.count("<tr ")
     assert f"And {len(campaign.summary) - rows} more results." in text
     apart = compare(campaign, make_analysis(Measured([1_000_000] * 3, payload_bytes=77)))

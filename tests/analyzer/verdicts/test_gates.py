@@ -19,6 +19,7 @@ from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import DEFAULT_GATES, Against, GateOutcome, parse_gate, parse_gates
 from dds_trace.analyzer.verdicts.gates import (
+    _Advice,
     _advice,
     _advice_on_received,
     _Measured,
@@ -252,7 +253,7 @@ Z = 1.959963984540054
     ],
 )
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
-    judged = _Measured("", (), value, low, high, Basis.BETWEEN_RUNS, None, "", None)
+    judged = _Measured("", (), value, low, high, Basis.BETWEEN_RUNS, None, _Advice(""), None)
     assert judged.p_beyond(limit, 0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
     few = replace(judged, degrees=2).p_beyond(limit, 0.95, is_ratio=is_ratio)
     assert few > p or p in {0.0, 0.025}
@@ -288,7 +289,7 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
 
     def advice(base_runs):
         base = [] if gate.against is Against.NEW else [side(1.0, 0.9, 1.0, runs=base_runs)]
-        return _advice_on_received(gate.limit, value, low, high, [*base, new])
+        return _advice_on_received(gate.limit, value, low, high, [*base, new]).text
 
     assert numbers(advice(3)) == wanted
     assert ("would decide" if wanted else "do not decide") in advice(3)
@@ -313,8 +314,8 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
 def test_how_many_runs_a_time_takes(text, wanted, sentences):
     base = side(10.0 * MS, 9.0 * MS, 11.0 * MS, runs=3, spread=0.05)
     new = side(11.0 * MS, 10.0 * MS, 12.0 * MS, spread=0.05)
-    said = _advice(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
-    assert numbers(said) == wanted
+    said, runs = _advice(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
+    assert (numbers(said), runs) == (wanted, wanted[0] if wanted else None)
     assert ("would decide" if wanted else "too close to the limit") in said
     sentences(said)
 
@@ -387,7 +388,7 @@ def test_what_keeps_a_time_from_being_decided_comes_first(sentences):
         (whole, short, ("messages", [100, 40]), ("messages", [100, 40])),
     ):
         change = Change(before, now, Basis.BETWEEN_RUNS, ratio=1.0)
-        reasons += [_advice(by_ratio, change), _advice(by_value, change)]
+        reasons += [_advice(gate, change).text for gate in (by_ratio, by_value)]
         taken = [(re.findall(r"takes \d+ (\w+)", said), numbers(said)) for said in reasons[-2:]]
         assert taken[0] == ([relative[0]], relative[1])
         assert taken[1] == ([alone[0]], alone[1]) if alone else reasons[-1].startswith("about ")

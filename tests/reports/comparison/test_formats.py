@@ -66,7 +66,7 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
     for text in (short, whole):
         assert max(map(len, text.splitlines())) <= 80
         assert " ".join(text.split()).startswith(info.said)
-        assert text.index("a change of the median from") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
+        assert text.index("✗  latency_p50 > +10%") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
         assert "+100 %" in text
         assert text.index("Geometric mean") > text.rindex("Binary 1 KB at")
         assert "in the base:\n  Binary 7 B" in text
@@ -75,20 +75,17 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
     assert whole.count("the same\n") == 29
     assert short.count("the same\n") == 9
     assert "20 results more (20 the same)" in short
-    assert "passed: 29 gates" in short
-    assert short.count("\nregressed: ") == 2
+    assert [short.count(f"\n{mark} ") for mark in "✓✗"] == [1, 2]
+    assert [whole.count(f"\n{mark} ") for mark in "✓✗"] == [29, 2]
 
 
 def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
-    text = markdown.render(compared()[1])
-    title, answer, gates, picture, folded, *_ = text.split("\n\n")
+    text = markdown.render(compared()[1], shows_all=True)
+    title, answer, gates, notes, *_ = text.split("\n\n")
     assert title == "# Comparison of latency"
     assert answer.startswith("**❌ Regressed: Slower in 1 of")
-    assert numbers(gates) == [4, 1, 1, 2]
-    assert picture.startswith("<pre>\nLatency, median: 1 result\n")
-    base, new = (html.unescape(line) for line in picture.splitlines()[2:4])
-    assert (base.count("▇"), new.count("▇")) == (17, 20), "5 ms and 6 ms"
-    assert folded == "<details><summary>1 result, 4 gates</summary>"
+    assert [line[:3] for line in gates.splitlines()[2:]] == ["| &", "| ?", "| &", "| &"]
+    assert notes.startswith("- Undecided: 1 gate")
     assert text.index("| Gate |") < text.index("| Latency | Median |") < text.index("Every statistic")
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
@@ -102,6 +99,30 @@ def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
     assert rows[1][1:] == ["Latency median", "5 ms", "6 ms", "+20 %", "+20 to +20 %", "0%", "3 and 3", "0 %", "slower"]
     assert rows[2][1:6] == ["Latency p99", "5 ms", "6 ms", "+20 %", "-"]
     assert rows[2][7:] == ["3 and 3, within one run", "", "no clear change"]
+
+
+@pytest.mark.parametrize("times", [1, 300])
+def test_a_comment_has_one_table_of_ten_rows_and_60_000_characters_at_most(times):
+    label = HOSTILE * 20
+    for _, info in (many(), compared(bridge=label, vendor=label)):
+        wide = replace(info, gates=info.gates * times, notes=(label[:4000],) * times, only_base=(label,) * times)
+        text = markdown.render(wide)
+        assert sum(line.startswith("| ") for line in text.splitlines()) <= 1 + 10
+        assert len(text) < 60_000
+        assert ("--all" in text) == (times > 1 or len(info.groups) > 1 or len(info.gates) > 0)
+
+
+def test_what_changed_is_worth_a_comment():
+    equal = comparison_info(compare_roundtrips(in_runs([MS] * 40), in_runs([MS] * 40)))
+    assert [info.is_changed for info in (many()[1], compared()[1], equal)] == [True, True, False]
+
+
+def test_the_change_of_a_row_is_that_of_the_two_times_next_to_it():
+    base = pl.concat([in_runs([MS] * 400, runs=4, spread=0.5), steady([None] * 400, run_id=9)])  # one run lost all
+    _, info = _with_info(compare_roundtrips(base, in_runs([MS] * 400, runs=5, spread=0.5)))
+    for row in info.groups[0].shown()[:1]:
+        assert row["new_typical_ns"] / row["base_typical_ns"] == pytest.approx(row["ratio"])
+        assert row["new_ns"] / row["base_ns"] != pytest.approx(row["ratio"], rel=0.05)
 
 
 def test_markdown_of_nothing():
@@ -246,13 +267,13 @@ def test_a_long_page_shows_50_results_then_more_and_paper_gets_all(tmp_path):
 
 def test_hostile_strings_stay_strings():
     _, info = compared(bridge=HOSTILE, vendor=HOSTILE)
-    text = markdown.render(info)
+    text = markdown.render(info, shows_all=True)
     assert "<script" not in text
     assert "](http" not in text
     assert "\x1b" not in text
     assert "@you" not in text
     assert len([line for line in text.splitlines() if line.startswith("#")]) == 1
-    for start, bars in (("| Latency | Median", 6), ("| Result | Time", 11), ("| Gate", 7)):
+    for start, bars in (("| Latency | Median", 6), ("| Result | Time", 11), ("|  | Gate", 6)):
         table = text[text.index(start) :].partition("\n\n")[0]
         assert {line.count("|") for line in table.splitlines()} == {bars}
     assert "\x1b" not in terminal.render(info)

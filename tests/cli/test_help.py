@@ -30,7 +30,7 @@ HEAVY = (
     *("dask", "distributed", "fsspec", "s3fs", "pydantic", "sqlite3", "asyncio", "ssl"),
 )
 NOT_FOR_A_TABLE = {
-    *("scipy", "pandas", "plotly", "jinja2", "rclpy", "cyclonedds", "zenoh", "rti", "rosbags", "psutil"),
+    *("pandas", "plotly", "jinja2", "rclpy", "cyclonedds", "zenoh", "rti", "rosbags", "psutil"),
     *("dask", "distributed", "fsspec", "s3fs", "pydantic", "pygments", "markdown_it"),
 }
 NOT_FOR_A_PING = {*HEAVY} - {"numpy", "rich", "mcap", "cramjam", "zstandard", "isal", "psutil", "asyncio", "ssl"}

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.statistics.distributions import (
-    _student_density,
     incomplete_beta,
     poisson_cdf,
     poisson_limits,
@@ -43,14 +42,6 @@ def test_quantiles_with_one_two_and_four_degrees_have_closed_forms(probability):
 )
 def test_quantiles_are_those_of_a_library(probability, degrees, quantile):
     assert student_quantile(probability, degrees) == pytest.approx(quantile, rel=1e-9)
-
-
-@pytest.mark.parametrize("t", [0.0, 0.7, 3.0, 40.0])
-def test_densities_with_one_two_and_three_degrees_have_closed_forms(t):
-    assert _student_density(t, 1) == pytest.approx(1 / (math.pi * (1 + t * t)), rel=1e-12)
-    assert _student_density(t, 2) == pytest.approx((2 + t * t) ** -1.5, rel=1e-12)
-    of_three = 2 / (math.pi * math.sqrt(3) * (1 + t * t / 3) ** 2)
-    assert _student_density(t, 3) == pytest.approx(of_three, rel=1e-12)
 
 
 @given(t=st.floats(-50, 50), degrees=st.floats(0.5, 500))

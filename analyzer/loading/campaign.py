@@ -143,7 +143,7 @@ def load_campaign(
         if not isinstance(trace, TraceFormatError):
             loaded.append(trace.at(len(loaded)))
         elif candidates == [path]:
-            raise trace
+            raise TraceFormatError(path, _archive_words(path)) if _is_archive(path) else trace
         else:
             skipped.append(skipped_source(candidate, path, trace.what))
     if candidates != [path]:
@@ -238,12 +238,22 @@ def _relative(path: Path, folder: Path) -> str:
     return "/".join(below) or path.name
 
 
+def _is_archive(path: Path) -> bool:
+    return path.name.endswith((".tar.xz", ".tar.gz", ".tgz", ".tar", ".zip"))
+
+
+def _archive_words(path: Path) -> str:
+    return f"an archive of traces, not a trace; mkdir opened && tar -xf {path} -C opened, and give opened"
+
+
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
     named_files = [f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]]
     more = len(skipped) - len(named_files)
     listed = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
     listed += FOREIGN_HINT if foreign else ""
+    archive = next((path / source.path for source in skipped if _is_archive(Path(source.path))), None)
+    listed += "" if archive is None else f"; {archive} is {_archive_words(archive)}"
     return f"{path}: no trace here" + (
         f": looked at {listed}" if listed else ", the folder is empty; give the folder that dds-record wrote into"
     )

@@ -1,15 +1,17 @@
 """`action.yml` and the example for GitLab: their scripts are taken out of the files and run, on the socket backend.
 
-`gh`, `git` and `curl` are stand-ins that write down what they were called with.
+`gh`, `git` and `curl` are stand-ins that write down what they were called with, and answer what `ANSWER` says.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -38,7 +40,8 @@ rate = 200
 """
 STAND_IN = """#!/bin/bash
 printf '%s\\n' "$0 $*" >> calls.log
-case "$*" in *--jq*) printf '%s' "$COMMENTS" ;; esac
+case "$*" in *"api user"*) [ -n "$LOGIN" ] && echo "$LOGIN" || exit 1 ;; *--jq*) printf '%s' "$COMMENTS" ;; esac
+case "$*" in */user) echo '{"id": 5}' ;; */notes?per*) printf '%s' "$NOTES" ;; esac
 """
 
 
@@ -78,12 +81,13 @@ class Job:
         self.folder = folder
         self._values = {f"inputs.{name}": each.get("default", "") for name, each in ACTION["inputs"].items()}
         self._values |= {f"inputs.{name.replace('_', '-')}": value for name, value in inputs.items()}
-        self._values |= {"github.repository": "robots/arm", "github.event.pull_request.number": "7"}
+        self._values |= {"github.repository": "robots/arm"}
+        self.event("7", "robots/arm")
 
     def run(self, step, **environment):
         output = self.folder / f"output-{step}"
         env = {
-            name: EXPRESSION.sub(lambda found: self._values[found[1]], text)
+            name: EXPRESSION.sub(lambda found: self._values.get(found[1], ""), str(text))
             for name, text in STEPS[step]["env"].items()
         }
         files = {"GITHUB_OUTPUT": str(output), "GITHUB_STEP_SUMMARY": str(self.folder / "summary.md")}
@@ -92,6 +96,13 @@ class Job:
             said = dict(line.split("=", 1) for line in output.read_text().splitlines())
             self._values |= {f"steps.{step}.outputs.{name}": value for name, value in said.items()}
         return done
+
+    def event(self, number, head):
+        """A pull request of a repository; a push has neither."""
+        self._values |= {"github.event.pull_request.number": number}
+        self._values |= {"github.event.pull_request.head.repo.full_name": head}
+        terms = (EXPRESSION.sub(lambda found: self._values.get(found[1], ""), STEPS["comment"]["if"]), number)
+        return all(terms)
 
 
 def test_every_expression_of_the_action_names_something_that_is_there():
@@ -102,7 +113,7 @@ def test_every_expression_of_the_action_names_something_that_is_there():
             assert rest in ACTION["inputs"]
         elif room == "steps":
             step, _, output = rest.partition(".outputs.")
-            assert f"{output}=" in STEPS[step]["run"].replace("$side=", "base= new=")
+            assert f"output {output} " in STEPS[step]["run"].replace('"$side"', "base output new ")
         else:
             assert room == "github"
 
@@ -126,8 +137,9 @@ def test_a_stock_runner_gets_ros_2_and_one_that_has_it_does_not(desk, has_ros, e
 
 
 @pytest.mark.middleware
-def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comment_anew(desk):
+def test_an_undecided_action_passes_with_a_warning_or_fails_and_says_nothing_new(desk):
     job = Job(desk(repeats=1), base="main/plan.toml", new="plan.toml", looks="2")
+    (job.folder / "dds-trace.toml").write_text("[compare]\nallow-missing = true\nlooks = 99\n")  # decides nothing
     done = job.run("compare")
     assert done.returncode == 0, done.stderr
     first = done.stdout.splitlines()[0]
@@ -141,23 +153,68 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
     assert (suites.get("tests"), suites.get("skipped")) == ("3", "3")
     assert len(re.findall("^::warning title=", done.stdout, re.MULTILINE)) == 3
     assert '"message": "inconclusive"' in (job.folder / "dds-trace/badge.json").read_text()
+    for strict, status in (("false", 0), ("true", 21)):
+        verdict = job.run("verdict", STRICT=strict)
+        assert (verdict.returncode, "::warning::" in verdict.stdout) == (status, status == 0)
+    assert job.run("comment", COMMENTS="").returncode == 0
+    assert "POST" not in (job.folder / "calls.log").read_text(), "nothing changed"
 
-    verdict = job.run("verdict")
-    assert (verdict.returncode, "::warning::" in verdict.stdout) == (0, True)
-    strict = Job(job.folder, strict="true")
-    strict._values |= {name: value for name, value in job._values.items() if name.startswith("steps.")}
-    assert strict.run("verdict").returncode == 21
 
-    for comments in ("", "31\n42"):
-        assert job.run("comment", COMMENTS=comments).returncode == 0
-    calls = (job.folder / "calls.log").read_text().splitlines()
-    asked, posted, _, patched = (call.split("/bin/gh ")[1] for call in calls)
-    assert asked.startswith("api --paginate repos/robots/arm/issues/7/comments --jq ")
-    body = "--field body=@dds-trace/comment.md"
-    assert posted == f"api --method POST repos/robots/arm/issues/7/comments {body}"
-    assert patched == f"api --method PATCH repos/robots/arm/issues/comments/31 {body}"
-    mark, title = (job.folder / "dds-trace/comment.md").read_text().splitlines()[:2]
-    assert (mark, title) == ("<!-- dds-trace -->", "# Comparison of latency")
+@pytest.mark.parametrize(
+    ("changed", "comments", "head", "login", "method"),
+    [
+        ("true", "", "robots/arm", "", "POST"),
+        ("false", "", "robots/arm", "", None),
+        ("false", "31\n42", "robots/arm", "robot", "PATCH"),
+        ("true", "", "stranger/arm", "", None),
+    ],
+)
+def test_a_comment_comes_where_something_changed_and_only_an_own_one_is_updated(
+    desk, changed, comments, head, login, method
+):
+    job = Job(desk(repeats=1))
+    assert not job.event("", ""), "a push has no comments"
+    assert job.event("7", head)
+    (job.folder / "dds-trace").mkdir()
+    (job.folder / "dds-trace/comparison.md").write_text("# Comparison of latency\n")
+    job._values["steps.compare.outputs.changed"] = changed
+    done = job.run("comment", COMMENTS=comments, LOGIN=login)
+    assert done.returncode == 0, done.stderr
+    log = job.folder / "calls.log"
+    calls = [call.split("/bin/gh ")[1] for call in log.read_text().splitlines()] if log.exists() else []
+    if head == "stranger/arm":
+        assert (calls, "::notice::" in done.stdout) == ([], True)
+        return
+    assert calls[0] == "api user --jq .login"
+    assert "select(.user.login == $ENV.AUTHOR and" in calls[1]
+    number = "issues/comments/31" if comments else "issues/7/comments"
+    sent = f"api --method {method} repos/robots/arm/{number} --field body=@dds-trace/comment.md"
+    assert calls[2:] == ([sent] if method else [])
+    assert (job.folder / "dds-trace/comment.md").read_text().startswith("<!-- dds-trace compare -->\n# Comparison")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "status", "word"),
+    [
+        ({"looks": "99"}, 2, "looks"),
+        ({"strict": "yes"}, 2, "strict"),
+        ({"new": "missing.toml"}, 2, "missing.toml"),
+        ({"base": "main/other.toml"}, 0, "No base yet"),
+        ({"fail_if": "latncy_p50 > +10%"}, 2, "did you mean"),
+        ({"new": "notes.txt"}, 2, "--against"),
+    ],
+)
+def test_an_input_that_is_refused_and_a_first_pull_request_are_one_line(desk, inputs, status, word):
+    job = Job(desk(repeats=1), **{"base": "main/plan.toml", "new": "plan.toml", **inputs})
+    (job.folder / "notes.txt").write_text("no plan\n")
+    done = job.run("compare")
+    said = done.stdout + done.stderr
+    assert (done.returncode, word in said, said.count("\n")) == (status, True, 1), said
+    assert not (job.folder / "dds-trace/looks").exists()
+    if status == 0:
+        assert (job.run("verdict").returncode, job.run("comment").returncode) == (0, 0)
+        assert "No base yet" in (job.folder / "summary.md").read_text()
+        assert not (job.folder / "calls.log").exists()
 
 
 @pytest.mark.middleware
@@ -174,22 +231,128 @@ def test_an_action_whose_gate_fails_ends_with_its_exit_code(desk):
     assert failed == ["latency_p50 > 100ns"]
 
 
-@pytest.mark.middleware
-def test_the_example_for_gitlab_ends_with_the_code_that_its_job_allows_and_leaves_a_note(desk):
+DRIVER = """
+import socket, time
+class Slow(socket.socket):
+    def sendmsg(self, *arguments):
+        time.sleep({delay})
+        return super().sendmsg(*arguments)
+socket.socket = Slow
+"""
+
+
+def environment(folder, delay):
+    """A Python environment with dds-trace and a package of the pull request, a driver that waits before it sends."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    installed = next(path for path in sys.path if path.endswith("site-packages"))
+    (site / "radio_driver.py").write_text(DRIVER.format(delay=delay))
+    (site / "installed.pth").write_text(f"import site; site.addsitedir({installed!r})\nimport radio_driver\n")
+    for name in ("dds-record", "dds-sweep", "dds-analyze"):
+        program = folder / "bin" / name
+        program.write_text(
+            (Path(sys.executable).parent / name).read_text().replace(sys.executable, f"{folder}/bin/python")
+        )
+        program.chmod(0o755)
+    return folder
+
+
+def workflows():
+    """The workflows of the page: each indented block that has jobs."""
+    page = (ROOT / "docs/how-to/ci.md").read_text()
+    blocks = re.findall(r"(?m)(?:^ {4,}\S.*\n|^ *\n(?= {4,}\S))+", page)
+    return [yaml.safe_load(dedent(block)) for block in blocks if re.search(r"(?m)^ +jobs:", block)]
+
+
+def test_the_first_workflow_of_the_page_installs_both_sides_and_gives_them_to_the_action(desk):
     folder = desk(repeats=1)
+    python = folder / "bin/python3"
+    python.write_text('#!/bin/bash\nmkdir -p "$3/bin"; ln -s "$PWD/bin/gh" "$3/bin/python"\n')
+    python.chmod(0o755)
+    first = workflows()[0]["jobs"]["latency"]["steps"]
+    (script,) = (step["run"] for step in first if "run" in step)
+    done = bash(script, folder, {"RUNNER_TEMP": str(folder / "temp"), "GITHUB_PATH": str(folder / "path")})
+    assert done.returncode == 0, done.stderr
+    calls = [call.partition("temp/")[2] for call in (folder / "calls.log").read_text().splitlines()]
+    install = "bin/python -m pip install --quiet dds-trace[analyze,ros2]"
+    assert calls == [f"base/{install} ./main", f"new/{install} ."]
+    assert (folder / "path").read_text() == f"{folder}/temp/base/bin\n"
+    (given,) = (step["with"] for step in first if step.get("uses", "").startswith("OWNER/dds-trace"))
+    assert given.keys() <= ACTION["inputs"].keys()
+    assert (given["base"], given["new"]) == ("main/plan.toml", "${{ runner.temp }}/new")
+
+
+@pytest.mark.parametrize(
+    ("answers", "looks", "status"), [([21, 21, 20], 3, 20), ([0], 1, 0), ([21], 2, 21), ([6], 1, 6)]
+)
+def test_the_action_ends_with_the_first_decision(desk, answers, looks, status):
+    """Stand-ins for both programs; asked for JSON, the comparison ends with the next answer."""
+    folder = desk(repeats=1)
+    sweep = 'for a; do [ "$last" = --out ] && out=$a; last=$a; done; mkdir -p "$out/base" "$out/new"\n'
+    sweep += 'echo "{\\"base\\": \\"$out/base\\", \\"new\\": \\"$out/new\\"}"\n'
+    analyze = 'for a; do out=$a; done; case "$*" in *--out*) ;; *) exit 4 ;; esac\n'
+    analyze += f'case "$*" in *json*) echo . >> asked; echo \'{{"changed": false}}\' > "$out"; answers=({" ".join(map(str, answers))})\n'
+    analyze += f'n=$(wc -l < asked); exit "${{answers[n-1]:-{answers[-1]}}}" ;; *) echo > "$out" ;; esac\n'
+    for name, script in (("dds-sweep", sweep), ("dds-analyze", analyze)):
+        (folder / "bin" / name).write_text(f"#!/bin/bash\n{script}")
+        (folder / "bin" / name).chmod(0o755)
+    job = Job(folder, base="main/plan.toml", new="plan.toml", strict="true", looks="2" if looks == 2 else "5")
+    done = job.run("compare")
+    assert done.returncode == (0 if status != 6 else 6), done.stderr
+    sides = [sorted(path.name for path in (folder / "dds-trace" / side).iterdir()) for side in ("base", "new")]
+    assert sides == [[str(look) for look in range(1, looks + 1)]] * 2
+    assert status == 6 or job.run("verdict").returncode == status
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize(("delay", "status"), [(0.0, 0), (0.004, 20)])
+def test_a_slower_package_in_the_environment_of_the_pull_request_fails_the_gate(desk, tmp_path, delay, status):
+    folder = desk(repeats=3)
+    base, new = (environment(tmp_path / name, late) for name, late in (("base", 0.0), ("new", delay)))
+    job = Job(folder, base="plan.toml", new=str(new), fail_if="latency_p50 > +50%", looks="1")
+    done = job.run("compare", PATH=f"{folder / 'bin'}:{base / 'bin'}:{os.environ['PATH']}")
+    assert done.returncode == 0, done.stderr
+    assert job.run("verdict").returncode == status, (folder / "summary.md").read_text()
+    compared = json.loads((folder / "dds-trace/comparison.json").read_text())
+    assert {row["pairs"] for row in compared["groups"][0]["changes"] if row["statistic"] == "p50"} == {3}
+
+
+@pytest.mark.middleware
+@pytest.mark.parametrize(
+    ("gate", "notes", "sent"),
+    [
+        ("default", [], None),
+        ("default", [{"id": 3, "author": {"id": 9}}, {"id": 4, "author": {"id": 5}}], "PUT"),
+        ("latency_p50 > 100ns", [{"id": 3, "author": {"id": 9}}], "POST"),
+    ],
+)
+def test_the_example_for_gitlab_ends_with_the_code_that_its_job_allows_and_leaves_a_note(desk, gate, notes, sent):
+    folder = desk(repeats=1 if gate == "default" else 3)
     variables = {
         "CI_MERGE_REQUEST_TARGET_BRANCH_NAME": "main",
         "CI_API_V4_URL": "https://gitlab.example/api/v4",
         "CI_PROJECT_ID": "12",
         "CI_MERGE_REQUEST_IID": "34",
         "LATENCY_TOKEN": "secret",
+        "NOTES": json.dumps([{**note, "body": "<!-- dds-trace compare -->"} for note in notes]),
     }
-    done = bash("\n".join(GITLAB["script"]), folder, variables)
-    assert done.returncode in GITLAB["allow_failure"]["exit_codes"], done.stderr
+    script = "\n".join(GITLAB["script"]).replace("--fail-if default", f"--fail-if '{gate}'")
+    done = bash(script.replace("1 2 3 4 5", "1"), folder, GITLAB["variables"] | variables)
+    assert done.returncode in ([20] if sent == "POST" else GITLAB["allow_failure"]["exit_codes"]), done.stderr
     assert done.stdout.startswith("up to 5 looks, each: plan ")
     for path in (*GITLAB["artifacts"]["paths"], GITLAB["artifacts"]["reports"]["junit"]):
         assert (folder / path).is_file()
-    worktree, note = (folder / "calls.log").read_text().splitlines()
+    worktree, _, _, *note = (folder / "calls.log").read_text().splitlines()
     assert worktree.endswith("/bin/git worktree add --force main origin/main")
-    assert note.endswith("https://gitlab.example/api/v4/projects/12/merge_requests/34/notes")
-    assert "PRIVATE-TOKEN: secret" in note
+    assert len(note) == (sent is not None)
+    if sent:
+        where = "https://gitlab.example/api/v4/projects/12/merge_requests/34/notes"
+        assert note[0].endswith(where + ("/4" if sent == "PUT" else ""))
+        assert f"PRIVATE-TOKEN: secret --request {sent} --data-urlencode body@dds-trace/note.md" in note[0]
+
+
+def test_a_first_merge_request_has_no_base(desk):
+    folder = desk(repeats=1)
+    (folder / "main/plan.toml").unlink()
+    done = bash("\n".join(GITLAB["script"]), folder, {"CI_MERGE_REQUEST_TARGET_BRANCH_NAME": "main"})
+    assert (done.returncode, done.stdout.count("\n")) == (0, 1), done.stderr

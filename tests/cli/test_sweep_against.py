@@ -79,7 +79,7 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
     words = printed.removeprefix("Compare: dds-analyze ").split()
     assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]
     for options in (words, words[:-1]):  # in turns is pass by pass, said or not
-        compared = run("dds-analyze", *options, "--report", "md")
+        compared = run("dds-analyze", *options, "--report", "md", "--all")
         assert compared.status == 0, compared.stderr
         shown = html.unescape(compared.stdout)
         row = next(line for line in shown.splitlines() if "| Round trip median |" in line)
@@ -92,7 +92,7 @@ def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_pat
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path, "--against", environment, "--json")
     assert done.status == 0, done.stderr
     sides = json.loads(done.stdout)
-    compared = run("dds-analyze", "compare", sides["base"], sides["new"], "--report", "md")
+    compared = run("dds-analyze", "compare", sides["base"], sides["new"], "--report", "md", "--all")
     assert compared.status == 0, compared.stderr
     row = next(line for line in compared.stdout.splitlines() if "| Round trip median |" in line)
     assert "| 3 pairs |" in row

@@ -103,7 +103,7 @@ def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders
     assert alarms["of_dealt"] == 4 * alarms["of_measured"] > 0
     for side in ("base", "new"):
         assert passes_in(Path(result[side])) == [1, 2, 3]
-    compared = run("dds-analyze", "compare", result["base"], result["new"], "--paired", "--report", "md")
+    compared = run("dds-analyze", "compare", result["base"], result["new"], "--paired", "--report", "md", "--all")
     assert compared.status == 0, compared.stderr
 
 

@@ -1,5 +1,3 @@
-"""`dds_trace`, the page for users: each name is there, is described, and is loaded at its first use."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""The pages of the documentation: links lead somewhere, every figure is explained, and quoted lines are the code's own."""
-
 from __future__ import annotations
 
 import ast

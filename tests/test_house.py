@@ -1,5 +1,3 @@
-"""The bars of the house only go down, and leave room for a newcomer's first backend."""
-
 from __future__ import annotations
 
 import importlib.util

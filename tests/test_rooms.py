@@ -1,5 +1,3 @@
-"""The shape of the rooms: modules that are read in one sitting, imports from the module that defines a name, no circle."""
-
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 

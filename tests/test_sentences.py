@@ -1,5 +1,3 @@
-"""Sentences that users read are in one golden file, of tests that exist; asserts hold codes, numbers and single words."""
-
 from __future__ import annotations
 
 import ast

@@ -1,5 +1,3 @@
-"""The wheel in an environment of its own, among packages that bear the names of our rooms."""
-
 import os
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-"""`Analysis.details` from drawn timelines: the same whatever is analyzed beside it."""
-
 from dataclasses import fields, replace
 
 import polars as pl

@@ -1,5 +1,3 @@
-"""Clocks and breakdown on a real exchange over ROS 2 on this machine, where the truth about the clock is known: zero."""
-
 from __future__ import annotations
 
 import polars as pl

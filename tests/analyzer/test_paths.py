@@ -1,5 +1,3 @@
-"""Every function of the package that takes a path takes it as a text, too."""
-
 from __future__ import annotations
 
 import shutil

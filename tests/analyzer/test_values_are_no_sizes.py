@@ -1,5 +1,3 @@
-"""A value of a file is never a size of ours: the memory of the whole command is bounded by the bytes that it reads."""
-
 import subprocess
 import sys
 

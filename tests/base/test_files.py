@@ -1,5 +1,3 @@
-"""`replacing`: whole or not at all, and never through a link."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""The list of validators, and every field of a description on values that nobody means."""
-
 from __future__ import annotations
 
 import json

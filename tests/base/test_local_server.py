@@ -1,5 +1,3 @@
-"""A stranger takes a bounded part of a server."""
-
 from __future__ import annotations
 
 import socket

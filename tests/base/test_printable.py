@@ -1,5 +1,3 @@
-"""Texts from traces, made harmless."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The door of texts: what leaves a command neither commands a terminal nor a runner, and costs no more than words."""
-
 from __future__ import annotations
 
 import io

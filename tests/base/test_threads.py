@@ -1,5 +1,3 @@
-"""Results come in order, whichever thread has done the job; the one that waits takes its share."""
-
 from __future__ import annotations
 
 import sys

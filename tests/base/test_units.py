@@ -1,5 +1,3 @@
-"""Counts, durations, rates and sizes: one way to read each, one to write it."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""The bar of an analysis: its shares are of all the work, and it never goes back."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`dds-analyze` as it is typed."""
-
 import json
 import shutil
 

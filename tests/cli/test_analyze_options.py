@@ -1,5 +1,3 @@
-"""Options of `dds-analyze` beside the reports."""
-
 import io
 import json
 import shlex

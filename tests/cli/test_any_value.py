@@ -1,5 +1,3 @@
-"""Every option of every command, on values that nobody means: it is taken, or refused in one line."""
-
 from __future__ import annotations
 
 import hostile_values

@@ -1,5 +1,3 @@
-"""`dds-analyze compare` as it is typed: outcomes, exit codes, formats."""
-
 import json
 from dataclasses import replace
 from xml.etree import ElementTree as ET

@@ -1,5 +1,3 @@
-"""`dds-trace.toml`: where it is looked for, what counts more than it, what it may not say, and who never reads it."""
-
 from __future__ import annotations
 
 import os

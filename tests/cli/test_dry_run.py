@@ -1,5 +1,3 @@
-"""`dds-sweep --rehearse` as a proof: what passes it starts, shown with the real recorder over plain sockets."""
-
 from __future__ import annotations
 
 import json

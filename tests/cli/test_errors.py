@@ -1,5 +1,3 @@
-"""A `TraceError` becomes one clear message and its exit code; anything else stays a traceback."""
-
 from __future__ import annotations
 
 import pytest

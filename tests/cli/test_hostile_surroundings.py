@@ -1,5 +1,3 @@
-"""Links and foreign files where `dds-analyze` writes: links are replaced, their targets and all else stay."""
-
 import pytest
 from commands import run_main
 from trace_files import Message, write_pair

@@ -1,5 +1,3 @@
-"""Each text that a trace, a device or a peer brings, through every format: it commands neither terminal, browser, sheet nor runner."""
-
 from __future__ import annotations
 
 import csv

@@ -1,5 +1,3 @@
-"""A command without its extra says in one line what to install."""
-
 from __future__ import annotations
 
 import subprocess

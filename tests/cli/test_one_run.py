@@ -1,5 +1,3 @@
-"""Of one or two runs nobody is called better or worse: in no output, however large the difference is."""
-
 from __future__ import annotations
 
 import html

@@ -1,5 +1,3 @@
-"""`dds-sweep --against` as it is typed, and `dds-analyze compare` on what it leaves: real recordings on the socket backend."""
-
 from __future__ import annotations
 
 import html

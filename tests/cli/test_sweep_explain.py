@@ -1,5 +1,3 @@
-"""`dds-sweep --explain-rates` and `--explain-size`: the answer of made traces with known shares, and what is refused."""
-
 from __future__ import annotations
 
 import itertools

@@ -1,5 +1,3 @@
-"""`dds-sweep new`: three questions, asked on a terminal or answered by options, and a plan that the sweep reads."""
-
 from __future__ import annotations
 
 import io

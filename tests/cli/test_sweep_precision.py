@@ -1,5 +1,3 @@
-"""`dds-sweep --until` and `--against` with real recordings on the socket backend, as a user calls them."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""`[thresholds]` of a plan: read by the parser of `--fail-if`, judged as the sweep ends, refused before the first recording."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""numpy sorts with AVX2 where AVX-512 is slower; what it then does is read back from numpy itself."""
-
 from __future__ import annotations
 
 import os

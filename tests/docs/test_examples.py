@@ -1,5 +1,3 @@
-"""The examples of the pages run: Python as it stands, each command as far as its first message, two tutorials to their end."""
-
 from __future__ import annotations
 
 import csv

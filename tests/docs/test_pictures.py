@@ -1,5 +1,3 @@
-"""The pictures of the pages: one for each figure, by the recipe, small."""
-
 from __future__ import annotations
 
 import re

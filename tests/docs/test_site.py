@@ -1,5 +1,3 @@
-"""The site of the documentation: built without a warning, whole without a network, its reference that of the code."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""dds-trace on arm64, emulated: a relay there with a ping here, and the bytes that both write for the same events."""
-
 from __future__ import annotations
 
 import hashlib

@@ -1,5 +1,3 @@
-"""The Docker files: what they name is there, and the compose file's commands make traces as they stand."""
-
 from __future__ import annotations
 
 import fnmatch

@@ -1,5 +1,3 @@
-"""The systemd unit of a relay: its command as systemd would run it, and the exit codes that it knows."""
-
 from __future__ import annotations
 
 import configparser

@@ -1,5 +1,3 @@
-"""The changelog begins with the version that is being made; citation and ROS 2 package: `test_ros2.py`."""
-
 from __future__ import annotations
 
 import re

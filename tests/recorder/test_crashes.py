@@ -1,5 +1,3 @@
-"""A recorder that crashes writes its error into its trace, and a second signal ends a wait for late replies."""
-
 from __future__ import annotations
 
 import signal

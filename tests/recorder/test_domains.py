@@ -1,5 +1,3 @@
-"""The guard of domain ids, on a `/proc` that the test writes."""
-
 from __future__ import annotations
 
 import pytest

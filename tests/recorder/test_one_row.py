@@ -1,5 +1,3 @@
-"""A backend is one file and one line in `BACKEND_MODULES`, a payload one file and one line in `PAYLOADS`."""
-
 from __future__ import annotations
 
 import random

@@ -1,5 +1,3 @@
-"""An option of `dds-record` is one row of the table and the line that uses its value: here the row alone, in a copy of the code."""
-
 from __future__ import annotations
 
 import json

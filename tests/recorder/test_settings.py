@@ -1,5 +1,3 @@
-"""The settings that a session and a run tell: every option that changes the experiment, by itself."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, make_dataclass, replace

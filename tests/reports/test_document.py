@@ -1,5 +1,3 @@
-"""The JSON report's tables: each row one line, as `json` writes its values."""
-
 from __future__ import annotations
 
 import json

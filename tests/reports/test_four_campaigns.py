@@ -1,5 +1,3 @@
-"""The campaigns that the page is judged on are what they say they are, and every report of them is in plain words."""
-
 import html
 import re
 

@@ -1,5 +1,3 @@
-"""An analysis in a notebook: short, without a script, readable on any ground; figures; the report opens."""
-
 import json
 import webbrowser
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Numbers in sentences and tables: three digits, no figure without a meaning, and one label for one figure of a result."""
-
 from __future__ import annotations
 
 import html

@@ -1,5 +1,3 @@
-"""A new figure is one file and one row of `FIGURES`, a new report format one file and one row of `REPORT_MODULES`."""
-
 import json
 import re
 import sys

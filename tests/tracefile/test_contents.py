@@ -1,5 +1,3 @@
-"""What a command's --help takes from this room loads nothing heavy."""
-
 from __future__ import annotations
 
 import subprocess

@@ -1,5 +1,3 @@
-"""Clocks are looked at in blocks, for speed: what is found does not depend on where one ends."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Boots and wall clocks from the anchors of drawn sessions."""
-
 from __future__ import annotations
 
 from dds_trace.analyzer.clocks.boots import (

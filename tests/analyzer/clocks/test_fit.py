@@ -1,5 +1,3 @@
-"""Clock fits on timelines whose truth is known: hand-drawn ones, and drawn ones with offset, drift and steps."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass

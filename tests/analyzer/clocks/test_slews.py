@@ -1,5 +1,3 @@
-"""Slews from drawn fits: which steps are one slew, which are jumps, and how fast it was."""
-
 from __future__ import annotations
 
 import numpy as np

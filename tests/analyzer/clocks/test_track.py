@@ -1,5 +1,3 @@
-"""The clock of one device against another's between and around their messages."""
-
 from __future__ import annotations
 
 import numpy as np

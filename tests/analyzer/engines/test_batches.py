@@ -1,5 +1,3 @@
-"""Batches: whole groups together while they are small, a large group in parts of whole runs."""
-
 import platform
 import subprocess
 import sys

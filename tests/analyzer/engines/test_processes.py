@@ -1,5 +1,3 @@
-"""Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
-
 import os
 import re
 import signal

@@ -1,5 +1,3 @@
-"""What middleware and kernel really did: the findings, and what a group that is barred is kept out of."""
-
 from __future__ import annotations
 
 from dataclasses import replace

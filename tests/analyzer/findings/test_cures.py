@@ -1,5 +1,3 @@
-"""Every cure that a finding prints was tried, or says that it "may help"; those that take no middleware are tried here."""
-
 from __future__ import annotations
 
 import re

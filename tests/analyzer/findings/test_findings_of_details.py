@@ -1,5 +1,3 @@
-"""Findings that rest on clocks, load, sizes, bridges and relays, each brought about by a drawn timeline."""
-
 import ast
 import re
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""What is told of a group whose runs were recorded in unlike environments, and that relays in one run part groups."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Runs whose latency does something over its time: drawn series of round trips, each with its finding."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""Findings about a load on purpose, a link that replays a file, and calls."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""A finding is a rule, a row of the table, or a function and its name there: a toy of each reaches every report."""
-
 from __future__ import annotations
 
 import json

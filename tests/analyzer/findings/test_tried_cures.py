@@ -1,5 +1,3 @@
-"""Every cure that a finding prints, tried: the situation is made, the cure is read from the finding, applied, and helps."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""The age of information on hand-drawn timelines: every number is read off the picture."""
-
 import numpy as np
 import polars as pl
 import pytest

@@ -1,5 +1,3 @@
-"""Several relays of one message: a known spread, order and cost come back."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Freshness on hand-drawn timelines: every number below is read off the picture."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Intervals of one-way times hold what the clocks leave open: known ways, on a link that is slower on its way back."""
-
 from __future__ import annotations
 
 import numpy as np

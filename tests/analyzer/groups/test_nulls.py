@@ -1,5 +1,3 @@
-"""Columns with and without nulls as arrays."""
-
 from __future__ import annotations
 
 import numpy as np

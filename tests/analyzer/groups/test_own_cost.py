@@ -1,5 +1,3 @@
-"""What the own nodes take of a round trip, from what both sessions measured."""
-
 from __future__ import annotations
 
 import polars as pl

@@ -1,5 +1,3 @@
-"""Coming back after an outage whose begin and end are known."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Each run in one row: of a batch, and put together for runs whose relays are of several groups."""
-
 from statistics import median
 
 import polars as pl

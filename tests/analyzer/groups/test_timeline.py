@@ -1,5 +1,3 @@
-"""The decimated timeline: whole where short, and with every extreme and loss of a stretch where long."""
-
 import numpy as np
 import polars as pl
 import pytest

@@ -1,5 +1,3 @@
-"""A folder of anything: copies count once, parts of one recording are put together, the rest is named."""
-
 import os
 import shutil
 

@@ -1,5 +1,3 @@
-"""The event index: events of each stage, run and relay, told apart in a file and put together over files."""
-
 import random
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What a second analysis of a grown folder reads, and that nothing it keeps changes a number."""
-
 import shutil
 import tempfile
 import threading

@@ -1,5 +1,3 @@
-"""Names that tell things apart, each with no more words than it takes."""
-
 import polars as pl
 from roundtrip_frames import PLAIN
 

@@ -1,5 +1,3 @@
-"""A new metric and a new parameter are one row: added to a copy of the table's file alone, they reach every output."""
-
 import json
 import os
 import shutil

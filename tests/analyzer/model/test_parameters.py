@@ -1,5 +1,3 @@
-"""The key of a group, and its slices: by name, as they stand in files and reports."""
-
 from dataclasses import fields
 
 import pytest

@@ -1,5 +1,3 @@
-"""The runs of a frame: lost messages, replies without stamps, relays side by side, passes."""
-
 from __future__ import annotations
 
 import math

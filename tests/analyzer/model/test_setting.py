@@ -1,5 +1,3 @@
-"""The parameter `setting`: canonical text, both sides, and what older recorders tell."""
-
 from __future__ import annotations
 
 from dataclasses import replace

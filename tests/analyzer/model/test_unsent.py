@@ -1,5 +1,3 @@
-"""Messages that never left as rows: lost for whoever judges, and in no rate and no count of what was published."""
-
 from __future__ import annotations
 
 import polars as pl

@@ -1,5 +1,3 @@
-"""Pairs of devices over the campaign: whose knots a fit rests on, and the slews that its steps are."""
-
 from __future__ import annotations
 
 import polars as pl

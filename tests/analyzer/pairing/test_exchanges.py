@@ -1,5 +1,3 @@
-"""Who took part: several relays, pings and runs, restarts, missing traces, and the parameters of each row."""
-
 import json
 
 import pytest

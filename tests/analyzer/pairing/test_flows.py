@@ -1,5 +1,3 @@
-"""Runs at the same time: the number of flows and the overlaps of drawn spans, and that the two agree."""
-
 from __future__ import annotations
 
 from collections import Counter

@@ -1,5 +1,3 @@
-"""The Parquet files: types and units as any reader sees them, whole or not there."""
-
 import json
 import os
 from types import SimpleNamespace

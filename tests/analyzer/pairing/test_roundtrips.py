@@ -1,5 +1,3 @@
-"""The rows of a few exchanges at once: whose rows lie where, what is left out, and what the middleware stamped."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""The store of rows: in memory while they are few, else in their file; whole, lazily and by group."""
-
 import gc
 import shutil
 

@@ -1,5 +1,3 @@
-"""Which session a run and a relay are of, where one names it, and where several may be meant."""
-
 from __future__ import annotations
 
 from types import SimpleNamespace

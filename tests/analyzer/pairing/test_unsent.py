@@ -1,5 +1,3 @@
-"""Messages that never left, and those that were on their way when the ping died."""
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Instants in UTC by a session's one reading of both clocks, and where there is none."""
-
 from __future__ import annotations
 
 from types import SimpleNamespace

@@ -1,5 +1,3 @@
-"""Bags of strangers that unpack to far more than they are: they are unpacked within bounds."""
-
 from __future__ import annotations
 
 import re

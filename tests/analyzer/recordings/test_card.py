@@ -1,5 +1,3 @@
-"""The health card: pauses of all topics, topics that stop, counters, the recorder's own counts, clocks, damage, QoS."""
-
 import struct
 
 import numpy as np

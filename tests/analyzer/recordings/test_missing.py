@@ -1,5 +1,3 @@
-"""Known deletions in recordings of twenty shapes are found again; where nothing can be known, that is said."""
-
 import pytest
 from shaped_bags import shapes, write_shape
 

@@ -1,5 +1,3 @@
-"""What is delivered of a recording is compared with what the recording says it has; what is missing is said."""
-
 import re
 import shutil
 import sqlite3

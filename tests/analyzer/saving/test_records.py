@@ -1,5 +1,3 @@
-"""Records as JSON and back: equal, or refused with the name of the field."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Results are replaced together: whenever a process dies, old and new ones are never there side by side, and the next one cleans up."""
-
 from __future__ import annotations
 
 import fcntl

@@ -1,5 +1,3 @@
-"""A saved analysis says what the fresh one says, to the byte; what is foreign or damaged is refused."""
-
 from __future__ import annotations
 
 import json

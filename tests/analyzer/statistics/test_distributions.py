@@ -1,5 +1,3 @@
-"""Student's t, its power and Poisson limits: closed forms, stored values of a library, and drawing."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Ends of intervals: which ranges overlap, and which end a tail of few episodes leaves open."""
-
 from __future__ import annotations
 
 import math

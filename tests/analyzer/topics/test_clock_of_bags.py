@@ -1,5 +1,3 @@
-"""Ages in a bag of any tool, corrected by the clocks of traces between both devices."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Topics in comparisons and gates: limits of one recording rest on its parts, changes on recordings, both on the clocks' bound."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Topics heard on two devices: with clocks 2 s and 200 ppm apart, every time is inside its bound, and every loss is found."""
-
 from __future__ import annotations
 
 from dataclasses import replace

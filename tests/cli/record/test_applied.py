@@ -1,5 +1,3 @@
-"""Real `dds-record` processes on Fast DDS that say what their middleware really uses."""
-
 from __future__ import annotations
 
 import pytest

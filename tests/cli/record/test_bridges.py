@@ -1,5 +1,3 @@
-"""A ping beside a bridge that runs already, and with its own half of one whose other half runs elsewhere."""
-
 from __future__ import annotations
 
 import socket

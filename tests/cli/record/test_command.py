@@ -1,5 +1,3 @@
-"""`dds-record` without middleware: its options, its help, what it refuses before anything is opened."""
-
 from __future__ import annotations
 
 import json

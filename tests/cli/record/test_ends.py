@@ -1,5 +1,3 @@
-"""Ends of real recordings that nobody wished for: a killed bridge, a killed relay, Ctrl-C before anything came."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Data of others through real ping and relay processes: files, bags, a live topic of a second node."""
-
 from __future__ import annotations
 
 import os

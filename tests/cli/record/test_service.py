@@ -1,5 +1,3 @@
-"""A relay that stays, as a real process: rotated, listed, known to the service manager, killed, and short of disk."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Sides that stand still for a while: what is warned of before a run, and what its trace tells behind it."""
-
 from __future__ import annotations
 
 import signal

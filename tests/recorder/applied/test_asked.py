@@ -1,5 +1,3 @@
-"""What options and a user's configuration ask for."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Eight settings that middlewares ignore without a word, each provoked with real processes and named by the read-back."""
-
 from __future__ import annotations
 
 from importlib.util import find_spec

@@ -1,5 +1,3 @@
-"""Shared memory of a process, from its maps and from files that the test makes."""
-
 from __future__ import annotations
 
 import fcntl

@@ -1,5 +1,3 @@
-"""JSON of what was asked and applied: there and back, and with fields of other versions."""
-
 from __future__ import annotations
 
 import json

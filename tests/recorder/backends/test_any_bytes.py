@@ -1,5 +1,3 @@
-"""Any bytes of a stranger to any topic of a running relay and ping, on every backend: both live, and the run is complete."""
-
 from __future__ import annotations
 
 import json

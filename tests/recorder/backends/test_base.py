@@ -1,5 +1,3 @@
-"""The record of each backend: its facts fit together, and options without a meaning for it are refused."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The two sides of each backend find each other on a network: two namespaces joined by a veth."""
-
 from __future__ import annotations
 
 from importlib.util import find_spec

@@ -1,5 +1,3 @@
-"""Services and actions over the real middleware of this machine, and the options that they refuse."""
-
 from __future__ import annotations
 
 from importlib.util import find_spec

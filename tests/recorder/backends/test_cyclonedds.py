@@ -1,5 +1,3 @@
-"""The `cyclonedds` backend on this machine's loopback interface."""
-
 from __future__ import annotations
 
 import threading

@@ -1,5 +1,3 @@
-"""What holds for every backend that is installed here; its own file has the rest."""
-
 from __future__ import annotations
 
 import subprocess

@@ -1,5 +1,3 @@
-"""The profile that keeps a Fast DDS transport on this machine: its text, and what real nodes make of it."""
-
 from __future__ import annotations
 
 import os

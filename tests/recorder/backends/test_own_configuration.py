@@ -1,5 +1,3 @@
-"""A middleware's own file of settings: how it is loaded, and that a key it does not know is named."""
-
 from __future__ import annotations
 
 import subprocess

@@ -1,5 +1,3 @@
-"""`--priority` and `--when-full`: what the publishers report is what was requested, or a difference; elsewhere they are refused."""
-
 from __future__ import annotations
 
 import pytest

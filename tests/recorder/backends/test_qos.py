@@ -1,5 +1,3 @@
-"""Pairs of a publisher and a subscription that can never match."""
-
 from __future__ import annotations
 
 import pytest

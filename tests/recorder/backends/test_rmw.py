@@ -1,5 +1,3 @@
-"""What is known of each RMW, wherever an installation tells its version, and settings that belong to one vendor."""
-
 from __future__ import annotations
 
 from importlib import metadata

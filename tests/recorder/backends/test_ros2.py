@@ -1,5 +1,3 @@
-"""The `ros2` backend on real ROS 2 nodes of this machine."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""`--buffer`, `--segment` and `--fragment`: what each middleware is given, what it uses, and where there is no such size."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The `socket` backend: real processes over TCP and UDP, and its stamps against a relay written apart from it."""
-
 from __future__ import annotations
 
 import json

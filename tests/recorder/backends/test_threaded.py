@@ -1,5 +1,3 @@
-"""The thread that nodes share: it calls the subscriptions, keeps what they raise, and ends once."""
-
 from __future__ import annotations
 
 import threading

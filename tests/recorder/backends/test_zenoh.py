@@ -1,5 +1,3 @@
-"""The `zenoh` backend: real processes over loopback TCP, nothing multicast."""
-
 from __future__ import annotations
 
 import threading

@@ -1,5 +1,3 @@
-"""Two beacons on real middleware of this machine, and the analysis of their traces."""
-
 from __future__ import annotations
 
 import re

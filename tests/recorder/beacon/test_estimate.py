@@ -1,5 +1,3 @@
-"""The live estimate of two clocks: inside its bound, and as the analysis of the same round trips."""
-
 from __future__ import annotations
 
 import numpy as np

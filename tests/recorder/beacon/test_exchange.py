@@ -1,5 +1,3 @@
-"""Round trips of beacons put together from both sides, and notes of peers that are none."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""A bridge is one file and one row of `BRIDGE_MODULES`: a toy one, added by its row alone, is run to the end."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The device's clocks: anchor and waiting, the kernel's correction, systems that do not report it."""
-
 from __future__ import annotations
 
 import ctypes

@@ -1,5 +1,3 @@
-"""What a trace keeps of a middleware's configuration: settings whole, files as hashes."""
-
 from __future__ import annotations
 
 import hashlib

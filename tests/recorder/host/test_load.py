@@ -1,5 +1,3 @@
-"""A load of the machine: it works while it is asked for, once for a machine, and ends with the recording."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""The settings of this process: CPUs and priority, signals that stop it, and the end of its children with it."""
-
 from __future__ import annotations
 
 import ast

@@ -1,5 +1,3 @@
-"""The recorder measures itself; only what no machine can change is asserted."""
-
 from __future__ import annotations
 
 import numpy as np

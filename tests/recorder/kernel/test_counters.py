@@ -1,5 +1,3 @@
-"""Counters of the kernel, from texts as `/proc` has them."""
-
 from __future__ import annotations
 
 import socket

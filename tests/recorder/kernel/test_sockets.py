@@ -1,5 +1,3 @@
-"""Own sockets as the kernel reports them, on sockets that the test opens itself."""
-
 from __future__ import annotations
 
 import os

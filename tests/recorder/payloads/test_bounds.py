@@ -1,5 +1,3 @@
-"""Data that is too large, endless or no file: refused before memory is taken, and given up at once when asked to stop."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""Data of others as payloads: files, and bags of every kind whose messages get our stamp and keep all else."""
-
 from __future__ import annotations
 
 import struct

@@ -1,5 +1,3 @@
-"""Payloads: hand-written CDR equals what ROS 2 serializes, sizes are exact, content is random and repeatable."""
-
 from __future__ import annotations
 
 import importlib

@@ -1,5 +1,3 @@
-"""The stamp on the wire: its text, its place in serialized and in typed messages, the relay's patch."""
-
 from __future__ import annotations
 
 import struct

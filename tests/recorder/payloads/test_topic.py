@@ -1,5 +1,3 @@
-"""A live source: what is kept, what is left out, and the rate at which it is published."""
-
 from __future__ import annotations
 
 import threading

@@ -1,5 +1,3 @@
-"""What a ping says when nobody answers."""
-
 from __future__ import annotations
 
 from dataclasses import replace

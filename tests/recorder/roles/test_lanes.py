@@ -1,5 +1,3 @@
-"""Message objects through a ping and a relay: the same stamps and events as with serialized messages."""
-
 from __future__ import annotations
 
 import threading

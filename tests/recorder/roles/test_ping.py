@@ -1,5 +1,3 @@
-"""The ping on a made-up clock: its schedule, its stamps, its patience."""
-
 from __future__ import annotations
 
 import gc

@@ -1,5 +1,3 @@
-"""A run's rate and count: what was asked for, else what the data says, else the defaults."""
-
 from __future__ import annotations
 
 import dataclasses

@@ -1,5 +1,3 @@
-"""The replies of a run: the first one makes the round trip, further ones of a relay count as one; a lasting silence."""
-
 from __future__ import annotations
 
 import pytest

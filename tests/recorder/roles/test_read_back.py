@@ -1,5 +1,3 @@
-"""The settings of a role read back: what the session gets, what the user is told, what `--strict` ends."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The relay without middleware: what it sends back, what it records, what it leaves alone."""
-
 from __future__ import annotations
 
 import itertools

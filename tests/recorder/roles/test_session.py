@@ -1,5 +1,3 @@
-"""A recording describes its device's link by discovery range and default route."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""What a role writes of its capture, with a capture that a test drives."""
-
 from __future__ import annotations
 
 import socket

@@ -1,5 +1,3 @@
-"""The folder of keys: what it contains, who can read it, and that it goes again."""
-
 from __future__ import annotations
 
 import stat

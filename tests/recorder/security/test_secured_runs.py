@@ -1,5 +1,3 @@
-"""Secured recordings as real processes: TLS of sockets and zenoh, a bridge's link, and mixed sides, which are named."""
-
 from __future__ import annotations
 
 from importlib.util import find_spec

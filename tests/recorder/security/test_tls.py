@@ -1,5 +1,3 @@
-"""TLS of the socket backend: frames in both directions at once, and who is refused."""
-
 from __future__ import annotations
 
 import contextlib

@@ -1,5 +1,3 @@
-"""Words to a service manager, read from the socket that a test listens at."""
-
 from __future__ import annotations
 
 import os

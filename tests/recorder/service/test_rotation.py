@@ -1,5 +1,3 @@
-"""Names of the files of a rotating recording, and that nothing is deleted that is not provably its own."""
-
 from __future__ import annotations
 
 import re

@@ -1,5 +1,3 @@
-"""The list of recordings: a living one, a killed one, one whose id another process has, and words that nobody can read."""
-
 from __future__ import annotations
 
 import fcntl

@@ -1,5 +1,3 @@
-"""A disk that becomes short: the ring holds what a relay sends back meanwhile, and only what it cannot hold is an error."""
-
 from __future__ import annotations
 
 import time

@@ -1,5 +1,3 @@
-"""The bundles of settings for a plan: each is a configuration that the middleware itself accepts."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The plans that explain: what is varied of each setup, and what is refused in one line."""
-
 from __future__ import annotations
 
 import pytest

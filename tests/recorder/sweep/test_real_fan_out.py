@@ -1,5 +1,3 @@
-"""Several relays, hosts and pings of real middleware, and a sweep of three hosts that is killed and goes on."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Flows and outages over real sockets: recorded together, cut, killed, and what an analysis makes of them."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The search for the highest rate, on middlewares whose limit is known because the test made them up."""
-
 from __future__ import annotations
 
 import csv

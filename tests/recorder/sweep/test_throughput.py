@@ -1,5 +1,3 @@
-"""`rate = "max"` over sockets and a real middleware: throughput and latency of one run."""
-
 from __future__ import annotations
 
 import importlib.util

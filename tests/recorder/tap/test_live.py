@@ -1,5 +1,3 @@
-"""The live table: rates, states and ages at chosen instants, the page, and the diagnostics."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""The tap without middleware: which topics it joins, what it records, what it reports."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Taps on real middleware of this machine: what they record of a running publisher."""
-
 from __future__ import annotations
 
 import threading

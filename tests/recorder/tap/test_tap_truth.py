@@ -1,5 +1,3 @@
-"""Two taps on one machine against the kernel's packet stamps: published, then on the wire, then received, in every message."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""`dds-record --wire`, ping and relay, over a link that loses one frame of a hundred, from the command line to the report."""
-
 from __future__ import annotations
 
 import json

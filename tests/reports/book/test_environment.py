@@ -1,5 +1,3 @@
-"""How it was recorded: a row a setting, a column a device and role, unlike values marked."""
-
 from dataclasses import replace
 
 from analyses import MS, Measured, make_analysis

@@ -1,5 +1,3 @@
-"""The picture beside the answer, and what a link and a device cost."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The recommendation in words: on top of the page and of Markdown, with its deadline and its losses."""
-
 import shlex
 from dataclasses import replace
 from html import unescape

@@ -1,5 +1,3 @@
-"""Each run of a campaign as the page lists it."""
-
 from campaigns import write_runs
 
 from dds_trace import analyze

@@ -1,5 +1,3 @@
-"""The table below the headline: its numbers, what is bold and red in it, and the deadline's outcome."""
-
 from dataclasses import replace
 
 import polars as pl

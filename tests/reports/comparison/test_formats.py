@@ -1,5 +1,3 @@
-"""Comparisons in each format: what they say, that strings of a trace stay strings, that JSON keeps its contract."""
-
 from __future__ import annotations
 
 import html

@@ -1,5 +1,3 @@
-"""What a comparison says first, in which order, and in whose words."""
-
 from __future__ import annotations
 
 from functools import cache

@@ -1,5 +1,3 @@
-"""The clock figure of traces of real ROS 2 whose relay seems to run on a clock of its own."""
-
 import re
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""The form "Does it fit my job?": it writes the command whose answer it is, and judges nothing by itself."""
-
 from __future__ import annotations
 
 import shlex

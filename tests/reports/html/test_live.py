@@ -1,5 +1,3 @@
-"""`dds-analyze watch` over a real loopback server and a folder that grows."""
-
 import json
 import signal
 import socket

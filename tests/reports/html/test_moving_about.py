@@ -1,5 +1,3 @@
-"""Moving about the page: links land, Back undoes, a click opens a group, paper is whole, a change answers in what is seen."""
-
 import re
 
 import pytest

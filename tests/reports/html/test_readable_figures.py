@@ -1,5 +1,3 @@
-"""Figures on the page: what stands in which panel, that every line can be told apart, and that losses are seen."""
-
 import pytest
 from four_campaigns import CAMPAIGNS
 

@@ -1,5 +1,3 @@
-"""Pictures that the page saves: their size, their grid and their labels, one zip, PDF of vectors, a paper's figures."""
-
 import re
 import zlib
 from zipfile import ZipFile

@@ -1,5 +1,3 @@
-"""Nothing moves on the page but what the reader moves, and a change draws what he sees and no more."""
-
 import pytest
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it

@@ -1,5 +1,3 @@
-"""Counts on the page, which a script draws, follow the rule of those that Python writes."""
-
 from __future__ import annotations
 
 import json

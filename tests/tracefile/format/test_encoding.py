@@ -1,5 +1,3 @@
-"""Events as MCAP records, texts as CDR, and records of the wire as texts, byte by byte."""
-
 from __future__ import annotations
 
 import struct

@@ -1,5 +1,3 @@
-"""Stamps of messages of any type: found at any depth, in every encoding, and none where there is none."""
-
 from __future__ import annotations
 
 import struct

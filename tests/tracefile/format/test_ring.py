@@ -1,5 +1,3 @@
-"""The ring's bytes as the module's text has them, and what reading makes of torn, stale and foreign ones."""
-
 from __future__ import annotations
 
 import json

@@ -1,5 +1,3 @@
-"""Events of a tap: written, read back, recovered, and their identity."""
-
 from __future__ import annotations
 
 import hashlib

@@ -1,5 +1,3 @@
-"""The memory that chunks are unpacked into serves the next file too, and never keeps the room that one large chunk took."""
-
 from __future__ import annotations
 
 from collections import deque

@@ -1,5 +1,3 @@
-"""Channels of a file: records that every file declares alike are parsed once, and each file still has its own."""
-
 from __future__ import annotations
 
 from pathlib import Path

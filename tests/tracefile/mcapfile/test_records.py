@@ -1,5 +1,3 @@
-"""Records parsed with bounds: no field reaches beyond its record, no map keeps a reader busy."""
-
 from __future__ import annotations
 
 import struct

@@ -1,5 +1,3 @@
-"""`read_trace` gives back what was written, whichever way it was stored."""
-
 from __future__ import annotations
 
 import itertools

@@ -1,5 +1,3 @@
-"""Files that end anywhere, that are damaged, or that lie: what is right is used, what is not is named."""
-
 from __future__ import annotations
 
 import itertools

@@ -1,5 +1,3 @@
-"""The ring that a killed recorder leaves beside its trace: file and ring together hold every event once."""
-
 from __future__ import annotations
 
 import shutil

@@ -1,5 +1,3 @@
-"""The traces in a folder by the names of their files, and damaged databases that fuzzing has found."""
-
 from __future__ import annotations
 
 import base64

@@ -1,5 +1,3 @@
-"""Recovery of other programs' recordings: what is whole is kept, the original stays, other readers open the result."""
-
 import random
 import re
 

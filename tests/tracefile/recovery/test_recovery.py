@@ -1,5 +1,3 @@
-"""A cut off file and its ring become a closed trace; the originals stay as they were."""
-
 from __future__ import annotations
 
 import os

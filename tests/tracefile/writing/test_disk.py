@@ -1,5 +1,3 @@
-"""What is on the disk, and whose: flushed chunks and names, rights, and a disk that dies under a recorder."""
-
 from __future__ import annotations
 
 import json

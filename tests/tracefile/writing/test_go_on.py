@@ -1,5 +1,3 @@
-"""A sink that goes on in another file: every event is in one of them, once, whoever stamps meanwhile and whatever fails."""
-
 from __future__ import annotations
 
 import errno

@@ -1,5 +1,3 @@
-"""Writing fails: a clear error is kept, recording goes on without raising, what was written stays readable."""
-
 from __future__ import annotations
 
 import errno

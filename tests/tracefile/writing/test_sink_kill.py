@@ -1,5 +1,3 @@
-"""A recorder is killed at any instant: every event that was stamped before is in trace plus ring, exactly once."""
-
 from __future__ import annotations
 
 import random

@@ -1,5 +1,3 @@
-"""The writer alone, as recovery and a sweep use it."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""A bridge's program read back from outside: what it uses, and what it was asked for in vain."""
-
 from __future__ import annotations
 
 import subprocess

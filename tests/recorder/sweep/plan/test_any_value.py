@@ -1,5 +1,3 @@
-"""Every key of a plan, on values that nobody means: the plan is made into commands, or refused in one line."""
-
 from __future__ import annotations
 
 import dataclasses

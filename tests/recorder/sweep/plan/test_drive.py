@@ -1,5 +1,3 @@
-"""The file that a link replays: its format, its faults, and when each row is valid."""
-
 from __future__ import annotations
 
 from pathlib import Path

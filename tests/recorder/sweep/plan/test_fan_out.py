@@ -1,5 +1,3 @@
-"""The axes relays, hosts, pings and topics: the cells that they make, who records them, and what is refused."""
-
 from __future__ import annotations
 
 import pytest

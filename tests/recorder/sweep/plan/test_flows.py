@@ -1,5 +1,3 @@
-"""`[[flows]]`: the cells that they make, in which order, with which arguments, and what is refused."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""What is made from the keys of a plan: the schema that editors complete by, and the reference."""
-
 from __future__ import annotations
 
 import sys

@@ -1,5 +1,3 @@
-"""A sweep in a folder that somebody else has prepared: links and foreign files stay as they are."""
-
 from __future__ import annotations
 
 import json

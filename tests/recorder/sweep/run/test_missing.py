@@ -1,5 +1,3 @@
-"""What is missing on the relay's device is asked there once for each middleware, before the first recording."""
-
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.runner import middlewares_of, missing_middlewares

@@ -1,5 +1,3 @@
-"""The comparison of clocks before a sweep of two devices: what is started there and here, and what the user reads."""
-
 from __future__ import annotations
 
 import sys

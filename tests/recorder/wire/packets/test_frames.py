@@ -1,5 +1,3 @@
-"""Headers of frames, whole and cut anywhere, against a plain reading of one frame after the other."""
-
 from __future__ import annotations
 
 import pytest

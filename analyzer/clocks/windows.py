@@ -146,18 +146,13 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
         halved = ~is_whole & (stop - start > 1)
         middle = (start[halved] + stop[halved]) // 2
         start, stop = (np.stack(edges, axis=1).ravel() for edges in ((start[halved], middle), (middle, stop[halved])))
-        messages = _ranges(start, stop)
+        lengths = stop - start
+        messages: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
         remaining = remaining.take(messages)
         origin = messages if origin is None else origin[messages]
         stop = np.cumsum(stop - start)
         start = np.concatenate([[0], stop[:-1]]).astype(np.intp)[: len(stop)]
     return Windows.concatenate(fitted)
-
-
-def _ranges(start: Intp, stop: Intp) -> Intp:
-    lengths = stop - start
-    numbers: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
-    return numbers
 
 
 def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Bools:

@@ -17,7 +17,7 @@ from ..model.applied import words_not_applied
 from ..model.metrics import METRICS, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
 from ..pairing.exchanges import Exchange
-from ..pairing.roundtrips import PairedRows
+from ..pairing.roundtrips import RoundTrips
 from ..verdicts.job import Job
 from ..verdicts.ranking import RankingOptions
 
@@ -122,18 +122,18 @@ def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
         yield int(groups[first]), range(first, after)
 
 
-def columns_by_group(batch: Batch, rows: PairedRows) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
+def columns_by_group(batch: Batch, rows: RoundTrips) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
     bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]
         yield group, partial(_part_of_column, rows, first, after)
 
 
-def _part_of_column(rows: PairedRows, first: int, after: int, name: str) -> pl.Series:
+def _part_of_column(rows: RoundTrips, first: int, after: int, name: str) -> pl.Series:
     return rows.column(name).slice(first, after - first)
 
 
-def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.int64]]:
+def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))

@@ -22,7 +22,7 @@ from dds_trace.tracefile.format.events import Stage
 from ..model.metrics import frame_schema
 from ..pairing.exchanges import Exchange
 from ..pairing.pair import MISSING, chosen_of
-from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, PairedRows, RoundTrips
+from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
 from .batch import Batch, exchanges_by_group, filled, is_present
 
@@ -58,7 +58,7 @@ RESPONSE_SCHEMA = frame_schema(
 )
 
 
-def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
+def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize where the time of each whole group goes, a row per part.
 
     Only messages with all parts count, so that the means add up to the mean response. `part` is a name of `STAGES`, or
@@ -98,7 +98,7 @@ def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=BREAKDOWN_SCHEMA)
 
 
-def _is_complete(rows: PairedRows) -> Bools:
+def _is_complete(rows: RoundTrips) -> Bools:
     is_complete = np.ones(int(rows.bounds[-1]), np.bool_)
     for name in _PART_COLUMNS:
         is_complete &= is_present(rows.column(name))
@@ -106,7 +106,7 @@ def _is_complete(rows: PairedRows) -> Bools:
 
 
 class _Columns:
-    def __init__(self, rows: PairedRows) -> None:
+    def __init__(self, rows: RoundTrips) -> None:
         self._rows = rows
         self._filled: dict[str, Int64] | None = {} if isinstance(rows, RoundTrips) else None
         # Stamps prove nothing unless both devices have reception stamps.
@@ -256,7 +256,7 @@ class _Times:
         return int(values_ns.min()) + wall_ns if len(values_ns) else None
 
 
-def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
+def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Compare response times with round trips of each whole group.
 
     A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, 2013). `late_ratio` were sent

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from concurrent.futures import Executor
 
-    from ..pairing.roundtrips import PairedRows, RoundTrips
+    from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
 
     RunMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
     """Makes rows of a run from all columns of this run."""
-    GroupMaker = Callable[[Batch, PairedRows], pl.DataFrame]
+    GroupMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
     """Makes rows from all runs of a group, one column at a time."""
 
 Frames = dict[str, pl.DataFrame]

@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..model.metrics import METRICS, frame_schema
-from ..pairing.roundtrips import PairedRows
+from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
@@ -43,7 +43,7 @@ _STATISTICS = [Statistic(percentile.quantile) for percentile in PERCENTILES]
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
 
 
-def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
+def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Compute every percentile of every metric with its 95 % interval: between runs from three runs on, else within one.
 
     `estimate_ns` (the summary's), `low_ns` and `high_ns` are null where the sample does not support them, `method`
@@ -146,7 +146,7 @@ class _Sending:
         return Runs.split(values if self.order is None else values[self.order], self.times)
 
 
-def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
+def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     rows = [row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
 
@@ -163,6 +163,6 @@ def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dic
         )
 
 
-def knot_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
+def knot_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     knots = roundtrips.clock_knots
     return knots.with_columns(pl.Series("group", batch.group_of_exchange[knots["group"].to_numpy()]))

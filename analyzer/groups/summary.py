@@ -17,7 +17,7 @@ from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
-from ..pairing.roundtrips import PairedRows
+from ..pairing.roundtrips import RoundTrips
 from ..statistics.histogram import Histogram, histogram_of
 from ..statistics.percentiles import summarize_values
 from .batch import Grouping, present
@@ -42,12 +42,12 @@ class Statistics:
         return cls(pl.concat([p.frame for p in parts]), pl.concat([p.distributions for p in parts]))
 
 
-def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -> NDArray[np.int64]:
+def metric_values(roundtrips: RoundTrips, metric: str, first: int, after: int) -> NDArray[np.int64]:
     rows = roundtrips.bounds[[first, after]].tolist()
     return present(roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]))
 
 
-def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:
+def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32]) -> Statistics:
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first, len(group_of_exchange))[1:]
     return measure_groups(

@@ -88,7 +88,7 @@ class OneWay:
 def fit_exchanges(
     exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> OneWay:
-    """Fit the clocks of every exchange by its own messages; `bounds` as in `PairedRows`.
+    """Fit the clocks of every exchange by its own messages; `bounds` as in `RoundTrips`.
 
     `stamps` are T1, T3, T4 and T2 of each row by column name, or `pair.MISSING`.
     """

@@ -24,7 +24,7 @@ from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from ..model.metrics import Column
 from .exchanges import Exchanges
 from .pair import OUTCOMES
-from .roundtrips import PairedRows
+from .roundtrips import RoundTrips
 from .utc import is_synchronized, utc_text
 
 _ROWS_PER_PAGE = 1 << 15
@@ -89,7 +89,7 @@ def _abandon(writer: pq.ParquetWriter) -> None:
     writer.is_open = False  # else its finalizer tries again
 
 
-def tables_of(rows: PairedRows) -> Iterator[pa.Table]:
+def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
     """Yield the rows, a row group at a time; a text that never changes shares one array of indices."""
     described = rows.described
     texts = {

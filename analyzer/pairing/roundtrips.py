@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -70,11 +69,11 @@ RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.value
 STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
 
 ROWS_PER_FRAME = 1 << 20
-"""Rows of a frame of `PairedRows.frames`, and of a row group of the Parquet file."""
+"""Rows of a frame of `RoundTrips.frames`, and of a row group of the Parquet file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairedRows(ABC):
+class RoundTrips:
     """The rows of some exchanges, by exchange, then by sequence.
 
     Attributes:
@@ -82,40 +81,15 @@ class PairedRows(ABC):
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         clock_knots: columns of `one_way.KNOT_SCHEMA` of the exchanges' own fits, `group` being the index of the exchange.
+        measured: `sequence`, `columns.MEASURED_COLUMNS` but `outcome`, and `UTC_COLUMNS`.
+        outcome: uint8, an index of `pair.OUTCOMES`.
+        stamps: the columns of `MIDDLEWARE_STAMPS` that any event has.
     """
 
     described: pl.DataFrame
     bounds: NDArray[np.int64]
     counts: pl.DataFrame
     clock_knots: pl.DataFrame
-
-    @property
-    @abstractmethod
-    def stamp_names(self) -> frozenset[str]:
-        """Columns of `MIDDLEWARE_STAMPS` that any event has."""
-
-    @abstractmethod
-    def column(self, name: str) -> pl.Series:
-        """Return `sequence`, a column of `columns.MEASURED_COLUMNS` but `outcome`, or one of `stamp_names`."""
-
-    @abstractmethod
-    def frames(self) -> Iterator[pl.DataFrame]:
-        """Yield the rows in frames of `ROWS_PER_FRAME`, at least one.
-
-        Columns are `sequence`, `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
-        """
-
-    def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        return np.repeat(values, np.diff(self.bounds))
-
-    def exchange_of_row(self) -> NDArray[np.uint32]:
-        return self.per_row(np.arange(len(self.described), dtype=np.uint32))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RoundTrips(PairedRows):
-    """The rows in memory; `outcome` is uint8, an index of `pair.OUTCOMES`."""
-
     measured: pl.DataFrame
     outcome: NDArray[np.uint8]
     stamps: tuple[pl.Series, ...]
@@ -129,9 +103,16 @@ class RoundTrips(PairedRows):
         return stamps[0] if stamps else self.measured[name]
 
     def frames(self) -> Iterator[pl.DataFrame]:
+        """Yield the rows in frames of `ROWS_PER_FRAME`, at least one, with `outcome`, but without `stamps`."""
         for first in range(0, len(self.outcome) or 1, ROWS_PER_FRAME):
             outcome = pl.Series("outcome", self.outcome[first : first + ROWS_PER_FRAME])
             yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
+
+    def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        return np.repeat(values, np.diff(self.bounds))
+
+    def exchange_of_row(self) -> NDArray[np.uint32]:
+        return self.per_row(np.arange(len(self.described), dtype=np.uint32))
 
     def part(self, begin: int, end: int) -> RoundTrips:
         first, behind = self.bounds[[begin, end]].tolist()

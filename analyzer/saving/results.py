@@ -49,7 +49,9 @@ def replacing_results(folder: Path) -> Iterator[Path]:
         try:
             yield drafts
             with _output_errors(folder):
-                _check_no_folders(folder, drafts)
+                for target in (folder / draft.name for draft in drafts.iterdir()):
+                    if target.is_dir() and not target.is_symlink():
+                        raise OutputError(f"{target} is a folder; give another folder with --out")
                 with _finished_results(folder):
                     whole = drafts.rename(drafts.with_suffix(".whole"))
                     _move_results(whole)
@@ -68,12 +70,6 @@ def _output_errors(folder: Path) -> Iterator[None]:
         yield
     except OSError as err:
         raise OutputError(f"{folder} cannot be written ({err.strerror}); give another folder with --out") from err
-
-
-def _check_no_folders(folder: Path, drafts: Path) -> None:
-    for target in (folder / draft.name for draft in drafts.iterdir()):
-        if target.is_dir() and not target.is_symlink():
-            raise OutputError(f"{target} is a folder; give another folder with --out")
 
 
 def _open_drafts(folder: Path, stack: ExitStack) -> Path:

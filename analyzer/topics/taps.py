@@ -56,7 +56,8 @@ def heard_by_taps(campaign: Campaign) -> list[Heard]:
     ends: dict[int, int] = defaultdict(int)
     for (stage, _, publisher_id), parts_of_key in campaign.events.items():
         for part in parts_of_key if stage is Stage.TAP else ():
-            session_id = _tap_session(campaign, part.trace)
+            taps = [session.session_id for session in campaign.traces[part.trace].sessions if session.role == TAP_ROLE]
+            session_id = taps[-1] if taps else -1
             parts[session_id, publisher_id].append(part)
             ends[session_id] = max(ends[session_id], part.last_ns)
     records: dict[tuple[int, int], JsonObject] = {}
@@ -73,11 +74,6 @@ def heard_by_taps(campaign: Campaign) -> list[Heard]:
         if key in records and key[0] in campaign.sessions
     ]
     return sorted(heard, key=lambda stream: (stream.topic, stream.session.session_id, stream.publisher))
-
-
-def _tap_session(campaign: Campaign, trace: int) -> int:
-    taps = [session.session_id for session in campaign.traces[trace].sessions if session.role == TAP_ROLE]
-    return taps[-1] if taps else -1
 
 
 def _number(value: Any, base: int) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from ..kernel.counters import InterfaceCounters
 from ..records import since
-from .applied import Applied, Snapshot
+from .applied import Applied
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 LOOPBACK = "lo"
@@ -50,7 +50,10 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
     explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
     over_tcp = _tcp_delta(applied)
     if over_tcp is not None and _reaches(over_tcp, traffic):
-        return _tcp_interface(applied.end, explaining)
+        connected = [read for read in applied.end.sockets or () if read.tcp is not None and read.remote_port]
+        if all(read.is_local for read in connected):
+            return LOOPBACK
+        return explaining[0] if len(explaining) == 1 else UNKNOWN
     memory = [file for file in applied.end.memory or () if file.is_in_use]
     interfaces = applied.begin.interfaces
     if memory and interfaces and all(is_excluded(applied, name, traffic) for name in interfaces):
@@ -104,11 +107,3 @@ def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
         sum(now.acked_bytes - (then.acked_bytes if then else 0) for then, now in states),
         sum(now.received_bytes - (then.received_bytes if then else 0) for then, now in states),
     )
-
-
-def _tcp_interface(end: Snapshot, explaining: list[str]) -> str:
-    """Return the TCP connections' interface: loopback by their addresses, else the one that counted enough."""
-    connected = [read for read in end.sockets or () if read.tcp is not None and read.remote_port]
-    if all(read.is_local for read in connected):
-        return LOOPBACK
-    return explaining[0] if len(explaining) == 1 else UNKNOWN

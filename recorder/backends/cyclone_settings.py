@@ -115,21 +115,17 @@ def security_settings(options: NodeOptions) -> str:
     """
     if options.keys is None:
         return ""
-    plugins = _plugin_folder()
+    # The plugins are next to the library of this process, or where Debian has them.
+    library = re.search(r"/\S*libddsc\S*\.so\S*", Path("/proc/self/maps").read_text())
+    folder = Path(library[0]).parent if library else Path()
+    folders = (folder, folder / "libddsc0debian")
+    plugins = next((folder for folder in folders if (folder / "libdds_security_auth.so").exists()), None)
     if plugins is None:
         raise BackendUnavailableError(
             f"--security {options.security.value}: this Cyclone DDS has no security plugins, as none from pip has; build the package "
             "cyclonedds 0.10.2 against Debian's cyclonedds-dev (docs/how-to/security.md)"
         )
     return _SECURITY.format(enclave(options.keys, listens=options.listens), plugins)
-
-
-def _plugin_folder() -> Path | None:
-    """Return the folder of this process's plugins: next to the library, or where Debian has them."""
-    library = re.search(r"/\S*libddsc\S*\.so\S*", Path("/proc/self/maps").read_text())
-    folder = Path(library[0]).parent if library else Path()
-    folders = (folder, folder / "libddsc0debian")
-    return next((folder for folder in folders if (folder / "libdds_security_auth.so").exists()), None)
 
 
 def loaded_plugins() -> str:

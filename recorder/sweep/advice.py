@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 from ..applied.vendors import BUFFER_BYTES
 from ..backends import load_backend
+from ..backends.ros2.fastdds_profile import profile_xml, xml_text
 from ..backends.ros2.installation import package_version
 from ..kernel.counters import read_limits
 from .folder import replace_text
@@ -16,10 +17,8 @@ from .folder import replace_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ..backends.ros2.fastdds_profile import Settings
     from .plan.plan import Plan
-
-Settings: TypeAlias = "dict[str, Any]"
-"""Names of a configuration as they nest; an XML tag may carry attributes, and a list repeats it."""
 
 PACKET_BYTES = 1400
 """Largest datagram that no link splits, with its headers."""
@@ -91,24 +90,11 @@ def _fastdds(largest_bytes: int, rate_byte_s: float) -> dict[str, str]:
     small = {"maxMessageSize": PACKET_BYTES}
 
     def text(name: str, further: Settings, udp: Settings | None = None, rtps: Settings | None = None) -> str:
-        transports = {
+        transports: dict[str, Settings] = {
             "dds_trace_shm": {"type": "SHM", "segment_size": max(1 << 20, 4 * largest_bytes)},
             "dds_trace_udp": {"type": "UDPv4", "receiveBufferSize": _receive_bytes(), **(udp or {})},
         }
-        descriptors = [{"transport_id": transport, **values} for transport, values in transports.items()]
-        profile = {
-            "userTransports": {"transport_id": list(transports)},
-            "useBuiltinTransports": "false",
-            **(rtps or {}),
-        }
-        profiles = {
-            "transport_descriptors": {"transport_descriptor": descriptors},
-            'participant profile_name="dds_trace" is_default_profile="true"': {"rtps": profile},
-            **further,
-        }
-        return xml_text(
-            name, {'dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"': {"profiles": profiles}}
-        )
+        return profile_xml(name, transports, rtps or {}, further)
 
     settings = {
         "buffers": text("buffers", {}),
@@ -156,16 +142,3 @@ def _zenoh(largest_bytes: int, on_the_way_bytes: float) -> dict[str, Settings]:
         send_bytes = max(1 << 14, min(1 << 22, round(on_the_way_bytes)))
         settings["short-queue"] = {"link": {**buffers, "tcp": {"so_sndbuf": send_bytes}}}
     return settings
-
-
-def xml_text(title: str, settings: Settings) -> str:
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by dds-trace: {title}. -->\n{_tags(settings, "")}'
-
-
-def _tags(settings: Settings, indent: str) -> str:
-    lines = []
-    for tag, values in settings.items():
-        for value in values if isinstance(values, list) else [values]:
-            content = f"\n{_tags(value, indent + '  ')}{indent}" if isinstance(value, dict) else value
-            lines.append(f"{indent}<{tag}>{content}</{tag.partition(' ')[0]}>\n")
-    return "".join(lines)

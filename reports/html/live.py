@@ -21,7 +21,6 @@ from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import TypeAlias
 
-from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
@@ -79,12 +78,6 @@ def sweep_status(folder: Path) -> SweepStatus:
             total.left_s + (max(0.0, left_s - age_s) if recorded < planned else 0.0),
         )
     return total
-
-
-def without_running(analysis: Analysis) -> Analysis:
-    unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
-    findings = (finding for finding in analysis.findings if not set(finding.where.split(", ")) <= unfinished)
-    return replace(analysis, findings=tuple(findings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +145,9 @@ class Watcher:
     def _analyzed(self, version: str) -> str:
         analysis = analyze(self._options.folder, out=self._target(), spool=self._spool)
         if sweep_status(self._options.folder).running:
-            analysis = without_running(analysis)
+            unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
+            findings = (finding for finding in analysis.findings if not set(finding.where.split(", ")) <= unfinished)
+            analysis = replace(analysis, findings=tuple(findings))
         return render_live(Book(analysis), version)
 
     def _failed(self, why: str, version: str) -> Shown:

@@ -99,7 +99,12 @@ class _ServiceClient:
 
     def publish(self, message: CallMessage, /) -> None:
         if message.built is None:
-            message.built = _request_of(message)
+            kinds = import_module("rcl_interfaces.msg")
+            data = array("q", bytes(message.data) + bytes(-len(message.data) % 8))
+            value = kinds.ParameterValue(
+                type=INTEGER_ARRAY, integer_array_value=data, integer_value=message.payload_bytes
+            )
+            message.built = message_class(SERVICE).Request(parameters=[kinds.Parameter(value=value)])
         self._request = message.built
         self._request.parameters[0].name = message.stamp
         self._client.call_async(self._request).add_done_callback(self._on_response)
@@ -110,13 +115,6 @@ class _ServiceClient:
 
     def describe(self) -> dict[str, int]:
         return {"typed_ns": _conversion_ns(self._request, self._response)}
-
-
-def _request_of(message: CallMessage) -> RosMessage:
-    kinds = import_module("rcl_interfaces.msg")
-    data = array("q", bytes(message.data) + bytes(-len(message.data) % 8))
-    value = kinds.ParameterValue(type=INTEGER_ARRAY, integer_array_value=data, integer_value=message.payload_bytes)
-    return message_class(SERVICE).Request(parameters=[kinds.Parameter(value=value)])
 
 
 def _serve_service(

@@ -19,7 +19,7 @@ import os
 import tempfile
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
     from ..node import NodeOptions
 
+Settings: TypeAlias = "dict[str, Any]"
+"""Names of a configuration as they nest; an XML tag may carry attributes, and a list repeats it."""
+
 RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 """Leaves discovery to the profile; ROS_STATIC_PEERS is ignored."""
 
@@ -42,84 +45,67 @@ MAX_PEERS = 32
 
 _UDP, _NETWORK_UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_network_udp", "dds_trace_shm", "dds_trace_tcp"
 
-_WHITELIST = "        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>\n"
-
-_DESCRIPTORS = {
-    _SHM: "        <type>SHM</type>\n{segment}",
-    # As Fast DDS sets up TCP for LARGE_DATA.
-    _TCP: (
-        "        <type>TCPv4</type>\n"
-        + _WHITELIST
-        + "        <listening_ports><port>0</port></listening_ports>\n"
-        + "        <calculate_crc>false</calculate_crc>\n"
-        + "        <check_crc>false</check_crc>\n"
-        + "        <enable_tcp_nodelay>true</enable_tcp_nodelay>\n"
-    ),
-    _UDP: (
-        "        <type>UDPv4</type>\n"
-        "{buffers}" + _WHITELIST + f"        <maxInitialPeersRange>{MAX_PEERS}</maxInitialPeersRange>\n"
-    ),
-    _NETWORK_UDP: "        <type>UDPv4</type>\n{buffers}",
-}
-
-_BUFFERS = "        <receiveBufferSize>{bytes}</receiveBufferSize>\n"
-_FRAGMENTS = "        <maxMessageSize>{bytes}</maxMessageSize>\n"
-_SEGMENT = "        <segment_size>{bytes}</segment_size>\n"
+_LOOPBACK = {"interfaceWhiteList": {"address": "127.0.0.1"}}
 
 # An empty locator is the well-known unicast port, and keeps Fast DDS from opening its multicast one.
-_UNICAST_DISCOVERY = """\
-        <builtin>
-          <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
-          <initialPeersList>
-            <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
-          </initialPeersList>
-        </builtin>
-"""
+_UNICAST_DISCOVERY = {
+    "builtin": {
+        "metatrafficUnicastLocatorList": {"locator": ""},
+        "initialPeersList": {"locator": {"udpv4": {"address": "127.0.0.1"}}},
+    }
+}
 
 # LARGE_DATA looks for participants by multicast and for endpoints over TCP; the whitelist keeps both on loopback.
-_LARGE_DATA_DISCOVERY = """\
-        <builtin>
-          <metatrafficUnicastLocatorList>
-            <locator><tcpv4><physical_port>0</physical_port><port>0</port><address>0.0.0.0</address></tcpv4></locator>
-          </metatrafficUnicastLocatorList>
-          <metatrafficMulticastLocatorList>
-            <locator><udpv4><address>239.255.0.1</address></udpv4></locator>
-          </metatrafficMulticastLocatorList>
-          <initialPeersList>
-            <locator><udpv4><address>239.255.0.1</address></udpv4></locator>
-          </initialPeersList>
-        </builtin>
-"""
+_MULTICAST = {"locator": {"udpv4": {"address": "239.255.0.1"}}}
+_LARGE_DATA_DISCOVERY = {
+    "builtin": {
+        "metatrafficUnicastLocatorList": {
+            "locator": {"tcpv4": {"physical_port": 0, "port": 0, "address": "0.0.0.0"}}  # noqa: S104 - of the peer's port
+        },
+        "metatrafficMulticastLocatorList": _MULTICAST,
+        "initialPeersList": _MULTICAST,
+    }
+}
 
-_PROFILE = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by dds-trace: {title}. -->
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <profiles>
-    <transport_descriptors>
-{descriptors}    </transport_descriptors>
-{participants}  </profiles>
-</dds>
-"""
-
-_PARTICIPANT = """\
-    <participant {attributes}>
-{domain}      <rtps>
-        <userTransports>
-{transports}        </userTransports>
-        <useBuiltinTransports>false</useBuiltinTransports>
-{discovery}      </rtps>
-    </participant>
-"""
-
-_DEFAULT_PARTICIPANT = ('profile_name="dds_trace" is_default_profile="true"', "")
-
-
-_LAYOUTS = {
+_LAYOUTS: dict[Transport, tuple[tuple[str, ...], Settings]] = {
     Transport.UDP: ((_UDP,), _UNICAST_DISCOVERY),
-    Transport.SHM: ((_SHM,), ""),
+    Transport.SHM: ((_SHM,), {}),
     Transport.LARGE_DATA: ((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
 }
+
+
+def xml_text(title: str, settings: Settings) -> str:
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by dds-trace: {title}. -->\n{_tags(settings, "")}'
+
+
+def _tags(settings: Settings, indent: str) -> str:
+    lines = []
+    for tag, values in settings.items():
+        for value in values if isinstance(values, list) else [values]:
+            content = f"\n{_tags(value, indent + '  ')}{indent}" if isinstance(value, dict) else value
+            lines.append(f"{indent}<{tag}>{content}</{tag.partition(' ')[0]}>\n")
+    return "".join(lines)
+
+
+def profile_xml(
+    title: str,
+    transports: Mapping[str, Settings],
+    rtps: Settings,
+    further: Settings | None = None,
+    participants: Mapping[str, Settings] | None = None,
+) -> str:
+    """Return a profile file in which the participants, by name, use these transports only.
+
+    By default there is one participant, for all domains.
+    """
+    used = {"userTransports": {"transport_id": list(transports)}, "useBuiltinTransports": "false", **rtps}
+    descriptors = [{"transport_id": name, **values} for name, values in transports.items()]
+    profiles: Settings = {"transport_descriptors": {"transport_descriptor": descriptors}}
+    for name, domain in (participants or {"dds_trace": {}}).items():
+        default = "" if domain else ' is_default_profile="true"'
+        profiles[f'participant profile_name="{name}"{default}'] = {**domain, "rtps": used}
+    namespace = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
+    return xml_text(title, {f'dds xmlns="{namespace}"': {"profiles": {**profiles, **(further or {})}}})
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
@@ -127,52 +113,27 @@ def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> 
         raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
         raise OptionError(NO_TUNING.format(transport.value))
-    transports, discovery = _LAYOUTS[transport]
-    return _profile(f"{transport.value} on this machine only", transports, discovery, Sizes(buffer_bytes))
-
-
-def _profile(
-    title: str,
-    transports: tuple[str, ...],
-    discovery: str,
-    sizes: Sizes,
-    participants: Sequence[tuple[str, str]] = (_DEFAULT_PARTICIPANT,),
-) -> str:
-    return _PROFILE.format(
-        title=title,
-        descriptors="".join(_descriptor(name, sizes) for name in transports),
-        participants="".join(
-            _PARTICIPANT.format(
-                attributes=attributes,
-                domain=domain,
-                transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in transports),
-                discovery=discovery,
-            )
-            for attributes, domain in participants
-        ),
-    )
+    names, discovery = _LAYOUTS[transport]
+    return profile_xml(f"{transport.value} on this machine only", _transports(names, Sizes(buffer_bytes)), discovery)
 
 
 def tuned_participants(names: Mapping[str, int], *, is_local: bool) -> str:
-    transports, discovery = _LAYOUTS[Transport.UDP] if is_local else ((_NETWORK_UDP,), "")
-    participants = [
-        (f'profile_name="{name}"', f"      <domainId>{domain_id}</domainId>\n") for name, domain_id in names.items()
-    ]
-    return _profile("tuned udp", transports, discovery, Sizes(BUFFER_BYTES), participants)
+    transports, discovery = _LAYOUTS[Transport.UDP] if is_local else ((_NETWORK_UDP,), {})
+    participants = {name: {"domainId": domain_id} for name, domain_id in names.items()}
+    return profile_xml("tuned udp", _transports(transports, Sizes(BUFFER_BYTES)), discovery, participants=participants)
 
 
-def _descriptor(name: str, sizes: Sizes) -> str:
-    buffer, segment, fragment = (
-        "" if size is None else text.format(bytes=size)
-        for size, text in zip(sizes, (_BUFFERS, _SEGMENT, _FRAGMENTS), strict=True)
-    )
-    body = _DESCRIPTORS[name].format(buffers=buffer + fragment, segment=segment)
-    return (
-        "      <transport_descriptor>\n"
-        f"        <transport_id>{name}</transport_id>\n"
-        f"{body}"
-        "      </transport_descriptor>\n"
-    )
+def _transports(names: Sequence[str], sizes: Sizes) -> dict[str, Settings]:
+    buffers = {"receiveBufferSize": sizes.buffer, "maxMessageSize": sizes.fragment}
+    udp = {"type": "UDPv4", **{name: size for name, size in buffers.items() if size is not None}}
+    tcp = {"listening_ports": {"port": 0}, "calculate_crc": "false", "check_crc": "false", "enable_tcp_nodelay": "true"}
+    descriptors: dict[str, Settings] = {
+        _SHM: {"type": "SHM", **({} if sizes.segment is None else {"segment_size": sizes.segment})},
+        _TCP: {"type": "TCPv4", **_LOOPBACK, **tcp},  # as Fast DDS sets up TCP for LARGE_DATA
+        _UDP: {**udp, **_LOOPBACK, "maxInitialPeersRange": MAX_PEERS},
+        _NETWORK_UDP: udp,
+    }
+    return {name: descriptors[name] for name in names}
 
 
 _SIZED = {Transport.DEFAULT: (_SHM, _UDP), Transport.UDP: (_UDP,), Transport.SHM: (_SHM,)}
@@ -185,13 +146,14 @@ def requested_profile(
     if any(sizes):
         chosen = Transport.UDP if tuned and transport is Transport.DEFAULT else transport
         names = [name if is_local or name != _UDP else _NETWORK_UDP for name in _SIZED[chosen]]
-        discovery = _UNICAST_DISCOVERY if is_local and _UDP in names else ""
+        discovery: Settings = _UNICAST_DISCOVERY if is_local and _UDP in names else {}
         if tuned and sizes.buffer is None:
             sizes = sizes._replace(buffer=BUFFER_BYTES)
-        return _profile(f"{chosen.value} of other sizes", tuple(names), discovery, sizes)
+        return profile_xml(f"{chosen.value} of other sizes", _transports(names, sizes), discovery)
     if not is_local:
         is_udp = transport in (Transport.DEFAULT, Transport.UDP)
-        return _profile("tuned udp", (_NETWORK_UDP,), "", Sizes(BUFFER_BYTES)) if tuned and is_udp else None
+        tuned_udp = _transports((_NETWORK_UDP,), Sizes(BUFFER_BYTES))
+        return profile_xml("tuned udp", tuned_udp, {}) if tuned and is_udp else None
     if transport is Transport.DEFAULT and not tuned:
         return None
     # Tuning enlarges the buffers of UDP sockets.

@@ -44,7 +44,7 @@ def brief_lines(book: Book) -> list[Text]:
     thresholds = _thresholds(book)
     parts += [thresholds] if thresholds else []
     if PointKind.FASTEST in answer.kinds:
-        parts += _winners(answer.fastest, contender_labels(book.analysis.details.answers, vendors))
+        parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
     for kind, sentence in answer.sentences:
         if kind is PointKind.BRIDGE:
             facts = [

@@ -144,7 +144,7 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     sentences = [one for one in answer.sentences if one[0] is not PointKind.LOSS] or answer.sentences
     fastest = next((one for one in sentences if one[0] is PointKind.FASTEST), sentences[0])
     shown = sentences[0] if PointKind.FORGED in answer.kinds else fastest
-    return *shown, answer.fastest[0].cases if answer.fastest else ()
+    return *shown, book.fastest[0].cases if book.fastest else ()
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:

@@ -11,8 +11,8 @@ from functools import partial
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
-from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, Reason
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
@@ -38,7 +38,6 @@ from .headline import (
     bridge_sentence,
     cure_sentence,
     factor_words,
-    fastest_setups,
     few_lost_sentence,
     forged_sentence,
     loss_sentence,
@@ -49,7 +48,7 @@ from .headline import (
 )
 from .numbers import Intervals, Values
 from .topics import topic_sentences
-from .verdicts import CLEARLY, WITHIN_ONE_RUN, contender_labels
+from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
 
 class PointKind(str, Enum):
@@ -74,12 +73,12 @@ class Conclusion:
     """Headline and sentences of a report; `points` follow the headline, `remarks` are numbers, `rule` defines `clearly`.
 
     `outcome` is `decided`, `open`, or `lossy` where a report advises against a setup; empty where the headline is of few losses.
-    `kinds` are of the headline and each of the points; `fastest` is without cases that only one setup has.
+    `kinds` are of the headline and each of the points.
     """
 
     headline: str
     metric: str
-    fastest: tuple[Fastest, ...]
+    verdicts: tuple[DataVerdict, ...]
     remarks: tuple[str, ...]
     rule: str
     points: tuple[str, ...] = ()
@@ -91,7 +90,9 @@ class Conclusion:
         return [*zip(self.kinds, (self.headline, *self.points), strict=True)]
 
 
-def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
+def answer_info(
+    analysis: Analysis, groups: Groups, values: Values, intervals: Intervals, fastest: Sequence[Fastest]
+) -> Conclusion:
     metric = values.default_metric
     topics = topic_sentences(analysis.topics)
     if not groups.groups:
@@ -115,9 +116,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
         *_level_remarks(usable, values, metric),
         *([] if losses or forged else ["Every message was received."]),
     )
-    compared = [answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE]
-    rule = CLEARLY if any(answer.basis == Basis.BETWEEN_RUNS.value for answer in compared) else WITHIN_ONE_RUN
-    fastest = fastest_setups(answers, groups.vendors)
+    verdicts = verdicts_info(answers, groups.vendors)
+    rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
@@ -137,9 +137,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     is_decided = any(kind.is_decided for kind in fastest)
     is_lossy, loses = not {PointKind.AVOID, PointKind.FORGED}.isdisjoint(kinds), PointKind.LOSS in kinds
     outcome = "lossy" if is_lossy else "" if loses else "decided" if is_decided else "open"
-    return Conclusion(
-        headline, metric, tuple(fastest), remarks, rule if compared else "", tuple(points), outcome, kinds
-    )
+    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome, kinds)
 
 
 def _who_is_fastest(

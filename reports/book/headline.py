@@ -62,7 +62,7 @@ def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
             outage = _OUTAGES.get(by, by), length_s, planned
             outages.setdefault(outage, {}).setdefault(labels[group], []).append(None if never else back_ns)
     return [
-        printable(f"{by} for {planned}: {'; '.join(_came_back(*setup) for setup in setups.items())}.")
+        printable(f"{by} for {planned}: {joined(_came_back(*setup) for setup in setups.items())}.")
         for (by, _, planned), setups in sorted(outages.items())
     ]
 

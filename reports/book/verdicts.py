@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from dds_trace.analyzer.model.names import Rule, tell_apart, where_alike
 from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
-from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from .groups import DATA_TYPES, VendorLabels, device_pair, format_ratio, setting_word, way_words
+from .groups import DATA_TYPES, VendorLabels, data_type_label, device_pair, format_ratio, setting_word, way_words
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -47,6 +50,62 @@ _FURTHER = (
     "vendor",
     "bridge",
 )
+
+
+@dataclass(frozen=True, slots=True)
+class WinCount:
+    contender: str
+    vendor: str
+    cells: int
+
+
+@dataclass(frozen=True, slots=True)
+class DataVerdict:
+    """Result for one kind of data, over all messages of two setups or more.
+
+    Attributes:
+        data: data type and domain mode, as in `Binary, same domain`.
+        cells: number of compared messages.
+        wins: the one with most messages first.
+        inconclusive: number of messages without a clear winner.
+        place: devices, link and conditions; each is judged for itself.
+        within_one_run: messages among the inconclusive ones for which a setup has fewer than three runs.
+    """
+
+    data: str
+    mode: str
+    cells: int
+    wins: tuple[WinCount, ...]
+    inconclusive: int
+    place: str = ""
+    within_one_run: int = 0
+
+
+def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
+    setups = {setup.name: setup for answer in answers for setup in answer.contenders}
+    labels = contender_labels(answers, vendors)
+    families: dict[object, list[CaseAnswer]] = {}
+    for answer in sorted(answers, key=_order):
+        if answer.clarity is not Clarity.ONLY_ONE:
+            families.setdefault(attrgetter(*FAMILY)(answer), []).append(answer)
+    verdicts = []
+    for cases in families.values():
+        won = Counter(case.leaders[0].name for case in cases if case.clarity is Clarity.CLEAR)
+        leads = sorted(won.items(), key=lambda lead: (-lead[1], lead[0]))
+        unclear = [case for case in cases if case.clarity is Clarity.INCONCLUSIVE]
+        mode = MODES.get(cases[0].domain_mode, printable(cases[0].domain_mode))
+        verdicts.append(
+            DataVerdict(
+                data=f"{data_type_label(cases[0].data_type)}, {mode}",
+                mode=mode,
+                cells=len(cases),
+                wins=tuple(WinCount(labels[name], str(setups[name].setting["vendor"]), count) for name, count in leads),
+                inconclusive=len(unclear),
+                place=place_of(cases[0]),
+                within_one_run=sum(case.basis == Basis.WITHIN_RUN.value for case in unclear),
+            )
+        )
+    return tuple(verdicts)
 
 
 _CONDITION_WORDS = {
@@ -95,6 +154,12 @@ def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
 def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     value = setting[column]
     return printable(f"depth {value}" if column == "depth" else "none" if value is None else value)
+
+
+def _order(answer: CaseAnswer) -> tuple[object, ...]:
+    relay = answer.relay_device
+    where = answer.connectivity, answer.ping_device, relay is None, relay or "", answer.conditions
+    return *data_type_rank(answer.data_type), answer.domain_mode != "same", *where
 
 
 def data_type_rank(data_type: str) -> tuple[int, str]:

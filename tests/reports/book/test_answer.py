@@ -13,7 +13,7 @@ from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown
 from dds_trace.reports.book.overview import Fact
-from dds_trace.reports.book.verdicts import place_of
+from dds_trace.reports.book.verdicts import DataVerdict, WinCount
 from dds_trace.reports.reporters import load_reporter
 
 SLOW = around(10 * MS)
@@ -22,8 +22,16 @@ FAST = around(MS)
 
 def test_a_clear_winner_is_named(sentences):
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))).answer
-    (fastest,) = answer.fastest
-    assert (fastest.place, fastest.is_decided) == ("pi-one → pi-two, wired", True)
+    assert answer.verdicts == (
+        DataVerdict(
+            "Binary, same domain",
+            "same domain",
+            1,
+            (WinCount("Zenoh", "zenoh", 1),),
+            inconclusive=0,
+            place="pi-one → pi-two, wired",
+        ),
+    )
     assert "Zenoh (the next" in answer.headline
     assert 9.92 in numbers(answer.headline)
     sentences(answer.headline, *answer.points, answer.rule)
@@ -33,7 +41,7 @@ def test_overlap_is_inconclusive(sentences):
     # 20 messages: the interval of the median reaches from the 6th to the 15th, 1.005 to 1.014 ms of the faster.
     slightly_slower = [ns + 5_000 for ns in FAST]
     answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
-    assert not answer.fastest[0].is_decided
+    assert answer.verdicts[0].inconclusive == 1
     sentences(answer.headline)
 
 
@@ -42,26 +50,27 @@ def test_with_fewer_than_three_runs_nothing_is_faster(sentences):
     one_run = find_answers(rows_by_group(analysis.load_roundtrips()))
     answer = Book(replace(analysis, details=replace(analysis.details, answers=one_run))).answer
     sentences(answer.headline, answer.rule)
-    assert "a verdict needs" in answer.headline
+    assert answer.verdicts[0].within_one_run == 1
     assert "fastest" not in answer.rule
 
 
-def test_lost_messages_are_infinitely_late():
+def test_lost_messages_are_infinitely_late(sentences):
     # Half of the faster one's messages are lost, so its median is infinite and it cannot lead.
     lossy = [*FAST[:10], *["lost_return"] * 10]
     answer = Book(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH))).answer
-    assert not any(text.startswith("Zenoh") for _, text, _ in answer.fastest[0].lines)
+    assert all(win.contender != "Zenoh" for win in answer.verdicts[0].wins)
     assert numbers(answer.headline) == [25, 10, 40]
+    sentences(answer.headline)
 
 
 def test_runs_that_differ_more_than_the_contenders_are_inconclusive():
     answer = Book(make_analysis(Measured([10 * MS] * 3), Measured([10 * MS + 100] * 3, **ZENOH))).answer
-    assert not answer.fastest[0].is_decided
+    assert answer.verdicts[0].inconclusive == 1
 
 
 def test_a_quality_of_service_is_part_of_a_choice():
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, reliability="best_effort"))).answer
-    assert "Fast DDS, best_effort (" in answer.headline
+    assert answer.verdicts[0].wins == (WinCount("Fast DDS, best_effort", "fastdds", 1),)
 
 
 def test_without_the_round_trips_in_memory_nothing_is_judged(sentences):
@@ -74,8 +83,9 @@ def test_without_the_round_trips_in_memory_nothing_is_judged(sentences):
 
 def test_unlike_conditions_are_not_compared(sentences):
     answer = Book(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH))).answer
-    assert answer.fastest == ()
+    assert answer.verdicts == ()
     assert "not measured under equal conditions" in answer.headline
+    assert "no choice" not in answer.headline
     sentences(answer.headline)
 
 
@@ -83,8 +93,9 @@ def test_bridges_are_contenders_across_domains():
     answer = Book(
         make_analysis(Measured(SLOW, **BRIDGED), Measured(FAST, bridge="zenoh-bridge-dds", domain_mode="different"))
     ).answer
-    assert "across different domains" in answer.headline
-    assert "Fast DDS through zenoh-bridge-dds (" in answer.headline
+    (verdict,) = answer.verdicts
+    assert verdict.data == "Binary, different domains"
+    assert verdict.wins == (WinCount("Fast DDS through zenoh-bridge-dds", "fastdds", 1),)
 
 
 def test_one_middleware_leaves_no_choice_and_the_bridge_its_price(sentences):
@@ -103,7 +114,6 @@ def test_wins_are_counted_over_rates(sentences):
         )).answer  # fmt: skip
     assert "depends on the rate" in answer.headline
     assert numbers(answer.headline)[-3:] == [2, 4, 1]
-    assert "no choice" not in answer.headline
     sentences(answer.headline)
 
 
@@ -125,9 +135,14 @@ def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences
     assert "33 KB: Zenoh (" in book.answer.headline
     assert "1.25 times" in book.answer.headline
     sentences(book.answer.headline)
+    assert [(one.place, one.wins[0].contender) for one in book.answer.verdicts] == [
+        ("fast, wired", "Zenoh"),
+        ("pi, wired", "Zenoh"),
+        ("zero, wired", "Zenoh"),
+    ]
     for kind in ("html", "md", "terminal"):
         text = " ".join(load_reporter(kind).render(book).split())
-        assert all(f"{device}, wired" in text for device in DEVICES), kind
+        assert all(verdict.place in text for verdict in book.answer.verdicts), kind
         assert "on each of 3 pairs" in text, kind
 
 
@@ -145,7 +160,7 @@ def test_conditions_follow_devices_and_link_in_every_report():
     book = Book(make_analysis(*alone, *together))
     conditions = "2 runs at once, emulated link wifi-54(loss_percent=1)"
     place = f"pi-one → pi-two, wired, {conditions}"
-    assert place in {place_of(answer) for answer in book.analysis.details.answers}
+    assert [one.place for one in book.answer.verdicts] == ["pi-one → pi-two, wired", place]
     assert Fact("Conditions", conditions) in book.overview.facts
     for kind in ("html", "terminal"):
         assert place in " ".join(load_reporter(kind).render(book).split()), kind

@@ -78,7 +78,7 @@ def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
     lines = terminal.render_brief(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
     binary = lines.index("Fastest in the same domain (Binary)")
     fact, bars = lines[binary + 1 : binary + 3]
-    assert fact.startswith("✓ at every size: Zenoh (the next ")
+    assert fact.startswith("✓ at every size: Zenoh (")
     short, long = (part.count("▇") for part in bars.split("   ")[:2])
     assert 1 <= short < long == INLINE_BAR
     assert bars.endswith("1 MB at 10 Hz")
@@ -223,7 +223,7 @@ def test_the_terminal_says_what_its_numbers_rest_on():
 def test_messages_that_were_never_sent_are_mentioned(kind):
     text = " ".join(load_reporter(kind).render(Book(make_analysis(*HALF_SENT))).split())
     assert "300 of them never sent" in text
-    assert "600 in 1 run, 300 received, 300 never sent" in text
+    assert "300 received, 300 never sent" in text
 
 
 @pytest.mark.parametrize("kind", ["terminal", "md", "html"])

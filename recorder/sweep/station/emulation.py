@@ -131,8 +131,9 @@ class LinkEvents:
 
     def _read(self) -> None:
         with selectors.DefaultSelector() as selector:
-            for source in (self._wake, *self._sockets):
-                selector.register(source, selectors.EVENT_READ)
+            selector.register(self._wake, selectors.EVENT_READ)
+            for netlink in self._sockets:
+                selector.register(netlink, selectors.EVENT_READ)
             while ready := [key.fileobj for key, _ in selector.select()]:
                 at_ns = time.monotonic_ns()
                 for netlink in self._sockets:

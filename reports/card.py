@@ -1,4 +1,4 @@
-"""The verdict as a picture of 1200 x 630 for a README or a pull request: SVG, and PNG where matplotlib is installed."""
+"""The verdict as a picture: SVG, and PNG where matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ def _fitted(sentence: str, height: float) -> tuple[float, list[str]]:
 def _line(
     x: float, y: float, size: float, text: str, width: float, color: str = INK, *, is_bold: bool = False
 ) -> Words:
-    """Return one line, smaller by up to a quarter where it is long; what exceeds that is cut."""
+    """Shrink a long line by up to a quarter, and cut the rest."""
     mean = BOLD_CHARACTER if is_bold else CHARACTER
     fitted = max(0.75 * size, min(size, width / (mean * max(1, len(text)))))
     most = int(width / (mean * fitted) + 1e-9)

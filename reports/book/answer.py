@@ -1,4 +1,4 @@
-"""The answer in words: which middleware and bridge suit which data, as far as the verdicts support it."""
+"""The answer in words, as far as the verdicts support it."""
 
 from __future__ import annotations
 

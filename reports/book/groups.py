@@ -210,7 +210,7 @@ def _setting_part(series: Sequence[Series]) -> Callable[[Series], str]:
 
 
 def setting_word(settings: Iterable[str]) -> Callable[[str], str]:
-    """Return how one of some settings is named: by what varies, a file by its name where no other content has it; empty without."""
+    """Return how one of some settings is named: by what varies, a file by its name where that is unique."""
     parsed = {setting: parse_setting(setting) for setting in settings}
     keys = sorted({key for setting in parsed.values() for key in setting})
     varying = [key for key in keys if len({setting.get(key) for setting in parsed.values()}) > 1]

@@ -1,4 +1,4 @@
-"""The first sentences of a report; each rests on verdicts within one device pair and link, and none on a mean over several."""
+"""The first sentences of a report; each rests on verdicts within one device pair and link."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def forged_sentence(analysis: Analysis, groups: Groups) -> str:
 
 
 def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
-    """Say for each outage that the sweep made how long each setup took to come back: median and range of its runs."""
+    """Return how long each setup took to come back: median and range of its runs."""
     series = {group.index: groups.series_of(group) for group in groups.groups}
     labels = setup_labels({group: asdict(one) for group, one in series.items()}, groups.vendors)
     outages: dict[tuple[str, float, str], dict[str, list[float | None]]] = {}
@@ -84,7 +84,7 @@ def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
-    """Say what was lost of all messages that were due, those that never left among them; empty without a loss."""
+    """Return what was lost of all messages that were due, unsent ones too."""
     planned, lost = _planned_and_lost(groups.groups, values)
     if not lost:
         return ""
@@ -127,7 +127,7 @@ def _from_size(least: int, largest: int) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
-    """Return which setups are not to be used, the worst result of each; not those whose losses have a cure (row -> cure)."""
+    """`cures`: row -> cure of its losses."""
     lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
     worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
     shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
@@ -180,10 +180,7 @@ def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[J
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """Who is fastest with one kind of message, on pairs of devices and links with equal outcomes.
-
-    `lines` are spans of sizes, what is shown there, and whether that is a difference; `cases` are those of the first pair.
-    """
+    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `cases` are those of `place`."""
 
     heading: str
     lines: tuple[tuple[str, str, bool], ...]
@@ -197,7 +194,6 @@ class Fastest:
 
 
 def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[Fastest]:
-    """Return who is fastest for each kind of message, decided ones first; those in the same domain precede others."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
@@ -218,7 +214,6 @@ def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list
 
 
 def winner_sentences(kinds: Sequence[Fastest]) -> tuple[str, ...]:
-    """Say it in sentences, the first of one clause."""
     sentences: list[str] = []
     for kind in kinds:
         clauses = [f"{span}: {words}" for span, words, _ in kind.lines]
@@ -402,7 +397,6 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
 
 
 def _takes(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> str:
-    """Return how many times as long, over the cases of which it is proven, and in how many of them."""
     rows = [
         row
         for case in stretch.cases

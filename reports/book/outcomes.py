@@ -30,7 +30,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Neighbouring sizes with the same setups and outcome, which is None where it depends on the rate."""
+    """Neighbouring sizes with the same setups and outcome, None where it depends on the rate."""
 
     outcome: Outcome | None
     sizes: tuple[int, ...]
@@ -76,7 +76,6 @@ def outcome_of(case: CaseAnswer) -> Outcome:
 
 
 def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
-    """Cut the compared cases by size; what has other setups at a size, or none to compare, is a stretch of its own."""
     by_size: dict[tuple[int, frozenset[str]], list[CaseAnswer]] = {}
     for case in cases:
         if case.clarity is not Clarity.ONLY_ONE:

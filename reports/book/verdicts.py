@@ -1,4 +1,4 @@
-"""The analyzer's verdicts by kind of data, setups and device pairs, under the names of a report; nothing is judged here."""
+"""The analyzer's verdicts under the names of a report."""
 
 from __future__ import annotations
 

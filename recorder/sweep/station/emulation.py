@@ -99,10 +99,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
 
 class LinkEvents:
-    """A context manager that notes when the kernel takes the link of namespaces down and up (rtnetlink), while commands do so.
-
-    An `ip` or `tc` takes up to 72 ms, of which the change itself is a moment.
-    """
+    """When the kernel takes the link of namespaces down and up (rtnetlink); the commands themselves take up to 72 ms."""
 
     def __init__(self, namespaces: Sequence[str]) -> None:
         with ThreadPoolExecutor(1) as pool:  # a thread of its own, as it changes its namespace
@@ -153,7 +150,7 @@ def _route_socket(namespace: str) -> socket.socket:
 
 
 def link_changes(messages: bytes) -> Iterator[bool]:
-    """Yield for each message about the link whether frames pass from then on; those of the loopback interface are left out."""
+    """Yield for each message about the link whether frames pass from then on; `lo` is left out."""
     at = 0
     while at + 28 <= len(messages):
         length, kind = struct.unpack_from("IH", messages, at)

@@ -23,6 +23,7 @@ from dds_trace.reports.book.verdicts import setup_labels
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 STORED = sorted({path.parent.name for path in RESULTS.glob("*/*.tar.xz")} - {"drive"})
+MADE = {f"made {name}": make for name, make in {**EVERY_ANALYSIS, **CAMPAIGNS}.items()}
 TOKEN = re.compile(r"(?<![\w#-])\d+(?:,\d{3})*(?:\.\d+)?(?: (?:%|(?:ns|µs|ms|s|B|KB|MB|Hz)\b))?")
 JUDGED = {kind for kind in PointKind if kind not in (PointKind.PLACE, PointKind.WHERE, PointKind.TOPIC)}
 
@@ -78,22 +79,18 @@ def check(book):
     assert is_of_one_clause or kind is PointKind.TOPIC or any(";" in label for label in book.groups.labels)
 
 
-@pytest.mark.parametrize("name", STORED)
-def test_every_number_of_a_stored_campaign_is_one_of_its_frames(tmp_path, name):
+def campaign(name, folder):
+    if name in SAMPLE_NAMES:
+        return analyze(SAMPLES / name)
     for archive in (RESULTS / name).glob("*.tar.xz"):
         with tarfile.open(archive) as traces:
-            traces.extractall(tmp_path / archive.name, filter="data")
-    check(Book(analyze(tmp_path)))
+            traces.extractall(folder / archive.name, filter="data")
+    return analyze(folder) if name in STORED else MADE[name]()
 
 
-@pytest.mark.parametrize("name", SAMPLE_NAMES)
-def test_every_number_of_a_sample_is_one_of_its_frames(name):
-    check(Book(analyze(SAMPLES / name)))
-
-
-@pytest.mark.parametrize("name", [*EVERY_ANALYSIS, *CAMPAIGNS])
-def test_every_number_of_a_made_campaign_is_one_of_its_frames(name):
-    check(Book({**EVERY_ANALYSIS, **CAMPAIGNS}[name]()))
+@pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *MADE])
+def test_every_number_of_an_answer_is_one_of_its_frames(tmp_path, name):
+    check(Book(campaign(name, tmp_path)))
 
 
 def test_a_setup_is_not_compared_with_one_that_was_measured_with_another_message():

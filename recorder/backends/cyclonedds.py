@@ -287,7 +287,6 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def _read_singly(self, name: str) -> list[Any]:
-        """Return what the builtin topic has, without what cannot be read."""
         reader, samples = self._open(name), list[Any]()
         for _ in range(MAX_ENDPOINTS):
             with suppress(Exception):

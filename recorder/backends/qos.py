@@ -88,7 +88,6 @@ def incompatible_pairs(
 
 
 def other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
-    """Yield a line for each endpoint of another definition than ours: Fast DDS would misread its messages."""
     hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
     hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
     our_types = {info.topic_type: text for info, text in hashes if info.node_name == own_name}

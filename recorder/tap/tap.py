@@ -234,7 +234,6 @@ class Tap:
         return PayloadTopic(name, type_name, definition, "cdr" if is_ros or name.startswith("/") else "")
 
     def _update(self, topic: _Topic, publications: list[Publication]) -> None:
-        """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
         if {p.publisher for p in publications} == {p.publisher for p in topic.publications} and topic.publications:
             return
         ended = {p.publisher for p in topic.publications} - {p.publisher for p in publications}

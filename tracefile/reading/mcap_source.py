@@ -104,7 +104,6 @@ class McapSource:
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; a small file without threads, which start more slowly."""
         if self._file.size <= _SMALL_FILE_BYTES:
             return (job() for _, job in self._jobs)
         return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)

@@ -202,7 +202,6 @@ def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tup
 
 
 def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText | Payload]:
-    """Yield the content of a trace's file, nothing if it is gone."""
     if trace.exists():
         with closing(RecordFile(trace)) as file:
             yield from Salvage(file)

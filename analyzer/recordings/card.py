@@ -8,15 +8,15 @@ from operator import itemgetter
 
 import numpy as np
 
-from dds_trace.base.units import counted
+from dds_trace.base.units import clock_words, counted, format_duration
 from dds_trace.tracefile.recordings.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
-from .clocks import DAY_NS, apart, is_simulated, of_one_clock, set_back, stamp_jumps
+from .clocks import DAY_NS, Stamps, apart, is_simulated, of_one_clock, set_back, stamp_notes
 from .losses import LOST_TYPE, NONE, Losses, TopicTimes, arrival_jitter_ns
 from .messages import TopicMessages
 from .periods import Hole, Int64
-from .rows import Row, ages, qos_words, sizes, timing
+from .rows import Row, ages, bursts, qos_words, sizes, timing
 
 OTHER_CLOCK_NS = DAY_NS
 """Median age of stamps of another clock (a simulation's, or of another day)."""
@@ -26,17 +26,16 @@ STRIP_PARTS = 60
 WHOLE, HOLES, DAMAGED = "whole", "holes", "damaged"
 """Verdicts, the worst last."""
 
+_STALL_PERIODS = 2.5
+"""Least silence of all topics in periods of the fastest one."""
+
 _PAUSE_MESSAGES = 20
 """Least messages that all topics together lack in a pause of the recorder."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingHealth:
-    """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
-
-    Attributes:
-        damages: what is broken; `notes`: what else is worth a word.
-    """
+    """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics."""
 
     path: str
     verdict: str
@@ -62,9 +61,10 @@ class Card:
             topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name, (0, 0)) if has_counts else None)
             for topic in columns
         ]
-        losses = [topic.find_losses(self._end_ns) for topic in times]
+        losses = [topic.find_losses(self._start_ns, self._end_ns) for topic in times]
         pauses = _find_pauses(logged, losses)
-        self._note_clocks(columns, times, losses)
+        self._notes += _stall_notes(logged, losses, pauses)
+        self._note_clocks(columns, times)
         if is_simulated(self._start_ns):
             self._notes.append("the log times are of a simulation's clock, or count from the start of a machine")
         silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
@@ -102,24 +102,23 @@ class Card:
             )
         return logged[is_of_clock]
 
-    def _note_clocks(
-        self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], losses: Sequence[Losses]
-    ) -> None:
+    def _note_clocks(self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes]) -> None:
         other_clock: dict[str, float] = {}
-        for topic, topic_times, loss in zip(columns, times, losses, strict=True):
-            name, stamped = topic.topic.name, topic_times.stamp_ns != NONE
+        stamped: dict[str, Stamps] = {}
+        unstamped: list[Int64] = []
+        for topic, topic_times in zip(columns, times, strict=True):
+            name, has_stamp = topic.topic.name, topic_times.stamp_ns != NONE
             self._notes += copied_messages(name, topic.copies)
             self._notes += set_back(name, topic.column("log_ns"))
-            if loss.clock_steps:
-                steps = counted(loss.clock_steps, "time")
-                self._notes.append(
-                    f"the recorder's clock was set forward {steps}: the stamps of {name} go on without a gap"
-                )
-            if stamped.any():
-                age_ns = abs(float(np.median((topic_times.log_ns - topic_times.stamp_ns)[stamped])))
+            if has_stamp.any():
+                stamps = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp])
+                stamped[name] = stamps
+                age_ns = abs(float(np.median(stamps.age_ns)))
                 if age_ns > OTHER_CLOCK_NS:
                     other_clock[name] = age_ns
-                self._notes += stamp_jumps(name, topic_times.log_ns[stamped], topic_times.stamp_ns[stamped])
+            else:
+                unstamped.append(topic_times.log_ns)
+        self._notes += stamp_notes(stamped, unstamped, self._start_ns)
         self._notes += _other_clock(other_clock)
 
     def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
@@ -136,6 +135,7 @@ class Card:
             "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
             **ages(times.log_ns, times.publish_ns, times.stamp_ns),
+            **bursts(times.log_ns),
             "age_bound_ns": topic.bound_ns,
             "expected_rate_hz": regularity.rate_hz if regularity else None,
             "missing_from": losses.evidence,
@@ -196,6 +196,31 @@ def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int
         for start, end in pauses
         if sum(any(_overlap(hole, start, end) for hole in loss.holes) for loss in regular) >= 2
     ]
+
+
+def _stall_notes(logged: Int64, losses: Sequence[Losses], pauses: Sequence[tuple[int, int]]) -> Iterator[str]:
+    rates_hz = [loss.regularity.rate_hz for loss in losses if loss.regularity]
+    if len(rates_hz) < 2:
+        return
+    per_ns = sum(rates_hz) / 1e9
+    least_ns = max(_STALL_PERIODS * 1e9 / max(rates_hz), _PAUSE_MESSAGES / per_ns)
+    steps_ns = np.diff(logged)
+    stalls: list[tuple[int, int, int]] = []
+    for at in np.flatnonzero(steps_ns > least_ns).tolist():
+        start, end = int(logged[at]), int(logged[at + 1])
+        window_ns = (end - start) / 4
+        came = int(np.searchsorted(logged, end + window_ns, "right")) - at - 1
+        late = came - round(per_ns * window_ns)
+        if late > per_ns * (end - start) / 2 and not any(first < end and start < last for first, last in pauses):
+            stalls.append((end - start, start, late))
+    if stalls:
+        longest_ns, start, _ = max(stalls)
+        what = "once" if len(stalls) == 1 else f"{len(stalls)} times"
+        late = sum(count for _, _, count in stalls)
+        yield (
+            f"the recorder stalled {what}, for up to {format_duration(longest_ns)} at {clock_words((start - int(logged[0])) / 1e9)}: about "
+            f"{late:,} messages of all topics came late at once, none of them is lost by it"
+        )
 
 
 def _overlap(hole: Hole, start_ns: int, end_ns: int) -> bool:

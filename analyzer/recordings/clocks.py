@@ -1,12 +1,14 @@
-"""The clocks of a recording: which one its times are of, and where one was set or ran over."""
+"""The clocks of a recording: which one its times are of, where one was set or ran over, and which topics became late."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import clock_words, counted, format_duration
 
 from .periods import Int64
 
@@ -15,6 +17,14 @@ _APART_NS = 30 * DAY_NS
 _SIMULATED_BEFORE_NS = 10**9 * 10**9  # September 2001: no recorder of today
 _JUMP_NS = 10**9
 _COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
+_LEAST_STEP_NS, _STEP_SPREADS = 200_000_000, 6.0
+_FEWEST = 8
+_MOST_STEPS = 5
+_SAME_STEP, _SAME_TIME_NS = 0.2, 2 * 10**9
+_AHEAD_NS = {37 * 10**9: "TAI", 18 * 10**9: "GPS time"}
+_AHEAD_WITHIN_NS = 600_000_000
+_TOO_SLOW = 0.02
+_GROWTH, _LEAST_GROWTH_NS, _AGE_PARTS = 3.0, 100_000_000, 20
 
 
 def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -37,31 +47,186 @@ def is_simulated(start_ns: int) -> bool:
 
 
 def set_back(topic: str, log_ns: Int64) -> Iterator[str]:
-    """Yield a note if stored log times go back by more than a second."""
     steps_ns = np.diff(log_ns)
     if len(steps_ns) and steps_ns.min() < -_JUMP_NS:
         times = counted(int((steps_ns < -_JUMP_NS).sum()), "time")
         yield f"{topic} is not stored in order of time: {times} back by up to {format_duration(-int(steps_ns.min()))}"
 
 
-def stamp_jumps(topic: str, log_ns: Int64, stamp_ns: Int64) -> Iterator[str]:
+class Stamps(NamedTuple):
+    log_ns: Int64
+    stamp_ns: Int64
+
+    @property
+    def age_ns(self) -> Int64:
+        return self.log_ns - self.stamp_ns
+
+    @property
+    def speed(self) -> float:
+        return float(self.stamp_ns[-1] - self.stamp_ns[0]) / max(float(self.log_ns[-1] - self.log_ns[0]), 1.0)
+
+
+class _Step(NamedTuple):
+    """The age of a topic's messages changes for good with the message of `log_ns`."""
+
+    topic: str
+    log_ns: int
+    size_ns: int
+    stamp_step_ns: int
+    age_ns: int
+
+
+def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int) -> Iterator[str]:
+    """Yield what changes in the ages of topics: the recorder's clock only if every topic moves with it."""
+    steps: list[_Step] = []
+    for name, stamps in topics.items():
+        special = next(_special_notes(name, stamps, start_ns), "")
+        if special:
+            yield special
+            continue
+        own = _steps(name, stamps)
+        if len(own) <= _MOST_STEPS:
+            steps += own
+        if not own and (growth := _growth(name, stamps)):
+            yield growth
+    while steps:
+        first = steps[0]
+        same = [step for step in steps if _is_same(step, first)]
+        steps = [step for step in steps if step not in same]
+        at = clock_words((first.log_ns - max(first.size_ns, 0) - start_ns) / 1e9)
+        size = format_duration(abs(first.size_ns))
+        if first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS):
+            for name in dict.fromkeys(step.topic for step in same):
+                yield f"stamps of {name} jump 1 time against the log times, by {size} at {at}: the clock that stamps them was set"
+            continue
+        moved = {step.topic for step in same}
+        others = [stamps.log_ns for name, stamps in topics.items() if name not in moved]
+        witnesses = sum(_goes_on(log_ns, first) for log_ns in (*others, *unstamped))
+        direction = "forward" if first.size_ns > 0 else "back"
+        clock = f"the recorder's clock was set {direction} by {size} at {at}"
+        if not witnesses and len(moved) > 1:
+            yield f"{clock}: the stamps of all {len(moved)} topics go on without a step"
+            continue
+        became = "later" if first.size_ns > 0 else "earlier"
+        unsure = "" if witnesses else f", or {clock}: no other topic shows which"
+        for name in sorted(moved):
+            yield f"{name} became {size} {became} at {at}{unsure}"
+
+
+def _is_same(step: _Step, other: _Step) -> bool:
+    apart_ns = abs(step.log_ns - other.log_ns)
+    return apart_ns < abs(other.size_ns) / 2 + _SAME_TIME_NS and abs(step.size_ns - other.size_ns) < _SAME_STEP * abs(
+        other.size_ns
+    )
+
+
+def _goes_on(log_ns: Int64, step: _Step) -> bool:
+    if not log_ns[0] < step.log_ns - abs(step.size_ns) or not step.log_ns < log_ns[-1]:
+        return False
+    if step.size_ns < 0:
+        return True
+    between = (log_ns > step.log_ns - 0.9 * step.size_ns) & (log_ns < step.log_ns - 0.1 * step.size_ns)
+    return bool(between.any())
+
+
+def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
+    log_ns, stamp_ns = stamps
+    ages_ns = stamps.age_ns
+    early = (log_ns < start_ns + 2 * 10**9) & (stamp_ns < start_ns - _JUMP_NS) & (ages_ns > _JUMP_NS)
+    later_ns = ages_ns[~early]
+    is_latched = early.any() and (
+        len(log_ns) < _FEWEST or (early.sum() < len(log_ns) / 2 and float(np.median(later_ns)) < _JUMP_NS)
+    )
+    if is_latched:
+        oldest = format_duration(start_ns - int(stamp_ns[early].min()))
+        yield (
+            f"{counted(int(early.sum()), 'message')} of {topic} {'was' if early.sum() == 1 else 'were'} stamped up to {oldest} before the "
+            "recording began: transient-local messages of nodes that started earlier, not an age"
+        )
+        return
+    if len(log_ns) < _FEWEST:
+        return
+    age_ns = float(np.median(ages_ns))
     steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
-    ages_ns = log_ns - stamp_ns
-    jumps = np.flatnonzero(np.abs(steps_ns) > _JUMP_NS)
+    jumps = steps_ns[np.abs(steps_ns) > _JUMP_NS]
     for unit, unit_ns in _COUNTERS.items():
         size_ns = 2**32 * unit_ns
-        over = int((np.abs(steps_ns[jumps] + size_ns) < size_ns // 100).sum())
+        over = int((np.abs(jumps + size_ns) < size_ns // 100).sum())
         if over:
             yield f"stamps of {topic} ran over {counted(over, 'time')}: a counter of 32 bits of {unit}"
             return
-    lasting = [
-        at
-        for at in jumps.tolist()
-        if abs(np.median(ages_ns[at + 1 : at + 6]) - np.median(ages_ns[max(at - 4, 0) : at + 1])) > _JUMP_NS
-    ]
-    if lasting:
-        largest = max(lasting, key=lambda at: abs(int(steps_ns[at])))
+    if abs(age_ns) > DAY_NS:
+        speed = stamps.speed
+        if speed > 0 and abs(speed - 1) > 0.03:
+            yield f"stamps of {topic} advance {speed:.3g} s a second: a simulation that runs at {speed:.3g} of real time?"
+        return
+    if 0 < stamps.speed < _TOO_SLOW:
+        yield f"stamps of {topic} advance {1 / stamps.speed:,.0f} times too slowly: its driver writes microseconds where nanoseconds belong"
+        return
+    for ahead_ns, time in _AHEAD_NS.items():
+        if -_AHEAD_WITHIN_NS / 2 < age_ns + ahead_ns < _AHEAD_WITHIN_NS:
+            seconds = ahead_ns // 10**9
+            yield (
+                f"stamps of {topic} are {seconds} s ahead: the device runs on {time}; set its UTC offset (of PTP: currentUtcOffset), or let "
+                f"its driver subtract {seconds} s"
+            )
+            return
+    yield from _two_kinds(topic, ages_ns)
+
+
+def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
+    ordered = np.sort(ages_ns)
+    at = int(np.argmax(np.diff(ordered)))
+    is_old = ages_ns > ordered[at]
+    fewer = int(min(is_old.sum(), (~is_old).sum()))
+    switches = int((np.diff(is_old.astype(np.int8)) != 0).sum())
+    apart_ns = int(ordered[at + 1] - ordered[at])
+    widths = int(ordered[at] - ordered[0]), int(ordered[-1] - ordered[at + 1])
+    if apart_ns > max(_LEAST_STEP_NS / 2, *widths) and fewer >= _FEWEST // 2 and switches > max(_MOST_STEPS, fewer / 2):
+        old, new = (format_duration(float(np.median(ages_ns[part]))) for part in (is_old, ~is_old))
         yield (
-            f"stamps of {topic} jump {counted(len(lasting), 'time')} against the log times, by up to "
-            f"{format_duration(abs(int(steps_ns[largest])))}: a clock was set"
+            f"{topic} has messages of two kinds by turns, perhaps of two publishers: {int(is_old.sum()):,} with an age of {old}, "
+            f"{int((~is_old).sum()):,} of {new}"
         )
+
+
+def _steps(topic: str, stamps: Stamps) -> list[_Step]:
+    ages_ns = stamps.age_ns
+    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS:
+        return []
+    changes_ns = np.diff(ages_ns)
+    least_ns = max(_LEAST_STEP_NS, _STEP_SPREADS * 1.4826 * float(np.median(np.abs(changes_ns))))
+    jumps = (np.flatnonzero(np.abs(changes_ns) > least_ns) + 1).tolist()
+    edges = [0, *jumps, len(ages_ns)]
+    levels = [float(np.median(ages_ns[start:stop])) for start, stop in pairwise(edges)]
+    return [
+        _Step(
+            topic,
+            int(stamps.log_ns[at]),
+            round(levels[number + 1] - levels[number]),
+            int(stamps.stamp_ns[at] - stamps.stamp_ns[at - 1]),
+            round(levels[number + 1]),
+        )
+        for number, at in enumerate(jumps)
+        if abs(levels[number + 1] - levels[number]) > least_ns
+        and at - edges[number] >= 5
+        and edges[number + 2] - at >= 5
+    ]
+
+
+def _growth(topic: str, stamps: Stamps) -> str:
+    ages_ns = stamps.age_ns
+    if len(ages_ns) < 2 * _AGE_PARTS or abs(float(np.median(ages_ns))) > DAY_NS:
+        return ""
+    start_ns, end_ns = age_course(ages_ns)
+    rising = int((np.diff([np.median(part) for part in np.array_split(ages_ns, _AGE_PARTS)]) > 0).sum())
+    if rising < 0.75 * _AGE_PARTS or end_ns < max(_GROWTH * start_ns, start_ns + _LEAST_GROWTH_NS):
+        return ""
+    course = f"from {format_duration(start_ns)} to {format_duration(end_ns)}"
+    return f"the age of {topic} grows {course}, all the time: a queue that fills, or a clock that runs at another speed"
+
+
+def age_course(age_ns: Int64) -> tuple[float, float]:
+    """Return the ages at the start and at the end: medians of up to five messages."""
+    count = min(max(len(age_ns) // _AGE_PARTS, 1), 5)
+    return float(np.median(age_ns[:count])), float(np.median(age_ns[-count:]))

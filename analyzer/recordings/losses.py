@@ -1,31 +1,38 @@
-"""Missing messages of one topic, by counters, the recorder's own counts, or the period."""
+"""Missing messages of one topic: by stamps on a grid, sequence numbers, the rhythm of arrival, or the recorder's own counts."""
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .clocks import of_one_clock
-from .periods import Hole, Int64, Regularity, find_regularity, joined, spread
+from .clocks import DAY_NS, of_one_clock
+from .periods import Hole, Int64, Regularity, find_grid, find_regularity, joined, spread
 
 NONE = -(2**63)
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
 _MOST_PUBLISHERS = 8
-_QUIET = 0.15
-"""Jitter of log times, in periods, above which stamps or publish times are looked at, too."""
-
 _LARGEST_STEP = 100_000
 _STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
+_SILENT_PERIODS = 10
+_MOST_SILENT = 0.5
+"""Share of its time that a topic with a rhythm may be silent."""
+
+_SAME_RATE = 0.01
+_COMMANDS = re.compile(
+    r"(^|[/_])(cmd|cmd_vel|command|goal|joy|keyboard|teleop)($|[/_])|/(Twist|TwistStamped|Joy|Ackermann\w+)$"
+)
+"""Topics and types by which a person or a planner commands: sent while something happens."""
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
     """What is missing of a topic, within `low` to `high`; None where nothing is known.
 
-    `evidence` is `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
+    `evidence` is `stamps`, `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
     """
 
     evidence: str = ""
@@ -34,7 +41,6 @@ class Losses:
     high: int | None = None
     holes: Sequence[Hole] = ()
     regularity: Regularity | None = None
-    clock_steps: int = 0
 
 
 @dataclass(slots=True)
@@ -49,16 +55,16 @@ class TopicTimes:
     publisher: Int64
     frame: Int64
     is_ros1: bool = False
+    is_command: bool = False
     lost: tuple[int, int] | None = None
 
-    def find_losses(self, end_ns: int) -> Losses:
-        losses = self._by_period(end_ns)
+    def find_losses(self, start_ns: int, end_ns: int) -> Losses:
+        losses = self._by_rhythm(start_ns, end_ns)
         by_sequence = self._by_sequence()
-        if by_sequence is not None and (by_sequence or self.is_ros1):
+        counts = by_sequence if self.is_ros1 else by_sequence or None
+        if counts is not None and (self.is_ros1 or losses.evidence != "stamps" or counts > (losses.missing or 0)):
             holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes]
-            return replace(
-                losses, evidence="sequence", missing=by_sequence, low=by_sequence, high=by_sequence, holes=holes
-            )
+            return replace(losses, evidence="sequence", missing=counts, low=counts, high=counts, holes=holes)
         if losses.missing is None and self.lost is not None:
             count = sum(self.lost)
             return replace(losses, evidence="recorder", missing=count, low=count, high=count)
@@ -80,29 +86,70 @@ class TopicTimes:
             return 0
         return max(int(self.sequence[at] - self.sequence[at - 1]) - 1, 0)
 
-    def _by_period(self, end_ns: int) -> Losses:
-        times_ns, shift_ns = self._steadiest()
-        regularity = self._regularity(times_ns)
-        if regularity is None:
+    def _by_rhythm(self, start_ns: int, end_ns: int) -> Losses:
+        """Count by stamps on a grid, else by the rhythm of arrival; a late start and an early end are holes without a count."""
+        grid = self._by_grid()
+        regularity = self._by_arrival() if grid is None or not grid.missing else None
+        evidence = "period"
+        if grid is not None and (
+            regularity is None
+            or (regularity.low, regularity.high) != (grid.missing, grid.missing)
+            or abs(regularity.rate_hz / grid.rate_hz - 1) > _SAME_RATE
+        ):
+            regularity, evidence = grid, "stamps"
+        if regularity is None or self._is_silent(regularity):
             return Losses()
-        holes = [replace(hole, start_ns=hole.start_ns + shift_ns) for hole in regularity.holes]
-        holes_left = holes if shift_ns else [hole for hole in holes if not self._is_clock_step(hole)]
-        clock_steps = len(holes) - len(holes_left)
-        stepped = sum(hole.missing for hole in holes) - sum(hole.missing for hole in holes_left)
-        due_ns = self.log_ns[-1] + regularity.period_ns
-        tail = 0
-        if end_ns - self.log_ns[-1] > max(_STOPPED_PERIODS * regularity.period_ns, _STOPPED_NS):
-            tail = int((end_ns - self.log_ns[-1]) / regularity.period_ns) * regularity.in_pattern
-            holes_left.append(Hole(int(due_ns), int(end_ns - due_ns), tail))
-        return Losses(
-            "period",
-            max(regularity.missing - stepped, 0) + tail,
-            max(regularity.low - stepped, 0) + max(tail - 1, 0),
-            max(regularity.high - stepped, 0) + tail + min(tail, 1),
-            holes_left,
-            regularity,
-            clock_steps,
-        )
+        high, period_ns = regularity.high, regularity.period_ns
+        holes = regularity.holes[:]
+        quiet_ns = max(_STOPPED_PERIODS * period_ns, _STOPPED_NS)
+        first_ns, last_ns = int(self.log_ns[0]), int(self.log_ns[-1])
+        if first_ns - start_ns > quiet_ns:
+            holes.insert(0, Hole(start_ns, first_ns - start_ns, 0))
+        if end_ns - last_ns > quiet_ns:
+            holes.append(Hole(round(last_ns + period_ns), round(end_ns - last_ns - period_ns), 0))
+        elif regularity.missing:
+            high += int((end_ns - last_ns) / period_ns) * regularity.in_pattern
+        return Losses(evidence, regularity.missing, regularity.low, high, holes, regularity)
+
+    def _is_silent(self, regularity: Regularity) -> bool:
+        """Return whether the topic has a rhythm only while something happens."""
+        least_ns = max(_SILENT_PERIODS * regularity.period_ns, _STOPPED_NS)
+        silent_ns = sum(hole.duration_ns for hole in regularity.holes if hole.duration_ns > least_ns)
+        return silent_ns > (0 if self.is_command else _MOST_SILENT * float(self.log_ns[-1] - self.log_ns[0]))
+
+    def _by_grid(self) -> Regularity | None:
+        """Return the grid of the header stamps, or of the publish times if a message has no stamp."""
+        times_ns = self.publish_ns if (self.stamp_ns == NONE).any() else self.stamp_ns
+        if (times_ns == NONE).any() or (times_ns == self.log_ns).mean() > 0.5 or self.is_command:
+            return None
+        order = np.argsort(times_ns, kind="stable")
+        stamps_ns, log_ns = times_ns[order], self.log_ns[order]
+        grid = find_grid(stamps_ns) if of_one_clock(stamps_ns).all() else None
+        if grid is None:
+            return None
+        steps = float(stamps_ns[-1] - stamps_ns[0]) / grid.period_ns
+        is_same_clock = abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
+        period_ns = grid.period_ns if is_same_clock else float(log_ns[-1] - log_ns[0]) / steps
+        holes, jumped = [], 0
+        for hole in grid.holes:
+            at = int(np.searchsorted(stamps_ns, hole.start_ns))
+            if is_same_clock and hole.duration_ns > 10**9 and log_ns[at] < stamps_ns[at] - hole.duration_ns // 2:
+                jumped += hole.missing  # the clock that stamps them was set
+                continue
+            duration_ns = max(float(log_ns[at] - log_ns[at - 1]) - period_ns, hole.missing * period_ns)
+            holes.append(Hole(round(log_ns[at - 1] + period_ns), round(duration_ns), hole.missing))
+        missing, holes = max(grid.missing - jumped, 0), sorted(holes, key=lambda hole: hole.start_ns)
+        return replace(grid, period_ns=period_ns, missing=missing, low=missing, high=missing, holes=holes)
+
+    def _by_arrival(self) -> Regularity | None:
+        regularity = self._regularity(self.log_ns)
+        if regularity is None:
+            return None
+        holes = regularity.holes
+        holes_left = [hole for hole in holes if not self._is_late(hole)]
+        late = sum(hole.missing for hole in holes) - sum(hole.missing for hole in holes_left)
+        low, missing, high = (max(count - late, 0) for count in (regularity.low, regularity.missing, regularity.high))
+        return replace(regularity, missing=missing, low=low, high=high, holes=holes_left)
 
     def _regularity(self, times_ns: Int64) -> Regularity | None:
         best = find_regularity(times_ns)
@@ -112,22 +159,8 @@ class TopicTimes:
                 best = joined(parts)
         return best
 
-    def _steadiest(self) -> tuple[Int64, int]:
-        log = find_regularity(self.log_ns)
-        if log is not None and log.jitter_ns < _QUIET * log.period_ns:
-            return self.log_ns, 0
-        best, jitter, shift_ns = self.log_ns, log.jitter_ns / log.period_ns if log else np.inf, 0
-        for times_ns in (self.publish_ns, self.stamp_ns):
-            if (times_ns == NONE).any() or not of_one_clock(np.sort(times_ns)).all():
-                continue
-            regularity = find_regularity(np.sort(times_ns))
-            if regularity is not None and regularity.jitter_ns / regularity.period_ns < jitter / 2:
-                best, jitter = times_ns, regularity.jitter_ns / regularity.period_ns
-                shift_ns = int(np.median(self.log_ns - times_ns)) or 1
-        return np.sort(best), shift_ns
-
-    def _is_clock_step(self, hole: Hole) -> bool:
-        """Return whether stamps go on across a hole: the recorder's clock was set, and nothing is missing."""
+    def _is_late(self, hole: Hole) -> bool:
+        """Return whether stamps go on across a hole: what follows is late, or a clock was set, and nothing is missing."""
         at = int(np.searchsorted(self.log_ns, hole.start_ns))
         if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
             return False
@@ -141,6 +174,10 @@ def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
         return []
     parts = [find_regularity(times_ns[keys == name]) for name in names]
     return [part for part in parts if part is not None] if all(parts) else []
+
+
+def is_command(topic: str, message_type: str) -> bool:
+    return _COMMANDS.search(topic) is not None or _COMMANDS.search(message_type) is not None
 
 
 def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:

@@ -18,7 +18,7 @@ from dds_trace.tracefile.format.header_stamps import parse_definition, plain_nam
 from dds_trace.tracefile.recordings.recorded import RawMessage, RecordedTopic
 from dds_trace.tracefile.recordings.recording_files import content_hash
 
-from .losses import LOST_TYPE, NONE, TopicTimes, lost_by_recorder
+from .losses import LOST_TYPE, NONE, TopicTimes, is_command, lost_by_recorder
 from .periods import Int64
 
 _LONGEST_FRAME_BYTES = 256
@@ -115,7 +115,8 @@ class TopicMessages:
         order = inside if len(inside) else order
         log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
         is_ros1 = self.topic.encoding == "ros1"
-        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, lost)
+        commands = is_command(self.topic.name, self.topic.message_type)
+        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost)
 
 
 @lru_cache(maxsize=10_000)

@@ -23,8 +23,17 @@ _TOLERANCE = 0.35
 
 _LEAST_SHARE = 0.5
 _MOST_IN_PATTERN = 16
-_STEADY = 20
-"""So many equal intervals are another rate, not losses."""
+_WINDOW = 20
+"""Intervals on either side over which a rate is a median."""
+
+_EQUAL_SHARE = 0.8
+"""Least share of equal intervals in a stretch that may have another rate; losses at random leave fewer."""
+
+_LEAST_STALL, _QUEUED = 2.5, 0.75
+"""Least interval that a queue follows, and the largest interval within that queue, in periods."""
+
+_OFF_GRID, _LEAST_ON_GRID, _MOST_STEPS = 0.2, 0.95, 20
+"""Deviation of a stamp in periods, the least share within it, and the longest step that is compared."""
 
 _MOST_PAUSED = 2.5
 """Expected messages per message of a topic that pauses too often to be periodic."""
@@ -75,6 +84,8 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
     fewest = min(pattern.expected for pattern in patterns)
     near = [pattern for pattern in patterns if pattern.expected <= 1.15 * fewest + 1]
     best = max(near, key=lambda pattern: (round(pattern.share, 2), -pattern.length))
+    if patterns[0].length == 1 < best.length and _is_single_with_stalls(np.diff(times_ns) / patterns[0].period_ns):
+        best = patterns[0]
     period_ns, in_pattern = best.period_ns, best.length
     regularity = _single(times_ns, period_ns) if in_pattern == 1 else _several(times_ns, period_ns, in_pattern)
     pauses = len(regularity.holes) > 2 and len(times_ns) + regularity.missing > _MOST_PAUSED * len(times_ns)
@@ -104,8 +115,6 @@ def _has_hole(part: Regularity, hole: Hole) -> bool:
 
 
 class _Pattern(NamedTuple):
-    """A pattern of `length` messages, the `share` of intervals that have it, and the messages that it expects."""
-
     length: int
     period_ns: float
     share: float
@@ -128,34 +137,95 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
     return _Pattern(m, period_ns, share, expected) if expected >= _MOST_TWICE * len(times_ns) else None
 
 
+def find_grid(stamps_ns: Int64) -> Regularity | None:
+    """Return the regularity of ascending stamps that are multiples of one period apart; None for others."""
+    steps_ns = np.diff(stamps_ns)
+    positive_ns = steps_ns[steps_ns > 0]
+    if len(stamps_ns) < _FEWEST or len(positive_ns) < 0.9 * len(steps_ns):
+        return None
+    period_ns = float(np.median(positive_ns[positive_ns < 1.5 * np.quantile(positive_ns, 0.05)]))
+    for _ in range(3):
+        ratio = positive_ns / period_ns
+        steps = np.rint(ratio)
+        short = (steps >= 1) & (steps <= _MOST_STEPS)
+        on_grid = short & (np.abs(ratio - steps) < _OFF_GRID)
+        if on_grid.sum() < max(_LEAST_ON_GRID * short.sum(), len(ratio) / 2):
+            return None
+        period_ns = float(positive_ns[on_grid].sum() / steps[on_grid].sum())
+    steps = np.rint(steps_ns / period_ns).astype(np.int64)
+    missing = max(int(steps.sum()) - len(steps), 0)
+    gaps = np.flatnonzero(steps > 1) if missing else np.empty(0, np.int64)
+    holes = [
+        Hole(int(stamps_ns[at] + period_ns), int((steps[at] - 1) * period_ns), int(steps[at] - 1))
+        for at in gaps.tolist()
+    ]
+    return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
+
+
 def _single(times_ns: Int64, period_ns: float) -> Regularity:
-    ratio = np.diff(times_ns) / period_ns
+    """Count what one rate lacks; with stretches of another rate, what the rates lack, within the interval of both readings."""
+    intervals = np.diff(times_ns) / period_ns
+    ratio, unsure = _without_queues(intervals)
+    if (ratio != intervals).any():
+        times_ns = times_ns[0] + np.rint(np.concatenate([[0.0], np.cumsum(ratio)]) * period_ns).astype(np.int64)
+    whole = _one_rate(times_ns, period_ns)
+    whole = replace(whole, high=whole.high + unsure)
     edges = _rate_changes(ratio)
     if not edges:
-        return _one_rate(times_ns, period_ns)
-    bounds = [0, *edges, len(ratio)]
-    parts = [
-        _one_rate(times_ns[start : stop + 1], float(np.median(np.diff(times_ns[start : stop + 1]))))
-        for start, stop in pairwise(bounds)
-    ]
+        return whole
+    parts = []
+    for start, stop in pairwise([0, *edges, len(ratio)]):
+        part_ns = times_ns[start : stop + 1]
+        parts.append(_one_rate(part_ns, float(np.median(np.diff(part_ns)))))
+    fastest = max(parts, key=lambda part: part.rate_hz)
+    rival = whole if fastest.rate_hz < 1.25 * whole.rate_hz else _one_rate(times_ns, fastest.period_ns)
     return replace(
-        max(parts, key=lambda part: part.rate_hz),
+        fastest,
         missing=sum(part.missing for part in parts),
-        low=sum(part.low for part in parts),
-        high=sum(part.high for part in parts),
+        low=min(sum(part.low for part in parts), rival.low),
+        high=max(sum(part.high for part in parts) + unsure, rival.high),
         holes=[hole for part in parts for hole in part.holes],
     )
 
 
+def _without_queues(ratio: Float64) -> tuple[Float64, int]:
+    """Return intervals as they were sent, and how many messages a last stall, whose queue is cut off, may lack.
+
+    After a stall its messages come at once: only what these do not make up for is missing.
+    """
+    sent, queues, unsure = ratio.copy(), 0, 0
+    for at in np.flatnonzero(ratio > _LEAST_STALL).tolist():
+        late, end = float(ratio[at]) - 1, at + 1
+        while end < len(ratio) and ratio[end] < _QUEUED and late > (1 - ratio[end]) / 2:
+            late -= 1 - float(ratio[end])
+            end += 1
+        if end == len(ratio) and queues:
+            late, unsure = 0.0, round(late)
+        if end - at > 2 or unsure:
+            sent[at], sent[at + 1 : end] = 1 + late, 1
+            queues += 1
+    return sent, unsure
+
+
+def _is_single_with_stalls(ratio: Float64) -> bool:
+    sent, _ = _without_queues(ratio)
+    return bool((sent != ratio).any() and (np.abs(sent - 1) < _TOLERANCE).mean() > _LEAST_ON_GRID)
+
+
 def _rate_changes(ratio: Float64) -> list[int]:
-    is_same = np.concatenate([[False], np.abs(np.diff(ratio)) < 0.15]) & (np.abs(ratio - 1) > 0.25)
-    starts = np.flatnonzero(np.diff(np.concatenate([[0], is_same.astype(np.int8), [0]])))
-    if not (np.diff(starts)[::2] >= _STEADY).any():
+    if len(ratio) <= _WINDOW:
         return []
-    padded = np.pad(ratio, _STEADY, mode="reflect")
-    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _STEADY + 1), axis=1)
-    edges = (np.flatnonzero(np.diff((np.abs(typical - 1) > 0.25).astype(np.int8))) + 1).tolist()
-    return [edge for edge, after in zip(edges, [*edges[1:], len(ratio)], strict=True) if after - edge >= _STEADY < edge]
+    padded = np.pad(ratio, _WINDOW, mode="reflect")
+    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _WINDOW + 1), axis=1)
+    is_other = np.abs(typical - 1) > 0.25
+    changes = (np.flatnonzero(np.diff(is_other.astype(np.int8))) + 1).tolist()
+    edges = []
+    for start, stop in pairwise([0, *changes, len(ratio)]):
+        part = ratio[start:stop]
+        is_equal = np.abs(part / np.median(part) - 1) < _TOLERANCE
+        if is_other[start] and len(part) >= _WINDOW and is_equal.mean() >= _EQUAL_SHARE:
+            edges += [start, stop]
+    return sorted({edge for edge in edges if 0 < edge < len(ratio)})
 
 
 def _one_rate(times_ns: Int64, period_ns: float) -> Regularity:

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from ..model.metrics import frame_schema
+from .clocks import age_course
 from .losses import NONE
 from .periods import Int64
 
@@ -18,6 +19,9 @@ GAP_PERIODS = 2.0
 """Least length of a gap in median intervals."""
 
 _FEWEST_FOR_P99 = 100
+_FEWEST_STAMPS, _FEWEST_BURSTS, _FEWEST_IN_BURST = 8, 4, 3
+_LEAST_REPEATED, _LEAST_EQUAL_BURSTS = 0.25, 0.6
+_SECOND_NS, _MS_NS = 10**9, 10**6
 
 TOPIC_SCHEMA = frame_schema(
     "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "
@@ -25,7 +29,8 @@ TOPIC_SCHEMA = frame_schema(
     "payload_mean_bytes:f64 payload_min_bytes:u64 payload_max_bytes:u64 rate_bytes_per_s:f64 age_from:str "
     "age_messages:u64 age_negative:u64 age_min_ns:i64 age_p50_ns:f64 age_p99_ns:f64 age_max_ns:i64 "
     "stamps_backwards:u64 expected_rate_hz:f64 missing_from:str missing:u64 missing_low:u64 missing_high:u64 "
-    "missing_inside:u64 lost_in_transport:u64 lost_in_recorder:u64 copies:u64 qos:str age_bound_ns:i64"
+    "missing_inside:u64 lost_in_transport:u64 lost_in_recorder:u64 copies:u64 qos:str age_bound_ns:i64 "
+    "age_start_ns:f64 age_end_ns:f64 age_resolution_ns:i64 burst_messages:u64 burst_ns:f64 burst_pause_ns:f64"
 )
 
 HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 inside:bool")
@@ -66,6 +71,7 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
         age_from, age_ns = "publish", (log_ns - publish_ns)[published]
     else:
         return {"age_from": None}
+    start_ns, end_ns = age_course(age_ns)
     return {
         "age_from": age_from,
         "age_messages": len(age_ns),
@@ -74,8 +80,38 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
         "age_p50_ns": float(np.median(age_ns)),
         "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
         "age_max_ns": int(age_ns.max()),
+        "age_start_ns": start_ns,
+        "age_end_ns": end_ns,
+        "age_resolution_ns": _resolution_ns(stamp_ns[stamped]) if age_from == "header" else None,
         "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()) if age_from == "header" else None,
     }
+
+
+def _resolution_ns(stamp_ns: Int64) -> int | None:
+    """Return the unit of stamps if it is a millisecond or, of several stamps each, a second; None for finer ones."""
+    steps_ns = np.abs(np.diff(stamp_ns))
+    unit_ns = int(np.gcd.reduce(steps_ns)) if len(steps_ns) >= _FEWEST_STAMPS else 0
+    if unit_ns % _SECOND_NS == 0 and unit_ns and (steps_ns == 0).mean() > _LEAST_REPEATED:
+        return _SECOND_NS if not (stamp_ns % _SECOND_NS).any() else None
+    return _MS_NS if unit_ns == _MS_NS and not (stamp_ns % _MS_NS).any() else None
+
+
+def bursts(log_ns: Int64) -> Row:
+    """Return how many messages typically come at once, in what time, and the pause that follows."""
+    steps_ns = np.diff(log_ns)
+    if len(steps_ns) < _FEWEST_STAMPS:
+        return {}
+    mean_ns = float(steps_ns.mean())
+    pauses = np.flatnonzero(steps_ns > mean_ns)
+    counts = np.diff(pauses)
+    if len(counts) < _FEWEST_BURSTS or np.median(steps_ns[steps_ns <= mean_ns]) > mean_ns / 4:
+        return {}
+    size = int(np.median(counts))
+    if size < _FEWEST_IN_BURST or (counts == size).mean() < _LEAST_EQUAL_BURSTS:
+        return {}
+    pause_ns = float(np.median(steps_ns[pauses]))
+    lasting_ns = log_ns[pauses[1:]] - log_ns[pauses[:-1] + 1]
+    return {"burst_messages": size, "burst_ns": float(np.median(lasting_ns)), "burst_pause_ns": pause_ns}
 
 
 _QOS_KEYS = re.compile(r"^[-\s]*(reliability|durability|history|depth): *(\S+)", re.MULTILINE)

@@ -19,6 +19,7 @@ from dds_trace.analyzer.recordings.card import RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console
+from dds_trace.base.units import clock_words
 
 from ..book.groups import markdown
 from .words import (
@@ -27,7 +28,6 @@ from .words import (
     JudgedTopic,
     Row,
     cells,
-    clock_words,
     facts_words,
     hole_lines,
     pause_lines,
@@ -82,6 +82,9 @@ def _plain(value: object) -> object:
 
 
 WIDTH = 80
+_LONGEST_NAME = 28
+"""Topic names of up to so many letters are shown in one line."""
+
 _LEVELS = "·▁▂▃▄▅▆▇█"
 _STYLES = {"whole": "green", "holes": "yellow", "damaged": "red"}
 
@@ -103,14 +106,15 @@ def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> Non
         for line in (*pause_lines(health), *health.damages):
             console.print(Text(f"- {printable(line)}"))
         table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
-        table.add_column(COLUMNS[0], overflow="fold")
+        longest = max((len(row["topic"]) for row in rows), default=0)
+        table.add_column(COLUMNS[0], overflow="fold", min_width=min(longest, _LONGEST_NAME))
         for name in COLUMNS[1:]:
             table.add_column(name, justify="right", overflow="fold")
-        for row in rows:
-            table.add_row(*map(Text, cells(row)))
+        for row, _, strip in topics:
+            table.add_row(*map(Text, cells(row, strip)))
         console.print(table)
         for row, holes, strip in topics:
-            lines = [*hole_lines(row, holes), *topic_notes(row)]
+            lines = [*hole_lines(row, holes, health), *topic_notes(row)]
             if lines:
                 console.print(Text(printable(row["topic"]), style="bold"))
                 console.print(Text(f"  {strip_text(strip, is_periodic=row['missing_from'] != '')}"))
@@ -135,11 +139,11 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
         lines += [f"| {' | '.join(COLUMNS)} | Time |", f"|---|{'---:|' * (len(COLUMNS) - 1)}---|"]
         for row, _, strip in topics:
             shown = strip_text(strip, is_periodic=row["missing_from"] != "").replace(" ", "\u2007")
-            lines.append(f"| {' | '.join(map(markdown, cells(row)))} | <code>{shown}</code> |")
+            lines.append(f"| {' | '.join(map(markdown, cells(row, strip)))} | <code>{shown}</code> |")
         about = [
             f"- {markdown(row['topic'])}: {markdown(line)}"
             for row, holes, _ in topics
-            for line in (*hole_lines(row, holes), *topic_notes(row))
+            for line in (*hole_lines(row, holes, health), *topic_notes(row))
         ]
         lines += ["", *about, ""]
     lines += [f"- {markdown(f'{outcome.outcome.value}: {outcome.gate.text}, {outcome.topic}')}" for outcome in judged]
@@ -174,8 +178,8 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
         "lines": [printable(line) for line in (*pause_lines(health), *health.damages, *health.notes)],
         "topics": [
             {
-                "cells": cells(row),
-                "lines": [*hole_lines(row, holes), *topic_notes(row)],
+                "cells": cells(row, strip),
+                "lines": [*hole_lines(row, holes, health), *topic_notes(row)],
                 "qos": printable(row["qos"]),
                 "blocks": _blocks(health, row, holes, strip),
             }

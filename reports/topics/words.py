@@ -10,7 +10,7 @@ from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.analyzer.verdicts.gate import GateOutcome, TopicGate
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_rate, format_size
+from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
 
 from ..book.overview import utc_words
 
@@ -18,14 +18,21 @@ Row = Mapping[str, Any]
 """A row of `TopicReport.topics` or `.holes`."""
 
 
-COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Jitter", "Size", "Age")
+COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
-    "Missing: messages that the rate of the topic, its sequence numbers or the recorder's own counts call for, with the interval they are "
-    "certain within; a topic that is not periodic has no known number. Jitter: typical deviation of an interval; a hole does not change it. "
-    "Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the difference of their clocks."
+    "Missing: messages that the stamps, sequence numbers or rhythm of the topic or the recorder's own counts call for, with the interval they "
+    "are certain within; a topic without a rhythm has no known number: its gaps say nothing. Gap: the longest interval. Covered: the share of "
+    "the recording's time without holes. Jitter: typical deviation of an interval; a hole does not change it. "
+    "Age: median from the header's stamp, or (publish) from publishing, to the recording; between two machines it includes the difference of their clocks."
 )
 _MOST_HOLES_SHOWN = 3
-_EVIDENCE = {"sequence": "by sequence numbers", "recorder": "by the recorder's counts", "period": ""}
+_LEAST_COURSE_NS = 100_000_000
+_EVIDENCE = {
+    "stamps": "by the header stamps",
+    "sequence": "by sequence numbers",
+    "recorder": "by the recorder's counts",
+    "period": "",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +41,6 @@ class JudgedTopic:
     recording: str
     topic: str
     outcome: GateOutcome
-
-
-def clock_words(seconds: float) -> str:
-    minutes, seconds_part = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{seconds_part:02}" if hours else f"{minutes:02}:{seconds_part:02}"
 
 
 def seconds_words(seconds: float) -> str:
@@ -58,7 +59,7 @@ def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
     if health.verdict == "holes":
         return f"holes: {sentence}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
     unknown = sum(row["missing"] is None for row in rows)
-    more = f" (of {counted(unknown, 'topic')} nothing is known: not periodic)" if unknown else ""
+    more = f" (of {counted(unknown, 'topic')} nothing is known: no rhythm, gaps say nothing)" if unknown else ""
     return f"whole: nothing is known to be missing{more}"
 
 
@@ -80,8 +81,18 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
         yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
 
 
-def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
+def hole_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
+    end_s = health.duration_ns / 1e9
+    if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
+        yield f"begins at {clock_words(holes[0]['duration_s'])}, not with the recording"
+        holes = holes[1:]
+    if holes and abs(holes[-1]["start_s"] + holes[-1]["duration_s"] - end_s) < period_s and not holes[-1]["missing"]:
+        yield f"ends at {clock_words(holes[-1]['start_s'])}, {seconds_words(holes[-1]['duration_s'])} before the recording"
+        holes = holes[:-1]
+    if row["missing_low"] == 0 < row["missing_high"]:
+        yield f"none is known to be missing, {row['missing_high']:,} at most"
+        return
     large = sorted(
         (hole for hole in holes if hole["duration_s"] > 1.5 * period_s), key=lambda hole: -hole["duration_s"]
     )
@@ -99,28 +110,45 @@ def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
 def missing_words(row: Row) -> str:
     missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
     if missing is None:
-        return "not periodic"
+        return "no rhythm"
+    if low == 0 < high:
+        return f"0 to {high:,}"
     expected = row["messages"] + missing
     share = f" ({missing / expected:.1%})" if missing else ""
     interval = f" [{low:,}, {high:,}]" if (low, high) != (missing, missing) else ""
     return f"{missing:,}{share}{interval}"
 
 
-def cells(row: Row) -> tuple[str, ...]:
-    age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
-    if age and row["age_bound_ns"] is not None:
-        age = f"{format_duration(row['age_p50_ns'])} ± {format_duration(row['age_bound_ns'])}"
-    if age and abs(row["age_p50_ns"]) > OTHER_CLOCK_NS:
-        age = "other clock"
+def _age_words(row: Row) -> str:
+    median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
+    if median_ns is None:
+        return ""
+    if abs(median_ns) > OTHER_CLOCK_NS:
+        return "other clock"
+    if row["age_bound_ns"] is not None:
+        return f"{format_duration(median_ns)} ± {format_duration(row['age_bound_ns'])}"
+    start_ns, end_ns = row["age_start_ns"], row["age_end_ns"]
+    if 0 <= median_ns < resolution_ns:
+        age = f"below {format_duration(resolution_ns)}"
+    elif abs(end_ns - start_ns) > max(_LEAST_COURSE_NS, min(abs(start_ns), abs(end_ns))):
+        age = f"{format_duration(start_ns)} to {format_duration(end_ns)}"
+    else:
+        age = format_duration(median_ns)
+    return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
+
+
+def cells(row: Row, strip: Sequence[float]) -> tuple[str, ...]:
     rate_hz = row["expected_rate_hz"] or row["rate_hz"]
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",
         "" if rate_hz is None else format_rate(rate_hz),
         missing_words(row),
+        "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
+        f"{sum(strip) / len(strip):.1%}" if row["expected_rate_hz"] else "",
         "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
         format_size(round(row["payload_mean_bytes"])),
-        age,
+        _age_words(row),
     )
 
 
@@ -131,6 +159,18 @@ def topic_notes(row: Row) -> Iterator[str]:
         yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
     if row["lost_in_transport"] or row["lost_in_recorder"]:
         yield f"rosbag2 counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
+    if row["burst_messages"]:
+        burst, pause = format_duration(row["burst_ns"]), format_duration(row["burst_pause_ns"])
+        yield f"comes in bursts: {row['burst_messages']} messages in {burst}, then {pause} of nothing"
+    if row["age_resolution_ns"] and row["age_p50_ns"] < row["age_resolution_ns"]:
+        unit = format_duration(row["age_resolution_ns"])
+        yield f"its stamps are in units of {unit}: an age below that is unknown"
+    if (
+        row["age_max_ns"] is not None
+        and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
+        and abs(row["age_p50_ns"]) < OTHER_CLOCK_NS
+    ):
+        yield f"its age is {format_duration(row['age_start_ns'])} at the start, {format_duration(row['age_end_ns'])} at the end, {format_duration(row['age_max_ns'])} at most"
     if row["stamps_backwards"]:
         yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
     if row["age_negative"]:

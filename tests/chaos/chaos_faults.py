@@ -101,6 +101,8 @@ class Happening:
 
 
 class Kill(Happening):
+    """A signal to one process."""
+
     first = signal.SIGKILL
     struck: Process | None = None
 

@@ -79,12 +79,7 @@ class Block:
 
 @dataclass(slots=True)
 class BlockJobs:
-    """The blocks of a file in order, as jobs that make them.
-
-    Attributes:
-        summary: without one nothing after a damaged record is read.
-        notes: one line for each damage between the blocks; complete after the last block.
-    """
+    """The blocks of a file in order, as jobs that make them."""
 
     file: RecordFile
     summary: Summary | None
@@ -102,10 +97,7 @@ class BlockJobs:
             _FREE.append(block.memory)
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """Yield (size in bytes, job) of each block; a job may run in any thread.
-
-        A job raises `TraceFormatError` if the file can no longer be read.
-        """
+        """Yield (size in bytes, job) of each block; a job may run in any thread."""
         for header in self._headers():
             if header.opcode == Opcode.CHUNK:
                 yield from self._add_chunk(header)

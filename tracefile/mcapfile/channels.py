@@ -20,12 +20,7 @@ _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hun
 
 @dataclass(frozen=True, slots=True)
 class DeclaredChannel:
-    """A channel as its file declares it.
-
-    Attributes:
-        stage: of its events; None on every other topic.
-        fault: why its messages cannot be events although its topic is a stage's, or None.
-    """
+    """A channel as its file declares it."""
 
     topic: str
     stage: Stage | None
@@ -33,8 +28,6 @@ class DeclaredChannel:
 
 
 class ChannelTable:
-    """All channels that a file has declared so far; `path` names it in errors."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         self._schemas: dict[int, str] = {}
@@ -47,11 +40,7 @@ class ChannelTable:
         return self._channels.items()
 
     def declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        """Add a Schema or Channel record at `offset` in the file.
-
-        Raises:
-            TraceFormatError: the record is damaged, or gives a declared channel id another topic.
-        """
+        """Add a Schema or Channel record at `offset` in the file."""
         try:
             record = _parsed(opcode, content)
         except ValueError as err:
@@ -85,7 +74,6 @@ class ChannelTable:
 
 
 def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
-    """Parse once: data and summary, and all files of a recorder, have the same records."""
     if len(content) > _MOST_CACHED_BYTES:
         return _parse(opcode, content)
     return _parsed_once(opcode, bytes(content))

@@ -33,11 +33,7 @@ class DamagedChunkError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class PackedChunk:
-    """A chunk as its own header describes it.
-
-    Attributes:
-        crc: CRC-32 of the unpacked records; 0 if the writer made none.
-    """
+    """A chunk as its own header describes it."""
 
     offset: int
     data_offset: int
@@ -52,11 +48,7 @@ class PackedChunk:
 
     @classmethod
     def at(cls, file: RecordFile, header: RecordHeader, *, is_cut: bool = False) -> PackedChunk:
-        """Read the header of a chunk; of one that `is_cut` off, the packed bytes are all that are there.
-
-        Raises:
-            DamagedChunkError: its fields are not valid MCAP, or claim more than a chunk may have.
-        """
+        """Read the header of a chunk; of one that `is_cut` off, the packed bytes are all that are there."""
         content = RecordContent(file.peek(header.content, min(_HEADER_BYTES, header.length)))
         try:
             content.read(16)  # first and last log time
@@ -72,12 +64,7 @@ class PackedChunk:
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
-        """Unpack to position `at` of `memory.records`; threads may do so at once, each into its own memory.
-
-        Raises:
-            DamagedChunkError: the records cannot be unpacked, or are not those that were written.
-            TraceFormatError: the file cannot be read.
-        """
+        """Unpack to position `at` of `memory.records`; threads may do so at once, each into its own memory."""
         memory = memory or UnpackMemory()
         try:
             target = memory.records(at + self.unpacked_bytes)[at:]
@@ -91,7 +78,6 @@ class PackedChunk:
         return target
 
     def unpack_prefix(self, file: RecordFile) -> bytes:
-        """Return what a damaged chunk unpacks to up to the damage; zeros may follow."""
         packed = file.read(self.data_offset, self.packed_bytes)
         if self.compression == "zstd":
             return _zstd_prefix(packed)
@@ -112,11 +98,7 @@ class PackedChunk:
 
 
 def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> bytes | bytearray:
-    """Unpack a chunk that another reader has taken out of its file.
-
-    Raises:
-        DamagedChunkError: it claims more than a chunk may have, or cannot be unpacked to what it claims.
-    """
+    """Unpack a chunk that another reader has taken out of its file."""
     _check_claims(compression, len(packed), unpacked_bytes)
     if not compression:
         return packed
@@ -165,11 +147,7 @@ class UnpackMemory:
 
 
 def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
-    """Unpack the first `limit_bytes` bytes of zstd frames, in no more memory than that.
-
-    Raises:
-        ZstdError: `packed` is not a zstd frame, or damaged.
-    """
+    """Unpack the first `limit_bytes` bytes of zstd frames, in no more memory than that."""
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
 

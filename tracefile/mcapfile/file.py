@@ -55,14 +55,7 @@ class RecordHeader:
 
 
 class RecordFile(AbstractContextManager["RecordFile"]):
-    """A MCAP file, opened for reading at any offset.
-
-    Attributes:
-        size: bytes when it was opened; what a recorder adds later is not read.
-
-    Raises:
-        TraceFormatError: the file cannot be read, or is not a MCAP file.
-    """
+    """A MCAP file, opened for reading at any offset."""
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
@@ -89,11 +82,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         os.close(self._descriptor)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on.
-
-        Raises:
-            TraceFormatError: the device fails, or the file has become shorter since it was opened.
-        """
+        """Return `size` bytes from `offset` on."""
         data = bytearray(size)
         self.read_into(memoryview(data), offset)
         return bytes(data)
@@ -115,11 +104,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         return self._ahead[at : at + size]
 
     def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
-        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`.
-
-        Raises:
-            TornRecordError: no record begins there, or the file ends before the record.
-        """
+        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`."""
         while True:
             if offset + RECORD_HEADER.size > self.size:
                 raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
@@ -137,11 +122,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             offset += RECORD_HEADER.size + length
 
     def parse(self, kind: type[R], header: RecordHeader) -> R:
-        """Read and parse a record.
-
-        Raises:
-            TornRecordError: its fields are not valid MCAP, or it is longer than `MAX_RECORD_BYTES`.
-        """
+        """Read and parse a record."""
         name = record_name(header.opcode)
         if header.length > MAX_RECORD_BYTES:
             raise TornRecordError(header.offset, f"a {name} record claims {counted(header.length, 'byte')}")
@@ -160,11 +141,7 @@ _KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHU
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The records between data section and footer: useful, but not trusted.
-
-    Attributes:
-        data_end: offset in the file at which the data section ends and `data` begins.
-    """
+    """The records between data section and footer: useful, but not trusted."""
 
     data_end: int
     data: bytes = b""
@@ -193,14 +170,7 @@ class Summary:
 
 
 def read_summary(file: RecordFile) -> Summary | None:
-    """Read the summary.
-
-    Returns:
-        None if the file is not finished; an empty one if a finished file has none, or one that does not match its CRC.
-
-    Raises:
-        TraceFormatError: the file cannot be read.
-    """
+    """Read the summary."""
     footer_at = file.size - _FOOTER_BYTES - len(MAGIC)
     if footer_at < len(MAGIC):
         return None

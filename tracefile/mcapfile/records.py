@@ -1,7 +1,4 @@
-"""Records of MCAP parsed into the classes of the `mcap` library, with bounds that it does not have.
-
-A file may be cut off, damaged or hostile: no field reaches beyond its record, and no map keeps a reader busy.
-"""
+"""Records of MCAP parsed into the classes of the `mcap` library, with bounds that it does not have."""
 
 from __future__ import annotations
 
@@ -42,8 +39,6 @@ _HAS_MAP = frozenset({Channel, ChunkIndex, Statistics})
 
 
 class ParsedRecord(Protocol):
-    """A record class of `mcap.records`."""
-
     @staticmethod
     def read(stream: ReadDataStream) -> object:
         """Return the record in `stream`."""
@@ -53,11 +48,7 @@ R = TypeVar("R", bound=ParsedRecord)
 
 
 class RecordContent(ReadDataStream):
-    """The content of one record, field by field; bytes after the last field are ignored, as MCAP demands.
-
-    Raises:
-        ValueError: by each method that reads: the field reaches beyond the content.
-    """
+    """The content of one record, field by field; bytes after the last field are ignored, as MCAP demands."""
 
     def __init__(self, content: Buffer) -> None:
         super().__init__(BytesIO())
@@ -78,11 +69,7 @@ class RecordContent(ReadDataStream):
 
 
 def parse_record(kind: type[R], content: Buffer) -> R:
-    """Parse the bytes after opcode and length.
-
-    Raises:
-        ValueError: a field reaches beyond the content, a text is not UTF-8, or a map is longer than any file needs.
-    """
+    """Parse the bytes after opcode and length."""
     if kind in _HAS_MAP and len(content) > _MAX_MAP_RECORD_BYTES:
         raise ValueError(f"it has {counted(len(content), 'byte')}, more than any file needs")
     record = kind.read(RecordContent(content))

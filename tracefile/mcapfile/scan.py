@@ -78,7 +78,6 @@ class Scan:
         return offsets
 
     def events(self, data: Buffer) -> Records:
-        """Return the records of all runs, an array of `EVENT_RECORD_DTYPE`; a view of `data` if there is one run."""
         # Joined as blocks of bytes: for records numpy would make a new dtype.
         parts = [np.frombuffer(data, _BLOCK_DTYPE, count, offset) for offset, count in self.runs]
         joined = parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, _BLOCK_DTYPE), *parts])
@@ -88,10 +87,7 @@ class Scan:
 def scan_records(
     data: Buffer, start: int, stop: int, opcodes: Container[int] = MESSAGES_AND_CHANNELS, *, only: bool = False
 ) -> Scan:
-    """Scan the records in `data[start:stop]`; list the other records of `opcodes` besides the events.
-
-    The scan ends before a record that is cut off, or has opcode 0, which MCAP forbids; with `only` also before any other kind.
-    """
+    """Scan the records in `data[start:stop]`; list the other records of `opcodes` besides the events."""
     scan = Scan()
     at = start
     steps = 0

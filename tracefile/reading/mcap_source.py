@@ -38,11 +38,7 @@ _SMALL_FILE_BYTES = 1 << 19  # read by the calling thread, before another has st
 
 
 class McapSource:
-    """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is the name of an unpacked copy in errors.
-
-    Raises:
-        TraceFormatError: `path` is not a MCAP file, or cannot be read.
-    """
+    """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is the name of an unpacked copy in errors."""
 
     def __init__(self, path: Path, pool: Executor, shown_as: Path | None = None) -> None:
         self._path = shown_as or path
@@ -83,11 +79,7 @@ class McapSource:
         return {stage: min(most, count) for stage, count in expected.items()}
 
     def batches(self) -> Iterator[Batch]:
-        """Yield all messages in file order; the last batch describes how the file ended.
-
-        Raises:
-            TraceFormatError: the device fails, or the file contradicts itself.
-        """
+        """Yield all messages in file order; the last batch describes how the file ended."""
         if self._is_of_others():
             return
         steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
@@ -201,7 +193,6 @@ class McapSource:
 
 
 def _blocks_ahead() -> int:
-    """Return the number of blocks made in advance, one per core and one more; others only fill caches."""
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 

@@ -65,11 +65,7 @@ class ColumnsBuilder:
         return filled > 0 and filled + events > self._most_events
 
     def append(self, stage: Stage, records: Records) -> int:
-        """Append a contiguous array of `EVENT_DTYPE` to the events of the stage.
-
-        Returns:
-            The number of records that were left out, since their instant is beyond `MOST_STAMP_NS`.
-        """
+        """Append a contiguous array of `EVENT_DTYPE` to the events of the stage."""
         return self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
@@ -114,7 +110,6 @@ class _StageColumns:
         return left_out
 
     def finish(self) -> EventColumns:
-        """Return views of the filled part; without events they refer to no memory."""
         if not self.filled:
             return EventColumns.empty()
         rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)
@@ -188,11 +183,7 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
 
 
 def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, EventColumns]]:
-    """Yield the events of a trace about a megabyte at a time, of each stage in file order.
-
-    Memory follows the size of a chunk, not of the file. `read_trace` has descriptions, notes and the number of
-    unreadable messages.
-    """
+    """Yield the events of a trace about a megabyte at a time, of each stage in file order."""
     path = Path(path)
     builder = TraceBuilder(path)
     for file in storage_files(path):

@@ -23,12 +23,7 @@ _MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Message that is not an event: a description or a host sample, still serialized.
-
-    Attributes:
-        log_time_ns: wall clock, ns since 1970.
-        offset: offset in the file of the message or of its chunk; None in a database.
-    """
+    """Message that is not an event: a description or a host sample, still serialized."""
 
     topic: str
     log_time_ns: int

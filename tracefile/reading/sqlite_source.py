@@ -50,11 +50,7 @@ _MESSAGES = (
 
 
 class SqliteSource:
-    """`.db3` file as a `Source`.
-
-    Raises:
-        TraceFormatError: `path` is not a database of rosbag2, or cannot be read.
-    """
+    """`.db3` file as a `Source`."""
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self._shown_as = shown_as or path
@@ -91,7 +87,6 @@ class SqliteSource:
 
     @property
     def written_events(self) -> int:
-        """Always 0: our recorder writes MCAP, and a database has no ring."""
         return 0
 
     def expected_events(self) -> dict[Stage, int]:

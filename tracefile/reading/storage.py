@@ -64,13 +64,7 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
 
 
 def storage_files(path: Path) -> list[Path]:
-    """Return the files of a trace in the order in which they were recorded: `bag_10.mcap` after `bag_9.mcap`.
-
-    A file that was packed as a whole ends in `.zstd`; if a player has unpacked it there it counts once.
-
-    Raises:
-        TraceFormatError: `path` is a folder that cannot be read or has no such file.
-    """
+    """Return the files of a trace in the order in which they were recorded: `bag_10.mcap` after `bag_9.mcap`."""
     if not path.is_dir():
         return [path]
     try:
@@ -96,11 +90,7 @@ def is_bag(folder: Path) -> bool:
 
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
-    """Open a storage file within the block.
-
-    Raises:
-        TraceFormatError: the file is not of the kind that its name says, or cannot be read.
-    """
+    """Open a storage file within the block."""
     opener = _OPENERS[_opener_suffix(file) or ".mcap"]
     with ExitStack() as opened:
         path = file
@@ -112,7 +102,6 @@ def open_source(file: Path, pool: Executor) -> Iterator[Source]:
 
 
 def _opener_suffix(file: Path) -> str | None:
-    """Return the suffix of a storage file; None of others."""
     suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
     return suffix if suffix in _OPENERS else None
 

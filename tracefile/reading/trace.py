@@ -69,11 +69,7 @@ _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a
 
 
 class TextCollector:
-    """The latest description of each session and run, in order of first appearance, and the other texts.
-
-    Attributes:
-        unreadable: topic -> number of its texts that are not JSON objects.
-    """
+    """The latest description of each session and run, in order of first appearance, and the other texts."""
 
     def __init__(self) -> None:
         self.sessions: dict[int, Session] = {}
@@ -84,11 +80,7 @@ class TextCollector:
         self.unreadable = Counter[str]()
 
     def add(self, text: Text) -> None:
-        """Add one message; an unknown topic is ignored.
-
-        Raises:
-            TraceFormatError: a description cannot be read; the error names file, offset and field.
-        """
+        """Add one message; an unknown topic is ignored."""
         try:
             if text.topic == SESSION_TOPIC:
                 session = Session.from_json(_string(text), text.path)
@@ -162,11 +154,7 @@ class RingBeside:
 
 
 def ring_beside(file: Path) -> RingBeside | None:
-    """Read the ring of a storage file, if it has an event; call this before the file is opened.
-
-    So no event of a living recorder is missed: one that has left the ring when the ring is read is in the file when the
-    file is read.
-    """
+    """Read the ring of a storage file, if it has an event; call this before the file is opened."""
     path = ring_path(file)
     try:
         contents = read_ring(path, 0)
@@ -214,11 +202,7 @@ class TraceBuilder:
             self.truncated.append(which + batch.truncated)
 
     def check(self) -> None:
-        """Check that the files are a trace; a file that was cut off before its first topic may be one.
-
-        Raises:
-            TraceFormatError: no topic is ours.
-        """
+        """Check that the files are a trace; a file that was cut off before its first topic may be one."""
         ours = any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
         if not ours and (self.topics or not self.truncated):
             topics = ", ".join(sorted(self.topics)[:3]) or "none"

@@ -26,11 +26,7 @@ _BZ2_WEIGHT = 4
 
 
 def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages in file order, up to the first damage, which `condition` then has.
-
-    Raises:
-        UnreadableError: it is not a rosbag1 file, or made to keep a reader busy.
-    """
+    """Yield the messages in file order, up to the first damage, which `condition` then has."""
     topics: dict[int, RecordedTopic] = {}
     with path.open("rb") as file:
         if file.read(len(BAG1_MAGIC)) != BAG1_MAGIC:

@@ -48,8 +48,6 @@ _DAY_NS = 86_400 * 10**9
 
 
 class WalkedMessage(NamedTuple):
-    """A message with its channel; times in ns."""
-
     channel: Channel
     sequence: int
     log_ns: int

@@ -48,12 +48,7 @@ class RawMessage(NamedTuple):
 
 @dataclass(slots=True)
 class Condition:
-    """What was found while a recording was read; complete after its last message.
-
-    Attributes:
-        notes: what else is worth a word.
-        topics: those that are declared, with or without messages.
-    """
+    """What was found while a recording was read; complete after its last message."""
 
     damages: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

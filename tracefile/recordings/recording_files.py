@@ -1,8 +1,4 @@
-"""Files of a foreign recording, each readable by itself, and the messages that its metadata claims.
-
-Libraries match topics by the texts of `metadata.yaml`, ignore the log (`-wal`) of a SQLite database, and take any
-file of a folder.
-"""
+"""Files of a foreign recording, each readable by itself, and the messages that its metadata claims."""
 
 from __future__ import annotations
 
@@ -29,10 +25,7 @@ _MOST_METADATA_BYTES = 16 << 20
 
 @dataclass(slots=True)
 class RecordingFiles:
-    """The files, each as it can be read, with the names that they have.
-
-    `damages` and `notes` are about files; `claimed` are the messages of each topic by `metadata.yaml`.
-    """
+    """The files, each as it can be read, with the names that they have."""
 
     files: list[Path]
     names: list[Path]
@@ -43,11 +36,7 @@ class RecordingFiles:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[RecordingFiles]:
-    """Yield the files of a recording, packed ones and databases with a log as temporary copies.
-
-    Raises:
-        TraceFormatError: the path has no file of a recording, or one cannot be unpacked.
-    """
+    """Yield the files of a recording, packed ones and databases with a log as temporary copies."""
     recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
     with ExitStack() as stack:
         for number, file in enumerate(recording.files):
@@ -109,10 +98,7 @@ def _unpacked_name(name: str) -> str:
 
 
 def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
-    """Return the listed files and the messages of each topic, nothing where the file cannot be read.
-
-    Line by line: a YAML parser makes objects of a thousand times the text's size.
-    """
+    """Return the listed files and the messages of each topic, nothing where the file cannot be read."""
     try:
         with open_regular(path) as file:
             text = file.read(_MOST_METADATA_BYTES).decode(errors="replace")

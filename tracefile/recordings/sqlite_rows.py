@@ -47,11 +47,7 @@ _USUAL_PAGE_BYTES = 4096
 
 
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`.
-
-    Raises:
-        UnreadableError: it is not a rosbag2 database, or made to keep a reader busy.
-    """
+    """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`."""
     budget, seen, rows = Budget(path.stat().st_size), set[int](), list[tuple[int, int, int, bytes]]()
     topics: dict[int, RecordedTopic] = {}
     fault, size_bytes, read_bytes = "", path.stat().st_size, 0

@@ -37,11 +37,7 @@ MOST_CHANNELS = 65_535
 
 @dataclass(slots=True)
 class RecordingRecovery:
-    """What was recovered of a recording.
-
-    Attributes:
-        unchecked: messages without a checksum: their damage cannot be seen.
-    """
+    """What was recovered of a recording."""
 
     path: Path
     recovered: Path

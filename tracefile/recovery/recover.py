@@ -128,8 +128,6 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
 
 @dataclass(frozen=True, slots=True)
 class _FileCounts:
-    """Counts of a `Salvage`; 0 of a file that is gone."""
-
     closed: bool = False
     events: int = 0
     tickets: int = 0
@@ -139,8 +137,6 @@ class _FileCounts:
 
 @dataclass(frozen=True, slots=True)
 class _KilledTrace:
-    """A trace and its ring, and their damage."""
-
     trace: Path
     file: _FileCounts
     session: Session
@@ -149,7 +145,6 @@ class _KilledTrace:
 
     @property
     def mode(self) -> int:
-        """Rights of the old file, or of its ring if the file is gone."""
         original = self.trace if self.trace.exists() else ring_path(self.trace)
         return mode_within(original.stat().st_mode)
 
@@ -159,7 +154,6 @@ class _KilledTrace:
 
 
 def _inspect(trace: Path) -> _KilledTrace:
-    """Read a trace and its ring once; errors as for `recover`."""
     ring_file = ring_path(trace)
     counts, sessions = _FileCounts(), list[Session]()
     if trace.exists() or not ring_file.exists():
@@ -189,7 +183,6 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
 
 
 def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tuple[RingContents | None, str | None]:
-    """Return a ring's content and its damage; None for no ring, or an empty one."""
     if not ring.exists():
         return None, None
     try:

@@ -34,24 +34,13 @@ _CHUNK_STEPS, _RECORD_STEPS = 16, 2
 
 @dataclass(frozen=True, slots=True)
 class SalvagedText:
-    """A String of the file; `log_time_ns` is ns since 1970."""
-
     topic: str
     text: str
     log_time_ns: int
 
 
 class Salvage:
-    """One-time iterable of the events (`SLOT_DTYPE` without tickets), texts and payloads in the complete chunks of a file.
-
-    Attributes, final after the last item:
-        closed: whether the file has its footer.
-        torn_bytes: bytes at the end that are no complete record.
-        damaged_chunks: chunks with other content than was written.
-
-    Raises:
-        TraceFormatError: by the iteration: another program wrote the file, or it contradicts itself.
-    """
+    """One-time iterable of the events (`SLOT_DTYPE` without tickets), texts and payloads in the complete chunks of a file."""
 
     def __init__(self, file: RecordFile) -> None:
         self._file = file

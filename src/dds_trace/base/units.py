@@ -144,3 +144,9 @@ def spell_size(size_bytes: int) -> str:
     whole = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(whole, "B")
     return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"
+
+
+def clock_words(seconds: float) -> str:
+    minutes, seconds_part = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds_part:02}" if hours else f"{minutes:02}:{seconds_part:02}"

@@ -2,52 +2,13 @@ import struct
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, Writer
+from card_bags import MS, START_NS, card, timer, write
+from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.analyzer.recordings.rows import qos_words
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
-
-MS = 1_000_000
-START_NS = 1_700_000_000 * 10**9
-HEADER = ("my_msgs/msg/Blob", "ros2msg", b"std_msgs/Header header\nuint8[] data\n")
-
-
-def blob(stamp_ns, size=8):
-    return b"\0\1\0\0" + struct.pack("<iI", *divmod(stamp_ns, 10**9)) + struct.pack("<I", 2) + b"a\0" + bytes(size)
-
-
-def write(path, topics, *, schema=HEADER, chunk_size=1 << 20, metadata=None, sequences=None):
-    """Topics: name -> list of (log time in ns, stamp in ns); in order of the log times, as a recorder writes them."""
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk_size, compression=CompressionType.NONE)
-        writer.start("ros2")
-        schema_id = writer.register_schema(*schema)
-        channels = {name: writer.register_channel(name, "cdr", schema_id, metadata or {}) for name in topics}
-        events = [
-            (log_ns, name, stamp_ns, number)
-            for name, times in topics.items()
-            for number, (log_ns, stamp_ns) in enumerate(times)
-        ]
-        for log_ns, name, stamp_ns, number in sorted(events):
-            sequence = (sequences or {}).get(name, range(len(events)))[number]
-            writer.add_message(channels[name], log_ns, blob(stamp_ns), log_ns, sequence)
-        writer.finish()
-    return path
-
-
-def timer(hz, seconds, *, without=(), since_ns=START_NS):
-    """Log times and stamps of a timer; `without` are (first, last) in s that are missing."""
-    times = [since_ns + round(n * 1e9 / hz) for n in range(int(hz * seconds))]
-    return [(at, at - MS) for at in times if not any(first <= (at - since_ns) / 1e9 < last for first, last in without)]
-
-
-def card(path):
-    report = analyze_topics(path)
-    (health,) = report.recordings
-    return report, health, {row["topic"]: row for row in report.topics.iter_rows(named=True)}
 
 
 def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
@@ -71,13 +32,18 @@ def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
         assert "/imu" in render(report)
 
 
-def test_a_topic_that_stops_has_a_hole_to_the_end(tmp_path):
-    topics = {"/camera": timer(20, 10), "/imu": timer(100, 30)}
-    report, _, rows = card(write(tmp_path / "x.mcap", topics))
-    assert rows["/camera"]["missing"] == pytest.approx(400, abs=1)
-    assert report.holes["duration_s"].to_list() == [pytest.approx(20, abs=0.1)]
+@pytest.mark.parametrize(
+    ("camera", "start_s", "words"),
+    [(timer(20, 10), 10, "ends at 00:10, 20 s"), (timer(20, 10, since_ns=START_NS + 20 * 10**9), 0, "begins at 00:20")],
+)
+def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, start_s, words):
+    report, health, rows = card(write(tmp_path / "x.mcap", {"/camera": camera, "/imu": timer(100, 30)}))
+    assert (rows["/camera"]["missing"], rows["/camera"]["missing_high"], health.verdict) == (0, 0, "whole")
+    assert report.holes.select("start_s", "duration_s").rows() == [pytest.approx((start_s, 20), abs=0.1)]
     assert sum(report.strips[0]) == pytest.approx(20, abs=0.2)  # of 60 parts
     assert sum(report.strips[1]) == 60
+    print_topics(report)
+    assert words in capsys.readouterr().out
 
 
 def test_a_counter_knows_more_than_the_period(tmp_path):

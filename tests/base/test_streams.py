@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.table import Table
 
-from dds_trace.base.printable import is_hidden
+from dds_trace.base.printable import is_hidden, printable
 from dds_trace.base.streams import PlainStream, plain, plain_console, plain_streams, say
 
 PIECES = st.lists(
@@ -87,3 +87,22 @@ def test_a_report_made_of_commands_is_written_as_it_is():
     stream.write("::warning::of a trace\n")
     stream.write_commands("::warning::of a gate \x1b\n")
     assert shown.getvalue().splitlines() == [":\\u003awarning::of a trace", "::warning::of a gate \\u001b"]
+
+
+def test_invisible_characters_are_spelled_out():
+    assert printable("\x1b[31mred\x07") == r"\x1b[31mred\x07"
+    assert printable("a\u2028b\u202ec\n") == r"a\u2028b\u202ec\x0a"
+    assert printable("Zürich → 東京 µs") == "Zürich → 東京 µs"
+    assert printable("\ud800") == r"\ud800"
+
+
+def test_a_label_of_any_length_stays_a_label():
+    assert len(printable("x" * 10**6)) == 300
+
+
+@pytest.mark.parametrize(
+    "character", ["\n", "\r", "\x00", "\x1b", "\x7f", "\u2028", "\u202e", "\ud800", "\ufffe", "\U0010ffff"]
+)
+def test_nothing_is_left_that_steers_a_terminal_or_that_xml_forbids(character):
+    assert character not in printable(f"a{character}b")
+    assert printable(f"a{character}b").startswith("a\\")

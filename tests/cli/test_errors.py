@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
-from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
+from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceFormatError
 from dds_trace.cli.program import run_command
 from dds_trace.recorder.errors import NoEchoError
 
@@ -33,3 +37,39 @@ def test_our_own_mistakes_keep_their_traceback():
 
     with pytest.raises(KeyError):
         run_command(fail)
+
+
+SAMPLES = Path(__file__).parents[2] / "sample_traces/same_domain"
+WITHOUT = """
+import sys
+sys.modules[sys.argv.pop(1)] = None  # as if it were not installed
+from dds_trace.cli.{module} import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "arguments"),
+    [
+        ("polars", "analyze", ()),
+        ("pyarrow", "analyze", ()),
+        ("jinja2", "analyze", ("--report", "html")),
+        ("distributed", "cluster", ("--cluster", "tcp://127.0.0.1:1")),
+    ],
+)
+def test_one_line_says_what_to_install(package, extra, arguments, tmp_path):
+    ran = subprocess.run(
+        [sys.executable, "-c", WITHOUT.format(module="analyze"), package, SAMPLES, "--out", tmp_path, *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == BackendUnavailableError.exit_code
+    (line,) = ran.stderr.splitlines()
+    assert f"pip install 'dds-trace[{extra}]'" in line
+
+
+def test_a_package_that_belongs_to_no_extra_is_a_fault_of_the_installation():
+    command = [sys.executable, "-c", WITHOUT.format(module="analyze"), "mcap", SAMPLES]
+    ran = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert ran.stderr.splitlines()[-1].startswith("ModuleNotFoundError")

@@ -1,33 +1,42 @@
+from __future__ import annotations
+
 import base64
 import hashlib
 import html
 import json
+import math
 import re
+import struct
+import sys
 import unicodedata
+import xml.etree.ElementTree as ET
 from dataclasses import fields, replace
 from functools import cache
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
+from four_campaigns import CAMPAIGNS
 from jsonschema import Draft202012Validator
 from report_schemas import REPORT, closed
 from wording import numbers
 
-from dds_trace import Details, parse_job
+from dds_trace import Details, __version__, parse_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.reports import document, terminal
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import LATENCY_MEANING
+from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_ratio, markdown
 from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.brief import INLINE_BAR, MOST_LINES
+from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, render, write_card
+from dds_trace.reports.document import _lines
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
-from dds_trace.reports.html.page import unpacked
+from dds_trace.reports.html.page import json_island, unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 
 
@@ -358,3 +367,168 @@ def test_a_campaign_of_the_paper_stays_below_three_and_a_half_mb():
     for name in ("timeline", "host_load", "clock"):
         assert plans[name]["decimated"], f"the page is as large as it gets only with all of {name} in it"
     assert len(rendered("500 groups", "html").encode()) <= 3_500_000
+
+
+TABLE = pl.DataFrame(
+    {
+        "run_id": pl.Series([2**64 - 1, 7], dtype=pl.UInt64),
+        "count": pl.Series([None, -3], dtype=pl.Int64),
+        "mean_ns": [0.1, 1e300],
+        "worst_ns": [math.inf, math.nan],
+        "device": ['a "b", ü', None],
+        "same": [True, None],
+        "nothing": [None, None],
+        "parts": [[1, 2], []],
+    }
+)
+
+
+def test_a_table_is_its_rows_as_json():
+    expected = [
+        {
+            "run_id": "ffffffffffffffff",
+            "count": None,
+            "mean_ns": 0.1,
+            "worst_ns": None,
+            "device": 'a "b", ü',
+            "same": True,
+            "nothing": None,
+            "parts": [1, 2],
+        },
+        {
+            "run_id": "0000000000000007",
+            "count": -3,
+            "mean_ns": 1e300,
+            "worst_ns": None,
+            "device": None,
+            "same": None,
+            "nothing": None,
+            "parts": [],
+        },
+    ]
+    assert _lines(TABLE) == "[\n" + ",\n".join(json.dumps(row) for row in expected) + "\n]"
+
+
+def test_a_table_without_rows_is_an_empty_list():
+    assert _lines(TABLE.head(0)) == "[]"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "shown"),
+    [
+        (1.0, "100 %"),
+        (0.999_99, "> 99.99 %"),
+        (0.9967, "99.67 %"),
+        (0.5, "50 %"),
+        (0.153_846, "15.4 %"),
+        (0.001_234, "0.123 %"),
+        (0.000_04, "< 0.01 %"),
+        (0.0, "0 %"),
+        (None, "-"),
+    ],
+)
+def test_percent_is_whole_only_where_it_is_exact(ratio, shown):
+    assert format_ratio(ratio) == shown
+
+
+def test_counts_have_groups_of_three_digits():
+    assert format_count(12_000) == "12,000"
+    assert format_count(None) == "-"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain words, 33 KB (median)", "plain words, 33 KB (median)"),
+        ("a|b`c`", "a&#124;b&#96;c&#96;"),
+        ("**d**", "&#42;&#42;d&#42;&#42;"),
+        ("<script>", "&#60;script&#62;"),
+        ("@team #1", "@<!-- -->team #<!-- -->1"),
+        ("[x](http://a.invalid)", "&#91;x&#93;(http&#58;//a.invalid)"),
+        ("www.a.invalid", "www&#46;a.invalid"),
+        ("keep_last 10", "keep&#95;last 10"),
+        ("two\nlines", "two&#92;x0alines"),
+    ],
+)
+def test_markdown_reads_no_syntax(text, shown):
+    assert markdown(text) == shown
+
+
+def test_an_island_cannot_end_its_element():
+    value = {"a": "</script><!--\u2028&", "b": [None, 1.5, "\ud800"]}
+    text = json_island(value)
+    assert not set("<>&\u2028\u2029") & set(text)
+    assert json.loads(text) == value
+
+
+def test_an_island_holds_no_nan():
+    with pytest.raises(ValueError, match="Out of range"):
+        json_island(math.nan)
+
+
+EVERY_CARD = {**EVERY_ANALYSIS, **CAMPAIGNS}
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def texts(book):
+    return ET.fromstring(render(book)).findall(f"{SVG}text")
+
+
+@pytest.mark.parametrize("name", EVERY_CARD)
+def test_every_card_is_whole_and_within_its_edges(name):
+    book = Book(EVERY_CARD[name]())
+    assert render(book) == render(Book(EVERY_CARD[name]()))
+    bounds = []
+    for text in texts(book):
+        x, y, size = (float(text.get(key)) for key in ("x", "y", "font-size"))
+        width = len(text.text or "") * size * (BOLD_CHARACTER if text.get("font-weight") else CHARACTER)
+        left = x - width if text.get("text-anchor") == "end" else x
+        assert EDGE - 0.5 <= left <= left + width <= WIDTH - EDGE + 0.5, text.text
+        assert size <= y <= HEIGHT - 8
+        assert size >= 12
+        bounds.append((left, left + width, y - 0.75 * size, y + 0.1 * size, text.text))
+    for place, (left, right, top, bottom, words) in enumerate(bounds):
+        for other in bounds[place + 1 :]:
+            apart = right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
+            assert apart, (words, other[-1])
+    for circle in ET.fromstring(render(book)).findall(f"{SVG}circle"):
+        assert EDGE < float(circle.get("cx")) <= WIDTH - EDGE
+
+
+@pytest.mark.parametrize("name", ["lossy machine", "study", "demo"])
+def test_the_card_has_sentence_losses_rows_place_and_date_and_ends_with_versions(name, sentences):
+    *words, versions = (text.text for text in texts(Book(CAMPAIGNS[name]())))
+    sentences(*words)
+    assert versions.startswith(f"dds-trace {__version__}")
+
+
+def test_the_fastest_is_first_and_farthest_left_and_what_was_lost_has_no_dot():
+    book = Book(CAMPAIGNS["lossy machine"]())
+    rows = [text for text in texts(book) if text.get("text-anchor") == "end"][1:]
+    dots = [float(dot.get("cx")) for dot in ET.fromstring(render(book)).findall(f"{SVG}circle")]
+    assert dots == sorted(dots)
+    assert len(dots) == len(rows) - 1
+    assert [bool(row.get("font-weight")) for row in rows] == [True, *[False] * 5]
+    assert rows[-1].text == "lost"
+
+
+def test_hostile_names_stay_text():
+    drawn = render(Book(EVERY_ANALYSIS["hostile strings"]()))
+    assert "<script" not in drawn
+    assert not [text for text in HOSTILE if "<" in text and text in drawn]
+
+
+def test_both_files_have_the_size_that_a_preview_shows(tmp_path):
+    said = []
+    svg, png = write_card(Book(CAMPAIGNS["demo"]()), tmp_path, said.append)
+    assert ET.parse(svg).getroot().attrib["viewBox"] == f"0 0 {WIDTH} {HEIGHT}" == "0 0 1200 630"
+    assert struct.unpack(">II", png.read_bytes()[16:24]) == (WIDTH, HEIGHT)
+    assert not said
+
+
+def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path, monkeypatch, sentences):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    said = []
+    assert write_card(Book(CAMPAIGNS["demo"]()), tmp_path, said.append) == [tmp_path / "card.svg"]
+    sentences(*said)
+    assert not (tmp_path / "card.png").exists()

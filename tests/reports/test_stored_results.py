@@ -1,6 +1,9 @@
 """docs/results/loopback: its report follows from the traces that it keeps, and its sentences do not contradict its table."""
 
+import importlib.util
+import json
 import re
+import sys
 import tarfile
 from pathlib import Path
 
@@ -60,3 +63,38 @@ def test_a_median_is_bold_exactly_where_a_sentence_calls_it_fastest(start, bridg
     }
     assert bold
     assert said == bold
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    spec = importlib.util.spec_from_file_location("report_schemas", ROOT / "scripts/report_schemas.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["report_schemas"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("file", ["reports/report.schema.json", "reports/comparison/comparison.schema.json"])
+def test_a_schema_is_what_its_records_make(recipe, file):
+    made = recipe.schema_text(recipe.SCHEMAS[file]())
+    assert (ROOT / file).read_text(encoding="utf-8") == made, "run `just schemas`, and read what changed"
+
+
+def test_every_field_that_may_be_missing_or_is_narrowed_exists(recipe):
+    for record, names in recipe.ADDED.items():
+        assert names <= set(record.__dataclass_fields__)
+    properties = recipe.report_schema()["properties"]
+    for name in recipe.NARROW:
+        part, _, field = name.partition(".")
+        described = properties[part]
+        assert field in described.get("items", described)["properties"], name
+    columns = {name for part in properties.values() for name in part.get("items", {}).get("properties", {})}
+    assert columns >= recipe.NEVER_NULL | recipe.NULL_PARAMETERS
+
+
+def test_the_schemas_describe_most_fields(recipe):
+    text = json.dumps([make() for make in recipe.SCHEMAS.values()])
+    assert text.count('"description"') > 150

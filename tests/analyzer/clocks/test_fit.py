@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pinned import assert_pinned
 from plain_clock_fit import plain_fit
 from roundtrip_frames import MS, S
 
@@ -344,3 +345,7 @@ def test_windows_are_cut_into_blocks_without_a_trace_of_it(monkeypatch):
     for (fit, offsets), (other, of_other) in zip(in_one_block, in_many, strict=True):
         assert fit == other
         assert np.array_equal(offsets.offset_ns, of_other.offset_ns)
+
+
+def test_fits_say_of_drawn_clocks_what_they_said():
+    assert_pinned("clocks", "clocks")

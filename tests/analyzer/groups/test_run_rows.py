@@ -1,5 +1,8 @@
+from __future__ import annotations
+
 from statistics import median
 
+import numpy as np
 import polars as pl
 import pytest
 from paired_by_hand import paired
@@ -7,6 +10,7 @@ from polars.testing import assert_frame_equal
 from roundtrip_frames import roundtrips
 
 from dds_trace.analyzer.groups import timeline as module
+from dds_trace.analyzer.groups.batch import filled, is_present, present
 from dds_trace.analyzer.groups.timeline import RUN_SCHEMA, run_frame, run_rows
 
 HELD = [  # group, run, relay, latency in ns of each message: None is a lost one, text a round trip that no relay stamped
@@ -86,3 +90,30 @@ def test_no_run_at_all():
     frame = run_frame(*paired(rows().clear()))
     assert frame.schema == RUN_SCHEMA
     assert run_rows(frame, rows().clear().lazy()).is_empty()
+
+
+COLUMNS = {
+    "no null": ([1, 2, 3], [1, 2, 3], [1, 2, 3], [True, True, True]),
+    "some nulls": ([1, None, 3], [1, 0, 3], [1, 3], [True, False, True]),
+    "nulls alone": ([None, None], [0, 0], [], [False, False]),
+    "empty": ([], [], [], []),
+}
+
+
+@pytest.mark.parametrize(("values", "with_zeros", "without", "mask"), COLUMNS.values(), ids=COLUMNS)
+def test_a_column_as_arrays(values, with_zeros, without, mask):
+    column = pl.Series("latency_ns", values, pl.Int64)
+    assert filled(column).dtype == present(column).dtype == np.int64
+    assert is_present(column).dtype == np.bool_
+    assert filled(column).tolist() == with_zeros
+    assert present(column).tolist() == without
+    assert is_present(column).tolist() == mask
+
+
+def test_another_number_in_place_of_null():
+    assert filled(pl.Series([None, 5], dtype=pl.Int64), -1).tolist() == [-1, 5]
+
+
+def test_a_column_without_nulls_is_not_copied():
+    column = pl.Series(np.arange(5))
+    assert np.shares_memory(filled(column), present(column))

@@ -6,6 +6,7 @@ import pytest
 import zstandard
 from bags import imu, write_bag2
 from rosbags.rosbag2 import StoragePlugin
+from shaped_bags import shapes, write_shape
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.recorder.payloads.bag import load_payload
@@ -138,3 +139,20 @@ def test_metadata_costs_no_more_memory_than_its_text(tmp_path):
     with (bag / "metadata.yaml").open("a") as file:
         file.write("  custom_data: [" + "[]," * 1_000_000 + "]\n" + "[" * 100_000 + "\n")
     assert topics_of(bag)[0] == {"/imu": 2, "/gps": 1}
+
+
+SHAPES = shapes()
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_known_deletions_come_back(tmp_path, name):
+    shape = SHAPES[name]
+    deleted = write_shape(tmp_path / "x.mcap", shape)
+    report = analyze_topics(tmp_path / "x.mcap")
+    row = report.topics.filter(topic="/topic").row(0, named=True)
+    if not shape.is_known:
+        assert (row["missing"], row["missing_low"], row["missing_from"]) == (None, None, "")
+        return
+    assert row["missing"] == pytest.approx(deleted, abs=max(0.01 * len(shape.sent_ms), 1))
+    assert row["missing_low"] <= deleted <= row["missing_high"]
+    assert sum(report.holes.filter(topic="/topic")["missing"]) <= row["missing"] + 0.01 * len(shape.sent_ms)

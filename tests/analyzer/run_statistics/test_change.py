@@ -7,6 +7,7 @@ import pytest
 from drawn_series import log_normal_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pinned import PINNED, assert_pinned
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within, change_of_runs
@@ -259,3 +260,13 @@ def test_what_is_unknown_or_infinite_has_no_ends(base, new, difference, ratio):
     assert (change.difference, change.ratio) == (difference, ratio)
     if None in base + new or math.inf in base + new:
         assert (change.difference_low, change.difference_high) == (None, None)
+
+
+@pytest.mark.parametrize("name", PINNED["statistics"])
+def test_every_statistic_says_of_drawn_campaigns_what_it_said(name):
+    assert_pinned("statistics", name)
+
+
+@pytest.mark.parametrize("name", PINNED["series"])
+def test_every_detector_says_of_drawn_series_what_it_said(name):
+    assert_pinned("series", name)

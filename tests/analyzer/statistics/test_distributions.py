@@ -15,6 +15,8 @@ from dds_trace.analyzer.statistics.distributions import (
     student_cdf,
     student_quantile,
 )
+from dds_trace.analyzer.statistics.histogram import RELATIVE_ERROR, histogram_of
+from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, ranges_overlap, without_open_end
 
 
 @pytest.mark.parametrize("probability", [0.6, 0.9, 0.975, 0.9995])
@@ -122,3 +124,59 @@ def test_poisson_limits_are_each_wrong_in_one_of_forty(count):
 def test_probabilities_are_no_percents(bad):
     with pytest.raises(ValueError, match="between 0 and 1"):
         student_quantile(bad, 4)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "do_overlap"),
+    [
+        ((1.0, 2.0), (1.5, 3.0), True),
+        ((1.0, 2.0), (2.0, 3.0), True),  # one value in common
+        ((1.0, 2.0), (2.001, 3.0), False),
+        ((1.0, None), (2.0, 3.0), True),
+        ((4.0, None), (2.0, 3.0), False),
+        ((None, 2.0), (-9.0, 1.0), True),
+        ((None, 2.0), (3.0, 4.0), False),
+        ((None, 2.0), (1.0, None), True),
+        ((None, None), (None, None), True),
+    ],
+)
+def test_ranges_overlap_where_they_have_a_value_in_common(one, other, do_overlap):
+    assert ranges_overlap(one, other) is do_overlap
+    assert ranges_overlap(other, one) is do_overlap
+
+
+def test_the_end_beyond_a_tail_of_few_episodes_is_open():
+    few = MIN_EPISODES - 1
+    assert MIN_EPISODES == 10
+    assert without_open_end(1.0, 2.0, 0.99, few) == (1.0, None)
+    assert without_open_end(1.0, 2.0, 0.5, few) == (1.0, None)  # the median's tail lies above
+    assert without_open_end(1.0, 2.0, 0.49, few) == (None, 2.0)
+    assert without_open_end(1.0, 2.0, 0.99, few + 1) == (1.0, 2.0)
+    assert without_open_end(1.0, 2.0, 0.99, None) == (1.0, 2.0)
+    assert without_open_end(math.inf, math.inf, 0.99, few) == (math.inf, math.inf)
+
+
+def test_histogram_by_hand():
+    # Below 2048 ns every value has its own bucket; 4096..4099 share one of width 4.
+    histogram = histogram_of(np.array([-3, 0, 1, 5, 5, 2047, 4096, 4099, 4100]))
+    assert histogram.value_ns.tolist() == [-3.0, 0.0, 1.0, 5.0, 2047.0, 4097.5, 4101.5]
+    assert histogram.count.tolist() == [1, 1, 1, 2, 1, 2, 1]
+
+
+def test_the_largest_error_is_half_of_the_widest_bucket():
+    # An octave has 1024 buckets, of which the first are the widest for their values: 1/1024.
+    assert RELATIVE_ERROR == 1 / 2048
+
+
+def test_histogram_of_nothing():
+    assert len(histogram_of(np.empty(0, np.int64)).value_ns) == 0
+
+
+@given(st.lists(st.integers(-(2**62), 2**62), max_size=200))
+def test_histogram_keeps_every_value_within_a_tenth_of_a_percent(values):
+    histogram = histogram_of(np.sort(np.array(values, np.int64)))
+    assert histogram.count.sum() == len(values)
+    assert histogram.value_ns.tolist() == sorted(set(histogram.value_ns.tolist()))
+    centres = np.repeat(histogram.value_ns, histogram.count.astype(int))
+    for value, centre in zip(sorted(values), centres.tolist(), strict=True):
+        assert abs(value - centre) <= 0.0005 * abs(value) + 1e-9

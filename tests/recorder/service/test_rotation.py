@@ -1,13 +1,23 @@
 from __future__ import annotations
 
+import os
 import re
+import socket
+import time
+from pathlib import Path
 
 import pytest
 from trace_files import RELAY_SESSION_ID, relay_session, write_trace
 
+from dds_trace.base.errors import OutputError
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.option_values import KeepFree
+from dds_trace.recorder.options import RecordOptions
+from dds_trace.recorder.service import upkeep
 from dds_trace.recorder.service.rotation import RotatedFiles, find_shortage
+from dds_trace.recorder.service.upkeep import STATUS_PERIOD_S, ServiceManager
 from dds_trace.tracefile.reading.mcap_source import read_first_session
+from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
@@ -85,3 +95,80 @@ def test_a_shortage_says_what_is_free_and_what_to_do(tmp_path, sentences):
     said = str(find_shortage(trace, KeepFree(1.0, None)))
     assert said.startswith(f"{trace}: the disk has ")
     sentences(re.sub(r"[\d.]+ [kMGT]?B", "SIZE", said.partition(": ")[2]))
+
+
+@pytest.mark.parametrize("looks_meanwhile", [True, False])
+@pytest.mark.parametrize(("events", "is_lost"), [(6, False), (20, True)])
+def test_a_short_disk_is_an_error_once_an_event_found_no_room_in_the_ring(
+    tmp_path, monkeypatch, events, is_lost, looks_meanwhile
+):
+    short, said = [None], []
+    monkeypatch.setattr(upkeep, "find_shortage", lambda *_, **__: short[0])
+    options = RecordOptions(TraceDestination(tmp_path / "relay.mcap", ring_slots=8), NodeOptions())
+    with upkeep.Upkeep(options, relay_session(state="open"), time.monotonic_ns, said.append) as kept:
+        kept.look(0, dict)
+        short[0] = OutputError("the disk is short")
+        kept.look(0, dict)
+        for sequence in range(events):
+            kept.sink.stamp(3, 7, sequence)
+        if looks_meanwhile:
+            kept.look(0, dict)
+            assert kept.shortage is (short[0] if is_lost else None)
+        short[0] = None
+        kept.look(0, dict)
+        closed = kept.close_trace()
+    assert [line.partition(":")[0].partition(";")[0] for line in said] == [
+        "the disk is short",
+        "there is disk space again",
+    ]
+    (session,) = read_trace(Path(closed.path)).sessions
+    assert (closed.events, closed.dropped_events) == (min(events, 8), max(0, events - 8))
+    assert session.extra.get("stopped") == ("the disk is short" if is_lost else None)
+
+
+@pytest.fixture(params=["path", "abstract"])
+def listening(tmp_path, request):
+    """A socket, and its address as NOTIFY_SOCKET has it."""
+    address = str(tmp_path / "notify") if request.param == "path" else f"@dds-trace-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(address.replace("@", "\0"))
+        listener.setblocking(False)
+        yield listener, address
+
+
+def test_ready_once_then_status_now_and_then_and_the_watchdog_at_each_look(listening):
+    listener, address = listening
+    now_s = 100.0
+    environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid()), "A": "b"}
+    manager = ServiceManager(environment, lambda: now_s)
+    assert environment == {"A": "b"}  # nobody speaks for us
+    manager.notify("1 message")
+    manager.notify("2 messages")
+    now_s += STATUS_PERIOD_S
+    manager.notify("3 messages")
+    manager.close()
+    manager.notify("closed")
+    said = [listener.recv(4096).decode() for _ in range(4)]
+    assert said == [
+        "READY=1\nWATCHDOG=1\nSTATUS=1 message",
+        "WATCHDOG=1",
+        "WATCHDOG=1\nSTATUS=3 messages",
+        "STOPPING=1",
+    ]
+    with pytest.raises(BlockingIOError):
+        listener.recv(4096)
+
+
+def test_a_watchdog_of_another_process_is_none_of_ours(listening):
+    listener, address = listening
+    manager = ServiceManager({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": "1"})
+    manager.notify("x")
+    manager.close()
+    assert listener.recv(4096) == b"READY=1\nSTATUS=x"
+
+
+def test_nobody_who_listens_holds_nobody_up(tmp_path):
+    for environment in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}, {"NOTIFY_SOCKET": "@nobody-here"}):
+        manager = ServiceManager(environment)
+        manager.notify("x")
+        manager.close()

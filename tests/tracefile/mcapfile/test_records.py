@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Schema, Statistics
 
+import dds_trace.tracefile.mcapfile.channels
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage
+from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.records import OPCODES, parse_record, record_name
 
 CHANNEL = Channel(id=3, topic="/t", message_encoding="cdr", metadata={"a": "b"}, schema_id=1)
@@ -51,3 +56,61 @@ def test_names_are_those_of_the_specification():
     assert {record_name(opcode) for opcode in OPCODES.values()} == {kind.__name__ for kind in OPCODES}
     assert record_name(Opcode.MESSAGE_INDEX) == "MessageIndex"
     assert record_name(0x80) == "unknown (opcode 0x80)"
+
+
+def channel(topic="/dds_trace/t1", schema_id=7):
+    return content_of(Channel(3, topic, "cdr", {}, schema_id))
+
+
+def schema(name=EVENT_SCHEMA_NAME):
+    return content_of(Schema(7, b"", "ros2msg", name))
+
+
+@pytest.fixture
+def parsed(monkeypatch):
+    contents = []
+
+    def parse(kind, content):
+        contents.append(bytes(content))
+        return parse_record(kind, content)
+
+    monkeypatch.setattr(dds_trace.tracefile.mcapfile.channels, "parse_record", parse)
+    dds_trace.tracefile.mcapfile.channels._parsed_once.cache_clear()
+    return contents
+
+
+def declared(*records):
+    table = ChannelTable(Path("ping.mcap"))
+    for opcode, content in records:
+        table.declare(opcode, memoryview(content), 0)
+    return table
+
+
+def test_what_files_declare_alike_is_parsed_once(parsed):
+    for _ in range(3):
+        table = declared((Opcode.SCHEMA, schema()), (Opcode.CHANNEL, channel()), (Opcode.CHANNEL, channel()))
+        assert table.get(3).stage is Stage.T1
+        assert table.get(3).fault is None
+    assert parsed == [schema(), channel()]
+
+
+def test_files_that_declare_an_id_differently_have_each_their_own(parsed):
+    ours = declared((Opcode.SCHEMA, schema()), (Opcode.CHANNEL, channel()))
+    other = declared((Opcode.SCHEMA, schema("x/Y")), (Opcode.CHANNEL, channel()))
+    assert ours.get(3).fault is None
+    assert other.get(3).fault == f"its schema is 'x/Y', not {EVENT_SCHEMA_NAME!r}"
+    assert len(parsed) == 3
+
+
+def test_a_damaged_record_is_an_error_in_every_file(parsed):
+    for _ in range(2):
+        with pytest.raises(TraceFormatError, match="a Channel record is damaged"):
+            declared((Opcode.CHANNEL, channel()[:-1]))
+    assert len(parsed) == 2
+
+
+def test_a_long_record_is_not_kept(parsed):
+    long = channel("/camera" + 4096 * "a")
+    for _ in range(2):
+        assert declared((Opcode.CHANNEL, long)).get(3).stage is None
+    assert parsed == [long, long]

@@ -1,8 +1,18 @@
 from __future__ import annotations
 
+import re
+import sys
 from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+
+import jsonschema
+import pytest
 
 from dds_trace.recorder.sweep.plan.cells import AXES, RELAY_AXES, Cell
+from dds_trace.recorder.sweep.plan.link import PRESETS, Link
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.recorder.sweep.plan.schema import POINTER, SCHEMA_FILE_NAME, TABLES, plan_schema, schema_text
 
 
 def test_name_has_the_main_parameters_and_whatever_is_not_default():
@@ -85,3 +95,97 @@ def test_relay_of_another_vendor():
 def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():
     assert Cell(environment="/opt/kilted").name == "ros2_same_binary_10Hz_kilted"
     assert Cell(environment="/home/x/kilted/.venv/").name == "ros2_same_binary_10Hz_kilted"
+
+
+def test_presets_are_those_that_are_documented():
+    assert set(PRESETS) == {"ethernet-1g", "ethernet-100m", "wifi-54", "wifi-poor", "5g"}
+
+
+def test_link_in_words(sentences):
+    sentences(str(PRESETS["wifi-poor"]), str(Link()))
+
+
+TEXT = (Path(__file__).parents[4] / "plans" / "tsc.toml").read_text()
+BOARDS = '[devices.ping]\nname = "robot"\n[devices.relay]\nname = "base"\nssh = "user@base"\nsetup = ". /opt/ros/jazzy/setup.sh"\n'
+
+
+def test_each_group_of_results_is_below_its_question():
+    groups = TEXT.split("[[matrix]]")[:-1]
+    assert all(re.search(r"\n# (Performance|WiFi): [^\n]+\n$", group) for group in groups)
+
+
+def test_two_boards_have_the_same_results_without_namespaces():
+    own = TEXT[: TEXT.rindex("[[matrix]]")]  # without outages
+    text = own.replace("[network]\nnamespaces = true\n", "").replace("hosts = [2, 5]\n", "")
+    plan = parse_plan(text + BOARDS, "tsc", "tsc.toml")
+    assert plan.has_two_devices
+    assert not plan.namespaces
+    assert {cell.backend for cell in plan.cells} == {"ros2", "cyclonedds", "zenoh"}
+
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+TOP = Path(__file__).parents[4]
+PLANS = sorted((TOP / "plans").glob("*.toml"))
+SCHEMA = jsonschema.Draft202012Validator(plan_schema())
+
+
+def test_the_stored_schema_is_that_of_the_code():
+    stored = (TOP / "plans" / SCHEMA_FILE_NAME).read_text(encoding="utf-8")
+    assert stored == schema_text(), "run `just plan-schema`"
+
+
+def test_the_schema_is_one_and_every_plan_of_ours_keeps_it():
+    jsonschema.Draft202012Validator.check_schema(plan_schema())
+    for path in PLANS:
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith(POINTER + "\n")
+        assert [error.message for error in SCHEMA.iter_errors(tomllib.loads(text))] == []
+
+
+def test_every_key_is_in_the_reference_with_its_meaning_and_in_the_schema(monkeypatch):
+    pytest.importorskip("sphinx", reason="the extra [docs] is not installed")
+    monkeypatch.syspath_prepend(TOP / "docs")
+    page, schema = import_module("generated.plan_keys").plan_keys(), plan_schema()
+    for name, table in TABLES.items():
+        place = schema
+        for part in name.split(".") if name else ():
+            place = place["properties"][part]
+        if name != "thresholds":  # whose keys are names of metrics
+            assert place["additionalProperties"] is False
+        assert set(place["properties"]) == set(table.words)
+        assert table.meaning in page
+        for word, key in table.keys.items():
+            assert f"| `{word}` |" in page
+            assert key.meaning in page
+
+
+@pytest.mark.parametrize(
+    ("text", "is_refused"),
+    [
+        ("[axes]\nrate = [10, 20]\nsize = ['33KB', 91, '1.5 kib', '']\ntuned = [true, false]", False),
+        ("[[axes]]\nrmw = ''\n[[axes]]\ndata = 'bag:x#/y'", False),
+        ("[axes]\nrate = [10, '20']", True),
+        ("[axes]\nsize = '33 apples'", True),
+        ("[axes]\nbackend = 'installed'", False),
+        ("[axes]\nrelay_backend = 'installed'", True),
+        ("[axes]\nreason = 'x'", True),
+        ("[[exclude]]\nreason = 'x'\nrate = 1", False),
+        ("[run]\nmessages = 1\nseconds = 0", False),
+        ("[run]\nmessages = 1\nseconds = 1", True),
+        ("[run]\nmessages = 0", True),
+        ("[run]\ndiscovery = 'lan'", True),
+        ("[devices.ping]\nssh = 'me@there'", True),
+        ("[devices.relay]\nssh = 'me@there'\nssh_options = '-4'", False),
+        ("[search]\npercentile = 98", True),
+        ("[search]\nresolution = 1", True),
+        ("axes = 1", True),
+        ("axes = [1]", True),
+        ("axis = {}", True),
+    ],
+)
+def test_the_schema_refuses_what_the_parser_refuses(text, is_refused):
+    assert (not SCHEMA.is_valid(tomllib.loads(text))) == is_refused

@@ -1,9 +1,25 @@
 from __future__ import annotations
 
 import pytest
-from wire_packets import PREFIX, data, data_frag, heartbeat, info_ts, rtps, submessage, udp
+from wire_packets import (
+    GROUP,
+    PREFIX,
+    RELAY,
+    data,
+    data_frag,
+    fragmented,
+    frame_batch,
+    heartbeat,
+    info_ts,
+    ipv4,
+    rtps,
+    submessage,
+    tcp,
+    udp,
+)
 
 from dds_trace.recorder.wire.packets import rtps as packets_rtps
+from dds_trace.recorder.wire.packets.frames import UDP, read_frames
 from dds_trace.recorder.wire.packets.rtps import DATA_FRAG, HEARTBEAT, FragmentTable, Piece, walk_submessages
 
 BEFORE = 3000
@@ -98,3 +114,70 @@ def test_of_too_many_unfinished_datagrams_the_oldest_goes(monkeypatch):
     piece = next(pieces(datagram, 1480))
     assert table.continue_with("a", piece) is None
     assert table.continue_with("b", piece) is not None
+
+
+RTPS = ipv4(udp(rtps(data(1, bytes(30))), 50_001, 7412), ip_id=513, destination=GROUP)
+WITH_OPTIONS = RTPS[:14] + b"\x46\x00" + (len(RTPS) - 14 + 4).to_bytes(2, "big") + RTPS[18:34] + bytes(4) + RTPS[34:]
+FRAMES = {
+    "rtps": RTPS,
+    "options": WITH_OPTIONS,
+    "padded": ipv4(udp(bytes(2), 300, 65_000)) + b"RTPS" * 8,
+    "almost rtps": ipv4(udp(b"RTPT" + bytes(40))),
+    "tcp": ipv4(tcp(9, b"RTPS" * 8), destination="10.0.0.254", protocol=6),
+    "first fragment": fragmented(udp(rtps(data(1, bytes(90)))), 64, ip_id=65_000)[0],
+    "later fragment": fragmented(udp(rtps() * 9), 64, ip_id=65_000)[1],
+    "ipv6": RTPS[:12] + b"\x86\xdd" + RTPS[14:],
+    "vlan": RTPS[:12] + b"\x81\x00\x00\x07" + RTPS[12:],
+}
+
+
+def plain(kept: bytes, at: int) -> dict[str, int]:
+    """The fields of a frame of which `kept` was captured, at `at` in the memory."""
+
+    def number(position: int, octets: int) -> int:
+        return int.from_bytes(kept[position : position + octets], "big")
+
+    if len(kept) < 34 or number(12, 2) != 0x0800:
+        names = ("protocol", "fragment_offset", "more_fragments", "source_port", "destination_port")
+        return dict.fromkeys((*names, "datagram_bytes", "is_rtps"), 0)
+    protocol, flags, end = kept[23], number(20, 2), 14 + number(16, 2)
+    transport, seen_end = 14 + 4 * (kept[14] & 15), min(len(kept), end)
+    has_ports = flags & 0x1FFF == 0 and transport + 8 <= seen_end
+    is_udp = has_ports and protocol == UDP
+    return {
+        "protocol": protocol,
+        "source": number(26, 4),
+        "destination": number(30, 4),
+        "ip_id": number(18, 2),
+        "fragment_offset": 8 * (flags & 0x1FFF),
+        "more_fragments": bool(flags & 0x2000),
+        "transport": at + transport,
+        "transport_end": at + end,
+        "seen_end": at + seen_end,
+        "source_port": has_ports * number(transport, 2),
+        "destination_port": has_ports * number(transport + 2, 2),
+        "datagram_bytes": is_udp * number(transport + 4, 2),
+        "is_rtps": is_udp and transport + 28 <= seen_end and kept[transport + 8 : transport + 12] == b"RTPS",
+    }
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_every_cut_of_a_frame_is_read_as_it_stands(name):
+    cuts = [FRAMES[name][:seen] for seen in range(1, len(FRAMES[name]) + 1)]
+    batch = frame_batch([part for cut in cuts for part in (cut, RTPS)])
+    places, found = batch.position.tolist(), list(read_frames(batch, 1000))
+    assert [frame.time_ns for frame in found] == [1000 + number for number in range(2 * len(cuts))]
+    for number, cut in enumerate(cuts):
+        expected = plain(cut, places[2 * number])
+        frame = found[2 * number]._asdict()
+        assert {key: frame[key] for key in expected} == expected, len(cut)
+        assert frame["wire_bytes"] == len(cut)
+
+
+@pytest.mark.parametrize("seen", [1, 33, 34])
+def test_the_last_frame_ends_with_the_memory(seen):
+    last = ipv4(udp(b""), destination=RELAY)[:seen]
+    batch = frame_batch([RTPS, last])
+    frame = list(read_frames(batch, 0))[-1]._asdict()
+    expected = plain(last, len(RTPS))
+    assert {key: frame[key] for key in expected} == expected

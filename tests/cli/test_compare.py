@@ -3,8 +3,9 @@ from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import pytest
+from campaigns import write_run
 from commands import run_main
-from trace_files import Message, ping_session, run, write_pair
+from trace_files import evenly, ping_session, write_pair
 
 MS = 1_000_000
 PERIOD = 100 * MS
@@ -12,11 +13,8 @@ PERIOD = 100 * MS
 
 def drawn(slower=1, count=600, number=0):
     """Latency 1 to 1.06 ms, times `slower`; runs follow each other."""
-    messages = []
-    for s in range(count):
-        t, way = (number * 1000 + s) * PERIOD, int(slower * (MS + (s * 7 % 60) * 1000))
-        messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
-    return messages
+    ways = [int(slower * (MS + (s * 7 % 60) * 1000)) for s in range(count)]
+    return evenly(ways, start_ns=number * 1000 * PERIOD)
 
 
 def printed(capsys):
@@ -30,33 +28,26 @@ def record(folder, runs=3, **how):
     count, vendor, slower = how.get("count", 600), how.get("vendor", "fastdds"), how.get("slower", 1)
     sent = how.get("sent", count)
     for number in range(runs):
-        write_pair(
+        write_run(
             folder / str(number),
+            first + number,
             drawn(slower * (0.99 + 0.01 * number), sent, first + number),
-            ping=ping_session(vendor=vendor, session_id=50 + first + number),
-            runs=[
-                run(
-                    run_id=70 + first + number,
-                    planned_messages=count,
-                    published=sent,
-                    extra={
-                        "session_id": f"{50 + first + number:016x}",
-                        "ended_ns": ((first + number) * 1000 + count - 1) * PERIOD,
-                    },
-                )
-            ],
+            ping={"vendor": vendor},
+            planned_messages=count,
+            extra={"ended_ns": ((first + number) * 1000 + count - 1) * PERIOD},
         )
 
 
-@pytest.fixture
-def folders(tmp_path):
-    record(tmp_path / "base")
-    record(tmp_path / "same")
-    record(tmp_path / "slow", slower=2)
-    record(tmp_path / "few", count=20)
-    record(tmp_path / "one", runs=1, slower=2)
-    record(tmp_path / "other", vendor="zenoh")
-    return tmp_path
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("folders")
+    record(folder / "base")
+    record(folder / "same")
+    record(folder / "slow", slower=2)
+    record(folder / "few", count=20)
+    record(folder / "one", runs=1, slower=2)
+    record(folder / "other", vendor="zenoh")
+    return folder
 
 
 @pytest.mark.parametrize(
@@ -142,11 +133,7 @@ def test_a_missing_group_regresses_unless_that_is_allowed(folders, capsys):
 def dead(folder):
     """Three runs like those of `record`, to which no reply came back."""
     for number in range(3):
-        described = run(
-            run_id=70 + number, planned_messages=600, published=600, extra={"session_id": f"{50 + number:016x}"}
-        )
-        silent = [replace(m, t4=None, t2=None) for m in drawn(1, 600, number)]
-        write_pair(folder / str(number), silent, ping=ping_session(session_id=50 + number), runs=[described])
+        write_run(folder / str(number), number, [replace(m, t4=None, t2=None) for m in drawn(1, 600, number)])
 
 
 def test_a_dead_group_regresses_unless_that_is_allowed(folders, capsys):
@@ -164,9 +151,7 @@ def test_a_dead_group_regresses_unless_that_is_allowed(folders, capsys):
 def test_a_finding_of_severity_error_makes_a_gate_inconclusive(tmp_path, capsys, side):
     for name, slower in (("base", 1), ("new", 1.001)):
         record(tmp_path / name, slower=slower)
-    lossy = tmp_path / side / "0"
-    described = run(run_id=70, planned_messages=600, published=600, extra={"session_id": f"{50:016x}"})
-    write_pair(lossy, drawn(0.99), ping=ping_session(session_id=50, dropped_events=7), runs=[described])
+    write_run(tmp_path / side / "0", 0, drawn(0.99), ping={"dropped_events": 7})
     gate = ("--strict", "--fail-if", "latency_p90 > +10%")
     assert run_main("compare", tmp_path / "base", tmp_path / "new", *gate) == 21
     assert "not fit to be judged" in printed(capsys)

@@ -4,8 +4,9 @@ import html
 import re
 
 import pytest
+from campaigns import write_run
 from commands import run_main
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from trace_files import evenly
 
 from dds_trace import analyze
 
@@ -26,29 +27,16 @@ def record(folder, runs, slower=1.0):
     number = 0
     for name, (vendor, bridge, way_ns) in WAYS.items():
         for repeat in range(runs):
-            start = number * 1000 * 100 * MS
-            messages = []
-            for s in range(MESSAGES):
-                t, way = (start + s * 100 * MS, int(way_ns * slower * (1 + 0.01 * repeat)) + (s * 37 % 101) * 1000)
-                messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
+            ways = [int(way_ns * slower * (1 + 0.01 * repeat)) + (s * 37 % 101) * 1000 for s in range(MESSAGES)]
             domain_id = 5 if bridge == "none" else 10
-            write_pair(
+            write_run(
                 folder / f"{name}-{repeat}",
-                messages,
-                ping=ping_session(vendor=vendor, session_id=50 + number, rmw=None),
-                relay=relay_session(
-                    vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id, rmw=None
-                ),
-                runs=[
-                    run(
-                        run_id=70 + number,
-                        bridge=bridge,
-                        relay_domain_id=domain_id,
-                        planned_messages=MESSAGES,
-                        published=MESSAGES,
-                        extra={"session_id": f"{50 + number:016x}"},
-                    )
-                ],
+                number,
+                evenly(ways, start_ns=number * 1000 * 100 * MS),
+                ping={"vendor": vendor, "rmw": None},
+                relay={"vendor": vendor, "relay_id": 900 + number, "domain_id": domain_id, "rmw": None},
+                bridge=bridge,
+                relay_domain_id=domain_id,
             )
             number += 1
     return folder

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
+from campaigns import write_run
 from processes import run as run_program
-from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+from trace_files import evenly
 
 from dds_trace.cli.sweep.explain import _lines, answer, made_explanation
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
@@ -26,28 +28,16 @@ EXTRA = {
 
 def write_cell(folder, number, cell, repeat, latency_us, extra, lost=0):
     """Ping and relay of one run of ten messages, each with this latency."""
-    messages = [
-        Message(
-            s,
-            t0=s * 1_000_000_000,
-            t1=s * 1_000_000_000,
-            t3=s * 1_000_000_000 + latency_us * US,
-            t4=s * 1_000_000_000 + latency_us * US + 50,
-            t2=None if s < lost else s * 1_000_000_000 + 2 * latency_us * US + 50,
-        )
-        for s in range(10)
-    ]
-    described = run(
-        run_id=number,
+    messages = evenly([latency_us * US] * 10, period_ns=1_000_000_000, relay_ns=50)
+    write_run(
+        folder / str(number),
+        number,
+        [replace(one, t2=None) for one in messages[:lost]] + messages[lost:],
+        ping={"extra": extra},
         rate_hz=cell.rate,
         labels={"cell": cell.name, "pass": str(repeat)},
-        extra={"session_id": f"{number:016x}", "settings": {"cell": cell.name}},
+        extra={"settings": {"cell": cell.name}},
     )
-    fields = {"run_id": number, "relay_id": 0xBEEF}
-    ping = ping_session(session_id=number, extra=extra)
-    write_trace(folder / f"{number}.ping.mcap", ping, [described], ping_events(messages, **fields))
-    relay = relay_session(session_id=1000 + number, relay_id=0xBEEF)
-    write_trace(folder / f"{number}.relay.mcap", relay, (), relay_events(messages, **fields))
 
 
 def write_campaign(folder, explanation, latencies_us, extra=EXTRA):

@@ -140,6 +140,13 @@ def evenly(
     ]
 
 
+def sound(count: int = 1000, period_ns: int = 100_000_000) -> list[Message]:
+    """One message a period that takes about 1 us, by two clocks that are apart."""
+    return [
+        Message(s, t0=t, t1=t + 50, t3=t, t4=t + 20, t2=t + 1000 + s % 7) for s in range(count) for t in [s * period_ns]
+    ]
+
+
 def ping_events(messages: Iterable[Message], **fields: int) -> dict[Stage, list[Event]]:
     """What the ping records of `messages`; `fields` (run_id, relay_id, payload_bytes) go into every event."""
     held = list(messages)

@@ -18,6 +18,7 @@ from trace_files import (
     relay_events,
     relay_session,
     run,
+    sound,
     write_pair,
     write_runs,
     write_trace,
@@ -38,13 +39,6 @@ from dds_trace.tracefile.reading.reader import read_trace_in_pieces
 MS = 1_000_000
 PERIOD = 100 * MS  # 10 Hz
 RESULT = "binary 33000 B at 10 Hz"
-
-
-def sound(count=1000):
-    return [
-        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
-        for s in range(count)
-    ]
 
 
 def described(messages, **changes):

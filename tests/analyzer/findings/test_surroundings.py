@@ -2,7 +2,17 @@ from __future__ import annotations
 
 import pytest
 from campaigns import write_run
-from trace_files import Message, merged_events, ping_events, ping_session, relay_events, relay_session, run, write_trace
+from trace_files import (
+    Message,
+    merged_events,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    sound,
+    write_trace,
+)
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -13,10 +23,7 @@ COUNT = 50
 
 
 def recorded(folder, *, load=None, host=()):
-    messages = [
-        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
-        for s in range(COUNT)
-    ]
+    messages = sound(COUNT)
     described = run(planned_messages=COUNT, published=COUNT)
     extra = {} if load is None else {"load": load}
     write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
@@ -82,10 +89,7 @@ TIMES = {"first_ns": 12_000_000, "typed_ns": 40_000, "accepted_p50_ns": 900_000,
 
 
 def findings_of(folder, call):
-    messages = [
-        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
-        for s in range(COUNT)
-    ]
+    messages = sound(COUNT)
     described = run(planned_messages=COUNT, published=COUNT, extra={"call": call})
     write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
     write_trace(folder / "relay.mcap", relay_session(), (), relay_events(messages))

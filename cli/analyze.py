@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
 from dds_trace.base.streams import plain_console, say
+from dds_trace.base.threads import tune_gc
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 

@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from multiprocessing.connection import wait
 
 from dds_trace.base.errors import TraceError
+from dds_trace.base.threads import tune_gc
 
 from .batches import keep_freed_memory
-from .gc_tuning import tune_gc
 
 
 def can_start_processes() -> bool:

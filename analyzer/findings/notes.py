@@ -13,7 +13,7 @@ from ..model.finding import Severity, Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.histogram import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
-from . import calls, clocks, flows, groups, runs, sessions, shapes, sources, surroundings, wire
+from . import calls, clocks, groups, runs, sessions, shapes, surroundings, wire
 from .evidence import Check, Evidence, Observation, check, some
 
 
@@ -90,8 +90,8 @@ def cases_not_compared(evidence: Evidence) -> Iterator[Observation]:
 NOTES: tuple[Check, ...] = (
     runs.missing_schedule,
     shapes.two_modes,
-    flows.slowed_results,
-    flows.FAN_OUT.note(
+    surroundings.slowed_results,
+    surroundings.FAN_OUT.note(
         "shared_cores",
         "Pings and relays of a result shared processors",
         pl.col("recorders") > pl.col("processors"),
@@ -136,23 +136,23 @@ NOTES: tuple[Check, ...] = (
     ),
     groups.few_samples,
     sessions.missing_files,
-    sources.skipped_files,
-    sources.TRACES.note(
+    sessions.skipped_files,
+    sessions.TRACES.note(
         "ring_recovered",
         "Events were recovered from the ring of a killed recorder",
         pl.col("ring_events") > 0,
         "{ring_events:# event comes|events come} from the ring that a killed recorder left next to the file.",
         "Nothing to do; keep the ring file in the trace's folder.",
     ),
-    sources.SOURCES.note(
+    sessions.SOURCES.note(
         "duplicate_file",
         "A file is a copy of another",
         pl.col("status") == "duplicate",
         "Not counted again: {detail}.",
         "Nothing to do; remove the copy to save time.",
     ),
-    sources.overlapping_files,
-    sources.NOTES_OF_READERS.note(
+    sessions.overlapping_files,
+    sessions.NOTES_OF_READERS.note(
         "reader_note",
         "The reader noticed something else",
         pl.col("notes").is_not_null(),

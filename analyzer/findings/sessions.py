@@ -1,4 +1,4 @@
-"""Recording processes: events they dropped, how they ended, their environments."""
+"""Recording processes: events they dropped, how they ended, their environments; files that were skipped, cut, copied or recovered."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.format.json_fields import number_of, objects_of
+from dds_trace.tracefile.format.json_fields import number_of, object_of, objects_of
 
 from ..loading.campaign import part_of
 from ..model.applied import is_tuned, socket_drops
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, some
-from .rows import Rows, frame_of, in_recording
+from .rows import Rows, frame_of, in_recording, named
 
 if TYPE_CHECKING:
     import polars as pl
@@ -40,6 +40,7 @@ def _sessions(evidence: Evidence) -> pl.DataFrame:
                 "stopped": _reason(session, "stopped"),
                 "longest_unsaved_ns": number_of(session.extra.get("longest_unsaved_ns")),
                 "dropped_datagrams": socket_drops(session),
+                "strangers": _strangers(session),
                 "cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED,
             }
             for session in evidence.campaign.sessions.values()
@@ -54,6 +55,11 @@ _TUNED_ALREADY = "it has the buffers of --tuned already, so a lower rate or size
 def _reason(session: Session, name: str) -> str | None:
     reason = session.extra.get(name)
     return reason[:_ERROR_CHARACTERS].rstrip(".") if isinstance(reason, str) and reason else None
+
+
+def _strangers(session: Session) -> str:
+    counts = object_of(session.extra.get("strangers"))
+    return some((f"{counts[kind]} x {str(kind)[:100]}" for kind in sorted(counts, key=str)), 8)
 
 
 RECORDINGS = Rows(Subject.RECORDING, _sessions, in_recording)
@@ -84,21 +90,6 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.recording(
                 session, f"The bridge {bridge.get('bridge')} {state}: {failure}. Its last words: {words}."
             )
-
-
-@check(
-    "strangers",
-    Severity.WARNING,
-    Subject.RECORDING,
-    "Find out who else sends on this domain or port (SECURITY.md), and record where nobody does: their load is in the latency.",
-)
-def strangers(evidence: Evidence) -> Iterator[Observation]:
-    """Somebody else sent what a recording did not accept."""
-    for session in evidence.campaign.sessions.values():
-        counts = session.extra.get("strangers")
-        if isinstance(counts, dict) and counts:
-            kinds = some((f"{counts[kind]} x {str(kind)[:100]}" for kind in sorted(counts, key=str)), 8)
-            yield evidence.recording(session, f"Others sent what was not accepted: {kinds}.")
 
 
 @check(
@@ -194,3 +185,55 @@ def _differences(where: str, described: list[tuple[Session, dict[str, object]]])
 def _on_devices(sessions: list[Session]) -> str:
     devices = Counter(session.device for session in sessions)
     return "on " + ", ".join(f"{device} ({n} sessions)" if n > 1 else device for device, n in devices.items())
+
+
+def _sources(evidence: Evidence) -> pl.DataFrame:
+    sources = evidence.campaign.sources
+    return frame_of([{"where": source.path, "status": source.status, "detail": source.detail} for source in sources])
+
+
+SOURCES = Rows(Subject.FILE, _sources, named)
+
+
+def _traces(evidence: Evidence) -> pl.DataFrame:
+    return frame_of(
+        [
+            {
+                "where": evidence.campaign.name(index),
+                "truncated": trace.truncated,
+                "unreadable_messages": trace.unreadable_messages,
+                "ring_events": trace.ring_events,
+                "notes": trace.notes,
+            }
+            for index, trace in enumerate(evidence.campaign.traces)
+        ]
+    )
+
+
+TRACES = Rows(Subject.FILE, _traces, named)
+NOTES_OF_READERS = Rows(Subject.FILE, lambda evidence: evidence.frame(_traces).explode("notes"), named)
+
+
+@check("skipped_file", Severity.INFO, Subject.FILE, "Nothing to do, unless one of them should be a trace.")
+def skipped_files(evidence: Evidence) -> Iterator[Observation]:
+    """Other files were not used."""
+    others = [
+        source.path
+        for source in evidence.campaign.sources
+        if source.status == "skipped" and not source.path.endswith(".mcap")
+    ]
+    if others:
+        yield Observation(some(others, 10), f"{len(others)} of the files here are not traces and were not used.")
+
+
+@check("overlapping_files", Severity.INFO, Subject.FILE, "Nothing to do; keep the more complete file to save time.")
+def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
+    """Files share events."""
+    read = {source.path for source in evidence.campaign.sources if source.status != "duplicate"}
+    for copy in evidence.campaign.copies:
+        name = evidence.campaign.name(copy.trace)
+        if name in read:
+            events = "is" if copy.events == 1 else "are"
+            once = "it was" if copy.events == 1 else "they were"
+            others = evidence.campaign.names(copy.others) or name
+            yield Observation(name, f"{copy.events} of its events {events} also in {others}; {once} counted once.")

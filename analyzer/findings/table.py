@@ -9,22 +9,7 @@ import polars as pl
 
 from ..model.finding import Finding, Severity
 from ..verdicts.interference import Overtaking
-from . import (
-    applied,
-    calls,
-    clocks,
-    flows,
-    groups,
-    losses,
-    runs,
-    sending,
-    sessions,
-    shapes,
-    sides,
-    sources,
-    surroundings,
-    wire,
-)
+from . import applied, calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
 from .evidence import Check, Evidence
 from .notes import NOTES
 from .rows import RESULTS
@@ -259,8 +244,8 @@ CHECKS: tuple[Check, ...] = (
     shapes.short_warm_up,
     shapes.rising_latency,
     calls.calls_timed_out,
-    flows.disturbed_flows,
-    flows.HEAD_OF_LINE.warning(
+    surroundings.disturbed_flows,
+    surroundings.HEAD_OF_LINE.warning(
         "head_of_line",
         "Messages of a flow wait until a message of another flow is through",
         pl.col("verdict") == Overtaking.WAITS.value,
@@ -270,16 +255,16 @@ CHECKS: tuple[Check, ...] = (
         "node or a connection of its own for one of the flows, or a priority may help.",
         effect=1 - pl.col("overtook_ratio"),
     ),
-    flows.FAN_OUT.warning(
+    surroundings.FAN_OUT.warning(
         "slow_discovery",
         "Running relays were met late, and messages until then were lost",
-        pl.col("matched_max_ns") > flows.SLOW_MATCH_NS,
+        pl.col("matched_max_ns") > surroundings.SLOW_MATCH_NS,
         "Until the last of {receivers:# relay} answered a ping that had just started, up to {matched_max_ns:duration} passed; "
         "{missed_p50:.3g} messages to relays were lost until then (p50 of the runs)[, and discovery took {discovery_bytes_p50:,.0f} "
         "bytes].",
         "Wait for all of them before the first message that counts; a list of peers in place of multicast, or fewer participants, may "
         "help.",
-        effect=1 - flows.SLOW_MATCH_NS / pl.col("matched_max_ns"),
+        effect=1 - surroundings.SLOW_MATCH_NS / pl.col("matched_max_ns"),
     ),
     sides.overlapping_pings,
     sides.recorded_in_sequence,
@@ -296,7 +281,13 @@ CHECKS: tuple[Check, ...] = (
         "The recording has no clean end: it was killed, lost power, or still goes on; how many events it dropped is unknown.",
         "Stop recordings with Ctrl-C or --duration and analyze again.",
     ),
-    sessions.strangers,
+    sessions.RECORDINGS.warning(
+        "strangers",
+        "Somebody else sent what a recording did not accept",
+        pl.col("strangers") != "",
+        "Others sent what was not accepted: {strangers}.",
+        "Find out who else sends on this domain or port (SECURITY.md), and record where nobody does: their load is in the latency.",
+    ),
     sessions.doubtful_sessions,
     clocks.STEPS.warning(
         "suspend",
@@ -358,21 +349,21 @@ CHECKS: tuple[Check, ...] = (
     wire.retransmission_storms,
     wire.heartbeat_bound_recoveries,
     wire.discovery_traffic,
-    sources.SOURCES.warning(
+    sessions.SOURCES.warning(
         "skipped_file",
         "An .mcap file was not used",
         (pl.col("status") == "skipped") & pl.col("where").str.ends_with(".mcap"),
         "Not used: {detail}.",
         "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
     ),
-    sources.TRACES.warning(
+    sessions.TRACES.warning(
         "truncated_file",
         "A file ends early",
         pl.col("truncated") != "",
         "The file ends early ({truncated}); everything before that was used.",
         "Messages near the end may count as lost though they were not: record again if that matters.",
     ),
-    sources.TRACES.warning(
+    sessions.TRACES.warning(
         "unreadable_messages",
         "Messages on event topics are not events",
         pl.col("unreadable_messages") > 0,

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, S, roundtrips, rows_by_group
 
-from dds_trace.analyzer.findings.flows import disturbed_flows, slowed_results
+from dds_trace.analyzer.findings.surroundings import disturbed_flows, slowed_results
 from dds_trace.analyzer.verdicts.interference import (
     Overtaking,
     Sent,

@@ -15,15 +15,20 @@ export PYTHONDONTWRITEBYTECODE := ""
 _default:
     @just --list
 
-# Make .venv with all extras, compiled as pip compiles them (quick when nothing changed)
+# What measures and analyzes: the middlewares from pip and the analysis (0.8 GB; quick when nothing changed)
+install:
+    @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
+    @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,analyze]'
+
+# Make .venv with all extras, those of tests, checks and pages too (1.9 GB), compiled as pip compiles them
 setup:
     @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
     @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check,docs]'
 
 # The main job on this machine: every middleware from pip, same domain and domains 5 and 10 through the built-in bridges
-demo: setup
-    {{bin}}/dds-sweep plans/demo.toml --out out
-    {{bin}}/dds-analyze out/demo --report terminal --report html --open
+demo: install
+    {{bin}}/dds-trace sweep plans/demo.toml --out out
+    {{bin}}/dds-trace analyze out/demo --report terminal --report html --open
 
 # Lint, format, types, import directions, size and words of the product, the Dockerfile
 check: setup
@@ -145,13 +150,17 @@ mutants *args: setup
 release-check *args: setup
     {{bin}}/python scripts/check_release.py {{args}}
 
-# Write the report of docs/results/loopback/ again from the traces that it keeps
+# Write table and page of docs/results/loopback/ again from the traces that it keeps
 loopback-report: setup
     rm -rf out/kept && mkdir -p out/kept/loopback
     for traces in docs/results/loopback/*.tar.xz; do tar -xJf $traces -C out/kept/loopback; done
-    {{bin}}/dds-analyze out/kept/loopback --report md --report html --out out/kept/report
-    cp out/kept/report/report.md out/kept/report/summary.parquet docs/results/loopback/
+    {{bin}}/dds-trace analyze out/kept/loopback --report html --out out/kept/report
+    cp out/kept/report/summary.parquet docs/results/loopback/
     {{bin}}/python scripts/stored_report.py keep out/kept/report/report.html docs/results/loopback/report.html.gz
+
+# Write the answers that README and the pages quote again from the traces of docs/results/ (a test fails where they differ)
+readme: setup
+    {{bin}}/python scripts/quoted.py
 
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup

@@ -37,7 +37,7 @@ def keep_freed_memory() -> None:
     """Let this process keep memory that is freed, so that a job that was done once before touches none for the first time.
 
     Memory that goes back to the kernel does not come back as it was: on a virtual machine the kernel tells its host every two
-    seconds what is free, and touching that anew takes up to thirty times as long as zeroing it (docs/explanation/performance.md).
+    seconds what is free, and touching that anew takes up to thirty times as long as zeroing it (benchmarks/performance.md).
     Even memory freed at the beginning of a round is partly gone before the round has filled it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Apps with their own `--help`: rich, which typer's imports, loads slowly (docs/explanation/performance.md)."""
+"""Apps with their own `--help`: rich, which typer's imports, loads slowly (benchmarks/performance.md)."""
 
 from __future__ import annotations
 

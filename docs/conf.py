@@ -6,6 +6,7 @@ Sphinx because it is kept for the long run: Material for MkDocs ends in May 2027
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -42,15 +43,7 @@ autodoc_typehints_format = "short"
 napoleon_google_docstring = True
 napoleon_use_ivar = True
 
-DIARIES = (
-    "results/performance",
-    "results/coverage",
-    "results/loopback/report",
-    "results/flows",
-    "results/fan-out",
-    "results/outages",
-    "results/explain",
-)
+DIARIES = ("results/coverage", "results/flows", "results/fan-out", "results/calls", "results/advise", "results/explain")
 """Pages on experiments of our own: linked and found by search, not in the navigation."""
 
 
@@ -62,6 +55,14 @@ def _read(app: Any, doctree: Any) -> None:
         doctree.insert(0, nodes.meta("", name="keywords", content="wifi, wlan"))
 
 
+OUTSIDE = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+benchmarks/[\w-]+\.md)(?:#[\w-]+)?\)")
+"""A link to a page of benchmarks/, which is no part of the site: it comes with the site as a file."""
+
+
+def _link_files(_app: Any, _name: str, text: list[str]) -> None:
+    text[0] = OUTSIDE.sub(r"{download}`\1 <\2>`", text[0])
+
+
 def _write_texts(app: Any, error: Exception | None) -> None:
     if error is None and app.builder.format == "html":
         texts = {name: " ".join(app.env.get_doctree(name).astext().split()) for name in sorted(app.env.found_docs)}
@@ -71,5 +72,6 @@ def _write_texts(app: Any, error: Exception | None) -> None:
 
 def setup(app: Any) -> None:
     """Connect what this site adds."""
+    app.connect("source-read", _link_files)
     app.connect("doctree-read", _read)
     app.connect("build-finished", _write_texts)

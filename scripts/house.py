@@ -119,7 +119,7 @@ def count_house(product: Counter[str]) -> dict[str, float]:
         "tests": sum(path.read_text(encoding="utf-8").count("\n") for path in tests),
         "page_words": sum(
             len(path.read_text(encoding="utf-8").split())
-            for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
+            for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").rglob("*.md"))
         ),
         "bad_words_per_10_000": round(1e4 * product["bad"] / max(product["words"], 1), 2),
         "bad_words_in_strings": product["read"],

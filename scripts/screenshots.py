@@ -42,7 +42,18 @@ TWO_LINKS = "gallery+emulated-link"
 
 BAG = "drive"
 
-CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "fan-out", "outages", "two-machines", BAG)
+CAMPAIGNS = (
+    "loopback",
+    "gallery",
+    TWO_LINKS,
+    "emulated-link",
+    "two-clocks",
+    "flows",
+    "fan-out",
+    "outages",
+    "two-machines",
+    BAG,
+)
 """Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
@@ -89,7 +100,7 @@ def pictures() -> dict[str, Picture]:
     """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
     names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
     found = {
-        "first-screen": Picture("gallery", width=1360),
+        "first-screen": Picture("loopback", width=1360),
         "topics": Picture("two-machines", "#topics", width=1300),
         "bag": Picture(BAG, "main", width=1000),
     }
@@ -104,8 +115,9 @@ def page_of(campaign: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         title = Path(folder, campaign.partition("+")[0])
         for name in campaign.split("+"):
-            with tarfile.open(RESULTS / name / "traces.tar.xz") as archive:
-                archive.extractall(title / name, filter="data")
+            for traces in sorted((RESULTS / name).glob("*.tar.xz")):
+                with tarfile.open(traces) as archive:
+                    archive.extractall(title / name, filter="data")
         if campaign == BAG:
             here = Path.cwd()
             os.chdir(title / BAG)  # the page names the path as it is given
@@ -123,7 +135,7 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
         wanted: name -> picture, of `pictures`.
         out: folder of the pictures.
     """
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chromium-headless-shell"))), None)
     missing = []
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])

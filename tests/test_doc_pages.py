@@ -18,7 +18,9 @@ from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Scope
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md")])
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md"), *ROOT.glob("benchmarks/*.md")]
+)
 ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
 READING, GLOSSARY, TROUBLESHOOTING = (
     ROOT / "docs" / name for name in ("reading-the-report.md", "glossary.md", "troubleshooting.md")

@@ -26,7 +26,7 @@ _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches in progress, or whose results wait; a larger batch is processed on its own."""
 
 FILES_FOR_PROCESSES = 2_000
-"""Traces from which on worker processes pay (`docs/explanation/performance.md`)."""
+"""Traces from which on worker processes pay (`benchmarks/performance.md`)."""
 
 _FILES_PER_JOB = 16
 

@@ -123,7 +123,7 @@ def security_settings(options: NodeOptions) -> str:
     if plugins is None:
         raise BackendUnavailableError(
             f"--security {options.security.value}: this Cyclone DDS has no security plugins, as none from pip has; build the package "
-            "cyclonedds 0.10.2 against Debian's cyclonedds-dev (docs/how-to/security.md)"
+            "cyclonedds 0.10.2 against Debian's cyclonedds-dev (docs/how-to/axes.md)"
         )
     return _SECURITY.format(enclave(options.keys, listens=options.listens), plugins)
 

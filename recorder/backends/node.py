@@ -124,7 +124,7 @@ class NodeOptions:
         "DDS Security of Cyclone DDS and ROS 2 where they have its plugins, TLS (encrypt-rtps) of sockets, zenoh, and the link of a "
         "zenoh bridge:",
         axis=Axis(
-            meaning="what is protected, by DDS Security or TLS with keys made for the sweep ([security](../how-to/security.md))"
+            meaning="what is protected, by DDS Security or TLS with keys made for the sweep ([security](../how-to/axes.md#security))"
         ),
     )
     keys: str | None = detail(

@@ -15,7 +15,9 @@ PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "results" not in path.pa
 
 FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONS_IN_TEXT = re.compile(r"`(dds-[a-z]+ [^`]*--[a-z][^`]*)`")
-COMMAND = re.compile(r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridge|sweep|analyze) .+)$", re.MULTILINE)
+COMMAND = re.compile(
+    r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:trace|record|bridge|sweep|analyze) .+)$", re.MULTILINE
+)
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ AXES: Mapping[str, PlanAxis] = {
     ),
     "outage": PlanAxis(
         "length of an outage in the middle of the run, 0 for none; the run is then as long as `outage_after_seconds`, the outage and "
-        "`outage_limit_seconds` ([coming back](../how-to/outages.md))",
+        "`outage_limit_seconds` ([coming back](../how-to/axes.md#coming-back-after-an-outage))",
         limits.WAIT_S,
         unit="s",
         kind=float,
@@ -121,7 +121,8 @@ AXES: Mapping[str, PlanAxis] = {
         default=OutageBy.LINK.value,
     ),
     "relays": _recorders(
-        "relays on each host, which all answer each message ([fan-out](../how-to/fan-out.md))", for_relay=True
+        "relays on each host, which all answer each message ([fan-out](../how-to/axes.md#one-message-to-many-and-many-hosts))",
+        for_relay=True,
     ),
     "hosts": _recorders(
         "hosts with relays: namespaces on one bridge with `[network]`, or the first ones of `[[devices]]`",

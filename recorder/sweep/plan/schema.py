@@ -80,14 +80,14 @@ TABLES: Mapping[str, Table] = {
     "flows": Table(
         "Several flows on one relay, such as a camera and an IMU: each setup of `[axes]` is measured with each flow by itself, with every two, "
         "and with all at the same time, in alternating order. A flow has the keys `data`, `size` and `rate` of `[axes]`, which are then "
-        "not in `[axes]`, and may have a `priority` and a `when_full` of its own, for its way out; the plan needs `[run]` `seconds`, and has no bridge ([flows](../how-to/flows.md)).",
+        "not in `[axes]`, and may have a `priority` and a `when_full` of its own, for its way out; the plan needs `[run]` `seconds`, and has no bridge ([flows](../how-to/axes.md#flows-that-disturb-each-other)).",
         FLOW_KEYS,
         is_repeated=True,
     ),
     "run": Table("What all runs have in common.", _keys_of(RunSettings)),
     "devices": Table(
         "The two devices; both are this machine unless the relay has `ssh`. Or `[[devices]]`, one for each of several `hosts`, with the keys of "
-        "`[devices.relay]` ([several devices](../how-to/fan-out.md#several-devices)).",
+        "`[devices.relay]` ([several devices](../how-to/axes.md#several-devices)).",
         {
             "connectivity": _text(
                 "the link as the traces name it: `loopback`, `wired`, `wireless`, or a word of yours",

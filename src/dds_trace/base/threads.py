@@ -94,7 +94,7 @@ class InlineExecutor(Executor):
 class FastLock:
     """A lock that is fast when caches are cold and no other thread has it, as is usual when a message arrives.
 
-    A `threading.Lock` then takes 6 to 9 us, this 2 (`docs/explanation/performance.md`): a token in a list. Where each
+    A `threading.Lock` then takes 6 to 9 us, this 2 (`benchmarks/performance.md`): a token in a list. Where each
     microsecond counts, write
 
         try:

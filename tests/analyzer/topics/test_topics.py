@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 import tarfile
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +24,6 @@ from tap_traces import (
 )
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.reports.book.book import Book
-from dds_trace.reports.terminal import render_brief
 
 LOST = (100, 101, 500, 1700)
 
@@ -266,15 +263,6 @@ def recorded(tmp_path_factory):
 
 def test_the_archive_is_small():
     assert (DOCS / "results" / "two-machines" / "traces.tar.xz").stat().st_size <= 1_000_000
-
-
-@pytest.mark.parametrize("name", ["camera-late", "no-ptp"])
-def test_tutorials_quote_the_answer(recorded, name):
-    text = (DOCS / "tutorials" / f"{name}.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
-    answer = render_brief(Book(recorded))
-    assert blocks
-    assert all(block in answer for block in blocks)
 
 
 def test_the_clocks_are_two_seconds_apart_and_every_time_is_bounded(recorded):

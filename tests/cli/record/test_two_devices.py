@@ -17,7 +17,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 
 PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "two-devices.md"
 PING, RELAY = "192.168.0.10", "192.168.0.20"
-READY = {"--role relay": "serves domain", "dds-bridge": " runs: "}
+READY = {"record relay": "serves domain", "trace bridge": " runs: "}
 """What a command says on stderr once others may begin; a command with none of these words runs to its end."""
 MESSAGES, WARMUP, PAYLOAD_BYTES = 200, 10, 33_000
 LEAST_RECEIVED = 0.9

@@ -1,0 +1,87 @@
+"""Answers quoted in README and the pages, made from the traces that docs/results/ keeps: `just readme`.
+
+    python scripts/quoted.py            # writes each quote again; names the pages that changed
+
+A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
+a bag, both in a block; `table loopback` the first table of the Markdown report.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+import tarfile
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.terminal import render_brief
+from dds_trace.reports.topics.renderers import print_topics
+
+TOP = Path(__file__).parents[1]
+PAGES = (TOP / "README.md", *sorted((TOP / "docs").rglob("*.md")))
+QUOTE = re.compile(
+    r"(?P<head><!-- quoted: (?P<kind>\w+) (?P<campaign>[\w-]+) -->\n)(?P<text>```text\n.*?```\n|(?:\|.*\n)+)", re.DOTALL
+)
+FOLDER_OF = {"robot-and-laptop": "two-machines"}
+"""Folder that a person analyzes -> folder of docs/results/, where the two differ."""
+
+
+def unpack(campaign: str, into: Path) -> Path:
+    """Unpack the traces of a campaign; return its folder, which has the campaign's name."""
+    folder = into / campaign
+    for path in sorted((TOP / "docs" / "results" / FOLDER_OF.get(campaign, campaign)).glob("*.tar.xz")):
+        with tarfile.open(path) as archive:
+            archive.extractall(
+                into if all(name.startswith(campaign) for name in archive.getnames()) else folder, filter="data"
+            )
+    return folder
+
+
+@cache
+def quote(kind: str, campaign: str) -> str:
+    """Return what is quoted: the block or the table, as it is on the page."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = unpack(campaign, Path(scratch))
+        if kind == "topics":
+            here, shown = Path.cwd(), io.StringIO()
+            os.chdir(scratch)  # the card names the path as it is given
+            try:
+                with contextlib.redirect_stdout(shown):
+                    print_topics(analyze_topics([Path(campaign)]))
+            finally:
+                os.chdir(here)
+            lines = shown.getvalue().splitlines()
+        else:
+            book = Book(analyze(folder))
+            if kind == "table":
+                return re.findall(r"(?:^\|.*\n)+", load_reporter("md").render(book), re.MULTILINE)[0]
+            lines = render_brief(book).splitlines()
+    return "".join(f"{line.rstrip()}\n" for line in ["```text", *lines, "```"])
+
+
+def with_quotes(text: str) -> str:
+    """Return a page with each quote as its source gives it today."""
+    return QUOTE.sub(lambda found: found["head"] + quote(found["kind"], found["campaign"]), text)
+
+
+def main() -> int:
+    """Write the quotes again."""
+    os.environ["COLUMNS"] = "80"
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        if (quoted := with_quotes(text)) != text:
+            page.write_text(quoted, encoding="utf-8")
+            print(f"Wrote {page.relative_to(TOP)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

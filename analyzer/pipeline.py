@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -13,13 +14,14 @@ from dds_trace.base.errors import OutputError
 from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Analysis
-from .details import collect_details
+from .details import collect_details, details_not_requested
 from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
 from .engines.local import Engine
 from .engines.merge import merge_results
 from .engines.process import BatchOutput, BatchResult
 from .findings.evidence import Evidence
+from .findings.runs import forged_groups
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
@@ -150,14 +152,12 @@ def _analyze(
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
-    judged = UnbarredRows(rows, grouping.not_applied(), unsent)
-    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,
         grouping=grouping,
         summary=merged.summary,
-        details=details,
+        details=details_not_requested(),
         rows=rows,
         in_parts=tuple(in_parts),
         options=options,
@@ -166,6 +166,10 @@ def _analyze(
         sending=merged.frames["sending"],
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
+    forged = forged_groups(evidence, merged.frames["clock_knots"] if options.details else None)
+    judged = UnbarredRows(rows, (*grouping.not_applied(), *forged), unsent)
+    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged)
+    evidence = replace(evidence, details=details)
     if drafts is not None:
         write_summary(merged.summary.frame, drafted["summary"], origin)
     timeline = merged.frames["timeline"]

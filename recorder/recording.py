@@ -258,7 +258,6 @@ class PingRecording(BaseRecording):
         self.error = self.error or thread.stuck or self.upkeep.shortage or self._find_failure()
 
     def _find_failure(self, patience_s: float | None = None) -> BridgeError | RelayLostError | None:
-        """Return why nobody answers any more, if so; without `patience_s` after the run."""
         if self.bridge is not None:
             try:
                 self.bridge.check()

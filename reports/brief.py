@@ -8,16 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from rich.text import Text
 
-from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.base.printable import printable
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from .book.answer import PointKind
 from .book.book import Book
 from .book.findings import severity_counts
-from .book.groups import data_type_label
-from .book.headline import COMPARED, MOST_NAMED, bridge_facts, by_outcome, fastest_words, size_span
-from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case, stretches
+from .book.headline import COMPARED, Fastest, bridge_facts
+from .book.outcomes import outcome_of, shown_case
 from .book.verdicts import contender_labels
 
 WIDTH = 80
@@ -27,15 +25,14 @@ MOST_SETUPS = 4
 INLINE_BAR, BAR = 5, 30
 """Cells of the longest bar in a line of all setups, and in a line of its own."""
 
-LOSSES = (PointKind.LOSS, PointKind.AVOID)
-FIRST = (PointKind.RECOVERY, *LOSSES)
+LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
+FIRST = (PointKind.RECOVERY, *LOSSES, PointKind.CURE)
 
 PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
 
 
 def brief_lines(book: Book) -> list[Text]:
     answer = book.answer
-    answers = book.analysis.details.answers if answer.verdicts else ()
     measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
     noun = "message" if measured.startswith("1 ") else "messages"
     title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
@@ -47,7 +44,7 @@ def brief_lines(book: Book) -> list[Text]:
     thresholds = _thresholds(book)
     parts += [thresholds] if thresholds else []
     if PointKind.FASTEST in answer.kinds:
-        parts += _winners(answers, contender_labels(answers, vendors))
+        parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
     for kind, sentence in answer.sentences:
         if kind is PointKind.BRIDGE:
             facts = [
@@ -87,25 +84,13 @@ def _marked(mark: tuple[str, str], text: str) -> list[Text]:
     return [first, *others]
 
 
-def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterator[list[Text]]:
-    several, is_drawn = len({answer.data_type for answer in answers}) > 1, False
-    compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
-    for (mode, data_type), sites in answers_by_kind(compared):
-        shown = places_alike(sites)[0]
-        heading = ["Fastest", "in the same domain" if mode == "same" else f"across {printable(mode)} domains"]
-        heading += [f"({data_type_label(data_type)})"] if several else []
-        if len(sites) > 1:
-            of = f"{len(shown)} of {len(sites)}" if len(shown) < len(sites) else f"each of {len(sites)}"
-            heading.append(f"on {of} pairs of devices and links")
-        cut = stretches(case for setup in shown for case in sites[setup])
-        sizes = [size for stretch in cut for size in stretch.sizes]
-        lines = _wrapped(" ".join(heading), "", "bold")
-        for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
-            span = "at every size" if {*stretch.sizes} == {*sizes} else size_span(stretch.sizes, sizes)
-            words = f"{span}: {fastest_words(stretch, labels)}"
-            is_decided = stretch.outcome is not None and stretch.outcome.is_decided
-            lines += _marked(PASS if is_decided else OPEN, words)
-        if not is_drawn and (bars := _bars(sites[shown[0]], labels, place=shown[0] if len(sites) > 1 else "")):
+def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[list[Text]]:
+    is_drawn = False
+    for kind in kinds:
+        lines = _wrapped(kind.heading, "", "bold")
+        for span, words, is_decided in kind.lines:
+            lines += _marked(PASS if is_decided else OPEN, f"{span}: {words}")
+        if not is_drawn and (bars := _bars(kind.cases, labels, place=kind.place if " on " in kind.heading else "")):
             is_drawn, lines = True, [*lines, *bars]
         yield lines
 
@@ -119,6 +104,8 @@ def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) ->
         for setup in case.contenders
         if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
     )[:MOST_SETUPS]
+    if len(times) < 2:
+        return []
     size, longest_ns = format_size(case.payload_bytes), max((ns for ns, _ in times), default=1)
     line = "  " + "   ".join(f"{name} {_bar(ns, longest_ns, INLINE_BAR)} {format_duration(ns)}" for ns, name in times)
     where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))

@@ -1,4 +1,4 @@
-"""The verdict as a picture of 1200 x 630 for a README or a pull request: SVG, and PNG where matplotlib is installed."""
+"""The verdict as a picture: SVG, and PNG where matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from dds_trace.base.version import __version__
 from .book.answer import PointKind
 from .book.book import Book
 from .book.groups import data_type_label
-from .book.headline import winner_sentences
-from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case
+from .book.outcomes import shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
 
@@ -141,18 +140,11 @@ def card_marks(book: Book) -> list[Mark]:
 
 
 def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
-    answers = book.analysis.details.answers if book.answer.metric == "latency" else ()
-    ordered = [kind for _, kind in sorted(answers_by_kind(answers), key=lambda item: (item[0][0] != "same", *item[0]))]
-    for by_place in ordered:
-        cases = by_place[places_alike(by_place)[0][0]]
-        if any(outcome_of(case).is_decided for case in cases):
-            all_cases = [case for site_cases in by_place.values() for case in site_cases]
-            return PointKind.FASTEST, winner_sentences(all_cases, book.groups.vendors)[0], cases
-    sentences = book.answer.sentences
-    kind, sentence = next(
-        (sentence_of for sentence_of in sentences if sentence_of[0] is not PointKind.LOSS), sentences[0]
-    )
-    return kind, sentence, ordered[0][places_alike(ordered[0])[0][0]] if ordered else ()
+    answer = book.answer
+    sentences = [one for one in answer.sentences if one[0] is not PointKind.LOSS] or answer.sentences
+    fastest = next((one for one in sentences if one[0] is PointKind.FASTEST), sentences[0])
+    shown = sentences[0] if PointKind.FORGED in answer.kinds else fastest
+    return *shown, book.fastest[0].cases if book.fastest else ()
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
@@ -238,7 +230,7 @@ def _fitted(sentence: str, height: float) -> tuple[float, list[str]]:
 def _line(
     x: float, y: float, size: float, text: str, width: float, color: str = INK, *, is_bold: bool = False
 ) -> Words:
-    """Return one line, smaller by up to a quarter where it is long; what exceeds that is cut."""
+    """Shrink a long line by up to a quarter, and cut the rest."""
     mean = BOLD_CHARACTER if is_bold else CHARACTER
     fitted = max(0.75 * size, min(size, width / (mean * max(1, len(text)))))
     most = int(width / (mean * fitted) + 1e-9)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import polars as pl
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
-from ..clocks.boots import share_boot
+from ..clocks.boots import ping_boots, share_boot
 from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange, Unplaced
+from ..pairing.one_way import fit_devices, segment_table
 from .evidence import Evidence, Observation, check, exchange_name, some
 from .rows import Rows, frame_of, in_run, named
 
@@ -157,7 +159,21 @@ def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str
     """Return whether a constant offset explains all replies and most need one: a relay in another time namespace."""
     pairs = [pair for pair in evidence.device_pairs if exchange.relay_id in pair.knots["relay_id"]]
     is_one_offset = all(len(pair.segments) <= pair.knots["relay_id"].n_unique() for pair in pairs)
-    return bool(pairs) and is_one_offset and 2 * counts["early"] > counts["received"]
+    return is_one_offset and 2 * counts["early"] > counts["received"]
+
+
+def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple[int, ...]:
+    """Return the results that are not to be used, before details: nothing is judged by them."""
+    suspect = evidence.summary.exchange_counts.select(pl.col("relay_gaps", "early", "negative_latency").sum())
+    if not any(suspect.row(0)):
+        return ()
+    details = evidence.details
+    if clock_knots is not None:
+        boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
+        clock_fits = segment_table(fit_devices(clock_knots, boots))
+        details = replace(details, clock_fits=clock_fits, clock_knots=clock_knots)
+    found = forged_or_foreign(replace(evidence, details=details))
+    return tuple(sorted({group for finding in found for group in finding.groups}))
 
 
 def _is_whole(evidence: Evidence, session: Session) -> bool:

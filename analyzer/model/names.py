@@ -37,12 +37,12 @@ def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
 def tell_apart(
     items: Sequence[Item], base: Callable[[Item], str], parts: Iterable[tuple[Rule, Callable[[Item], str]]]
 ) -> list[str]:
-    """Name items by a base and the words that rules choose."""
+    """Name items by a base and the words that rules choose; an empty word adds nothing."""
     names = [base(item) for item in items]
     for rule, word in parts:
         words = [word(item) for item in items]
         for index in rule(tuple(names), words):
-            names[index] += f", {words[index]}"
+            names[index] += f", {words[index]}" if words[index] else ""
     return names
 
 

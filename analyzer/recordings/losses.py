@@ -122,6 +122,8 @@ class TopicTimes:
         times_ns = self.publish_ns if (self.stamp_ns == NONE).any() else self.stamp_ns
         if (times_ns == NONE).any() or (times_ns == self.log_ns).mean() > 0.5 or self.is_command:
             return None
+        if len(times_ns) > 1 and np.diff(times_ns).min() < -_STOPPED_NS:  # a clock was set, or a counter ran over
+            return None
         order = np.argsort(times_ns, kind="stable")
         stamps_ns, log_ns = times_ns[order], self.log_ns[order]
         grid = find_grid(stamps_ns) if of_one_clock(stamps_ns).all() else None

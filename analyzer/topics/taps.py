@@ -22,14 +22,7 @@ TAP_ROLE = "tap"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """One publisher's messages at one tap.
-
-    Attributes:
-        publisher: its GUID, empty if the middleware gives none.
-        messages: by reception; i64 `received_ns` on the tap's monotonic clock, `header_ns` and `source_ns` (0 if unknown),
-            u64 `content_hash` and `publication_sequence` (0 if unknown), u32 `payload_bytes`.
-        is_local: whether the publisher runs on the tap's device; None if unknown.
-    """
+    """One publisher's messages at one tap."""
 
     session: Session
     topic: str

@@ -299,8 +299,8 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
         fewest_runs=min(ranked_setup.latency.runs for ranked_setup in ranked),
         leader_p50=median.leader,
         leader_p99=tail.leader if tail else "",
-        repeats_p50=_repeats_to_decide(median, confidence),
-        repeats_p99=_repeats_to_decide(tail, confidence) if tail else None,
+        repeats_p50=median.repeats_to_decide(confidence),
+        repeats_p99=tail.repeats_to_decide(confidence) if tail else None,
         interleaved=median.is_interleaved,
         drift_ratio=median.drift_ratio,
         judgements=(
@@ -312,12 +312,6 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
             *losses,
         ),
     )
-
-
-def _repeats_to_decide(ranking: Ranking, confidence: float) -> int | None:
-    counts = [pair.repeats_to_decide(confidence) for pair in ranking.undecided]
-    decidable = [count for count in counts if count is not None]
-    return max(decidable) if decidable and len(decidable) == len(counts) else None
 
 
 def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str, Ranking]) -> Contender:

@@ -105,25 +105,29 @@ class Ranking:
     undecided: tuple[SetupPair, ...]
     is_interleaved: bool
     drift_ratio: float | None
-    lead: tuple[tuple[SetupPair, float], ...] = ()
+    tests: tuple[tuple[SetupPair, float], ...] = ()
     lead_p: float = 1.0
     reason: Reason = Reason.NONE
 
+    def repeats_to_decide(self, confidence: float) -> int | None:
+        counts = [pair.repeats_to_decide(confidence) for pair in self.undecided]
+        decidable = [count for count in counts if count is not None]
+        return max(decidable) if decidable and len(decidable) == len(counts) else None
+
     def judgements(self, statistic: str, confidence: float) -> Iterator[Judgement]:
-        if not self.lead:
+        if not self.tests:
             yield Judgement(Claim.FASTEST, "", statistic, reason=self.reason.value)
             return
-        needs = [need for pair in self.undecided if (need := pair.repeats_to_decide(confidence))]
-        nearest, _ = min(self.lead, key=lambda tested: tested[0].ratio)
+        nearest = min(_lead([pair for pair, _ in self.tests]), key=lambda pair: pair.ratio)
         row = nearest.judged(Claim.FASTEST, statistic, confidence)
         yield replace(
             row,
             p_adjusted=self.lead_p,
             verdict=PROVEN if self.leader else OPEN,
             reason=self.reason.value,
-            needs=max(needs, default=None),
+            needs=self.repeats_to_decide(confidence),
         )
-        for pair, p_adjusted in self.lead:
+        for pair, p_adjusted in self.tests:
             if self.differ(pair.fast, pair.slow):
                 row = pair.judged(Claim.SLOWER, statistic, confidence)
                 yield replace(row, subject=row.base, base=row.subject, p_adjusted=p_adjusted, verdict=PROVEN)
@@ -234,7 +238,7 @@ def _ranking(
         undecided=tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
         drift_ratio=_drift_ratio(pairs, 1 - alpha),
-        lead=tuple((pair, p) for pair, p in tests if pair.fast == names[0]),
+        tests=tuple(tests),
         lead_p=lead_p,
         reason=Reason.NONE
         if is_ahead

@@ -36,7 +36,7 @@ from .node import (
     ThreadedNode,
     TopicView,
 )
-from .other_side import name_of_participant
+from .other_side import NOT_TEXT, Strangers, name_of_participant
 from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class CycloneNode(ThreadedNode):
                 "and its settings in CYCLONEDDS_URI"
             ) from err
         self._waitset = WaitSet(self._participant)
-        self._builtin = _BuiltinReaders(self._participant)
+        self._builtin = _BuiltinReaders(self._participant, self.strangers)
         self._readers: dict[int, Any] = {}
         # Address by which the waitset reports a condition -> reader, callback, callback of a tap.
         self._triggers: dict[int | None, tuple[int, Receive[RawMessage] | None, Callable[..., None] | None]] = {}
@@ -263,21 +263,39 @@ class _CyclonePublisher:
 
 
 class _BuiltinReaders:
-    def __init__(self, participant: Any) -> None:
+    def __init__(self, participant: Any, strangers: Strangers) -> None:
         from cyclonedds import builtin
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
 
-        self._readers = {
-            "participants": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsParticipant),
-            "publications": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsPublication),
-            "subscriptions": builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsSubscription),
+        topics = {
+            "participants": builtin.BuiltinTopicDcpsParticipant,
+            "publications": builtin.BuiltinTopicDcpsPublication,
+            "subscriptions": builtin.BuiltinTopicDcpsSubscription,
         }
+        self._strangers = strangers
+        self._open: Callable[[str], Any] = lambda name: builtin.BuiltinDataReader(participant, topics[name])
+        self._readers = {name: self._open(name) for name in topics}
         present = SampleState.Any | ViewState.Any | InstanceState.Alive
         self._present = {name: ReadCondition(reader, present) for name, reader in self._readers.items()}
 
     def _read(self, name: str) -> list[Any]:
-        samples = self._readers[name].read(MAX_ENDPOINTS, self._present[name])
+        try:
+            samples = self._readers[name].read(MAX_ENDPOINTS, self._present[name])
+        except Exception:  # noqa: BLE001 - its C layer raises this one for a name that is not text
+            self._strangers.count_once(NOT_TEXT)
+            samples = self._read_singly(name)
         return [sample for sample in samples if sample.sample_info.valid_data]
+
+    def _read_singly(self, name: str) -> list[Any]:
+        reader, samples = self._open(name), list[Any]()
+        for _ in range(MAX_ENDPOINTS):
+            with suppress(Exception):
+                sample = reader.take(1)
+                if not sample:
+                    break
+                samples += sample
+        _delete(reader)
+        return samples
 
     def participants(self) -> dict[Any, str]:
         from cyclonedds.qos import Policy

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
+NOT_TEXT = "topic name that is not text"
+"""Announced by a participant: Python's clients cannot list a graph that contains it."""
+
+
 class Strangers:
     """Counts of what peers sent and this process did not accept, by kind.
 
@@ -31,6 +35,10 @@ class Strangers:
     def count(self, kind: str, number: int = 1) -> None:
         with self._lock:
             self._counts[kind] += number
+
+    def count_once(self, kind: str) -> None:
+        if kind not in self.counts:
+            self.count(kind)
 
     @property
     def counts(self) -> dict[str, int]:

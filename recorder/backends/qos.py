@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import INFINITE_NS, spell_duration
@@ -85,3 +85,12 @@ def incompatible_pairs(
             if shortfalls:
                 policies = ", ".join(shortfalls)
                 yield f"{topic}: publisher of {names[0]} and subscription of {names[1]} differ in {policies}"
+
+
+def other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
+    hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
+    hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
+    our_types = {info.topic_type: text for info, text in hashes if info.node_name == own_name}
+    for info, text in hashes:
+        if text != our_types.get(info.topic_type, text):
+            yield f"{topic}: {info.node_name}'s {info.topic_type} has the same name and another definition"

@@ -62,7 +62,6 @@ class SystemClock:
 
 
 def sharpen_sleep() -> None:
-    """Remove the kernel's 50 us of slack from the calling thread's sleeps."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 

@@ -32,7 +32,6 @@ STRESS_NG = {"cpu": ("--cpu", PROCESSORS), "memory": ("--stream", max(1, PROCESS
 
 
 def compute(data_bytes: int = 1 << 20) -> None:
-    """Keep one processor busy; hashing lets other threads run meanwhile."""
     data = bytes(data_bytes)
     while True:
         hashlib.sha256(data)

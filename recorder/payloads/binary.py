@@ -126,7 +126,6 @@ def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterat
 
 
 def check_path(where: str) -> None:
-    """Refuse a text that is not a path; an empty one would mean this folder."""
     if not where or "\0" in where:
         raise OptionError(f"--data file:{where}: write file:PATH, a file or a folder of files")
 

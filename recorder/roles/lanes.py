@@ -42,7 +42,6 @@ def open_lane(node: Node, serialization: Serialization) -> Lane[Any, Any]:
 
 
 def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
-    """Return the lane of serialized messages; stamps are patched in the payload's buffers."""
     return Lane(
         lambda data_type: data_type.raw,
         lambda _data_type, message: message.data,

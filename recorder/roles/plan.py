@@ -59,7 +59,6 @@ class RunPlan:
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
-        """Return T0 of a message, which is fixed before the run; 0 without a rate."""
         slot = sequence - sequence % self.clients
         return 0 if math.isinf(self.rate_hz) else start_ns + round(slot * SECOND_NS / self.rate_hz)
 

@@ -133,7 +133,6 @@ class Bisection:
 
 
 def round_rate(rate_hz: float) -> float:
-    """Round to three digits: a short name, tried once."""
     return float(f"{rate_hz:.3g}")
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 LONELY_S = 5.0
 """Wait for a publisher until the user gets a line about it."""
 COLLECT_LOOKS = 60
+MOST_REASONS = 5
 
 
 class TapRecording(BaseRecording):
@@ -132,7 +133,9 @@ class TapRecording(BaseRecording):
         tap, node = self.tap, self.node
         names, domain_id = ", ".join(self._tap_options.topics), node.options.domain_id
         if tap.refused:
-            return "; ".join(f"{topic}: {why}" for topic, why in sorted(tap.refused.items()))
+            reasons = [f"{topic}: {why}" for topic, why in sorted(tap.refused.items())]
+            more = [f"and {len(reasons) - MOST_REASONS} further topics"] if len(reasons) > MOST_REASONS else []
+            return "; ".join([*reasons[:MOST_REASONS], *more])
         if tap.topics:
             return f"no message of {', '.join(tap.topics)} came: its publishers are there and silent, or the network drops what they send"
         count = node.count_participants()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import threading
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from contextlib import suppress
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
 
+from dds_trace.base.errors import OptionError
 from dds_trace.base.printable import printable
 from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
@@ -74,6 +76,16 @@ GRAPH_PERIOD_NS = SECOND_NS // 2
 DEPTH = 32
 """Messages that wait for a busy tap; no publisher keeps them."""
 MOST_STREAMS = 10_000
+MOST_ANNOUNCED = 1000
+"""Pairs of topic and type that a tap joins or refuses."""
+JOIN_NS = GRAPH_PERIOD_NS
+_NAME = re.compile(r"/?\w[\w.:<>,-]*(?:/\w[\w.:<>,-]*)*", re.ASCII)
+_NAME_CHARACTERS = 256
+
+
+def _check_names(*names: str) -> None:
+    if not all(len(name) <= _NAME_CHARACTERS and _NAME.fullmatch(name) for name in names):
+        raise OptionError("no topic or type has such a name")
 
 
 def chosen_qos(reliability: Reliability | None, durability: Durability | None, depth: int | None) -> Qos:
@@ -107,7 +119,8 @@ class Tap:
     With `has_worker` another thread does the rest, so that a message does not wait for the hash of the one before it.
 
     Attributes:
-        refused: topic -> why it cannot be joined.
+        refused: topic -> why it, or one of its types, cannot be joined.
+        left_out: pairs of topic and type beyond `MOST_ANNOUNCED`, the most at a time.
     """
 
     def __init__(
@@ -126,6 +139,7 @@ class Tap:
     ) -> None:
         self.streams: list[Stream] = []
         self.refused: dict[str, str] = {}
+        self.left_out = 0
         self._node = node
         self._sink = sink
         self._patterns = patterns
@@ -173,16 +187,29 @@ class Tap:
             self._describe(stream, State.CLOSED)
 
     def _look_at_graph(self) -> None:
+        """Take what the graph has; what is new and was not joined within one look is joined by the next one."""
         by_topic: dict[tuple[str, str], list[Publication]] = {}
         for publication in self._node.list_publications(self._patterns):
             by_topic.setdefault((publication.topic, publication.type_name), []).append(publication)
         for key, topic in self._topics.items():
             self._update(topic, by_topic.get(key, []))
-        for key in sorted(by_topic.keys() - self._topics.keys()):
+        new = sorted(by_topic.keys() - self._topics.keys())
+        end_ns, room = self._now() + JOIN_NS, MOST_ANNOUNCED - len(self._topics)
+        for key in new[:room]:
             self._join(*key, by_topic[key])
+            if self._now() > end_ns:
+                return
+        if len(new) > room and not self.left_out:
+            self._note(
+                f"{counted(len(new) - room, 'further topic')} with a type of its own left out: a tap takes {MOST_ANNOUNCED:,}; "
+                "name fewer with --topics"
+            )
+        self.left_out = max(self.left_out, len(new) - room)
 
     def _join(self, name: str, type_name: str, publications: list[Publication]) -> None:
         try:
+            if type_name:
+                _check_names(name, type_name)
             read_stamp = reader_of(type_name, self._node.members)
             live = None if self._live is None else self._live.topic(name)
             topic = self._topics[name, type_name] = _Topic(
@@ -192,8 +219,10 @@ class Tap:
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
         except Exception as error:  # noqa: BLE001 - names are a stranger's: each library refuses them with errors of its own
             self._topics[name, type_name] = _Topic(name, type_name, None)
-            self.refused[name] = str(error)
-            self._note(f"{printable(name)} is not joined: {printable(str(error) or type(error).__name__)}")
+            shown, (reason, *_) = printable(name), [*str(error).splitlines(), type(error).__name__]
+            if shown not in self.refused:
+                self.refused[shown] = printable(reason).rstrip(":")
+                self._note(f"{shown} is not joined: {self.refused[shown]}")
             return
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
 
@@ -205,7 +234,6 @@ class Tap:
         return PayloadTopic(name, type_name, definition, "cdr" if is_ros or name.startswith("/") else "")
 
     def _update(self, topic: _Topic, publications: list[Publication]) -> None:
-        """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
         if {p.publisher for p in publications} == {p.publisher for p in topic.publications} and topic.publications:
             return
         ended = {p.publisher for p in topic.publications} - {p.publisher for p in publications}
@@ -213,7 +241,7 @@ class Tap:
         topic.streams.pop(None, None)
         for stream in self.streams:
             if stream.publication.topic == topic.name and stream.publisher in ended and stream.stopped_at is None:
-                self._note(f"{topic.name}: its publisher {stream.publication.node_name} left")
+                self._note(f"{topic.name}: its publisher {printable(stream.publication.node_name)} left")
                 self._stop(stream)
 
     def _stop(self, stream: Stream) -> None:

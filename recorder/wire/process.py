@@ -175,7 +175,6 @@ class Capture:
             ring.release()
 
     def _catch_up(self) -> None:
-        """Handle all packets up to now; a block that is not full comes after its time-out, two of them at most."""
         until_ns = time.monotonic_ns() + (2 * self._options.block_timeout_ms + 50) * 1_000_000
         while (left_ns := until_ns - time.monotonic_ns()) > 0:
             time.sleep(min(left_ns, self._options.block_timeout_ms * 1_000_000) / 1e9)

@@ -1,4 +1,4 @@
-"""The answer in words: which middleware and bridge suit which data, as far as the verdicts support it."""
+"""The answer in words, as far as the verdicts support it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
-from typing import Any
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
-from dds_trace.analyzer.model.setting import condition_of
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, Reason
 from dds_trace.base.printable import printable
@@ -28,32 +26,33 @@ from .groups import (
     data_type_label,
     device_pair,
     domain_label,
-    format_added_ns,
     format_count,
     format_ratio,
     group_labels,
     joined,
-    way_words,
 )
 from .headline import (
+    FORGED,
+    Fastest,
     avoid_sentence,
     bridge_sentence,
     cure_sentence,
     factor_words,
     few_lost_sentence,
+    forged_sentence,
     loss_sentence,
-    recovery_sentence,
+    recovery_sentences,
     tail_sentence,
     where_sentence,
     winner_sentences,
 )
-from .numbers import Intervals, Values, finite
-from .outcomes import outcome_of
+from .numbers import Intervals, Values
 from .topics import topic_sentences
-from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
+from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
 
 class PointKind(str, Enum):
+    FORGED = "forged"
     RECOVERY = "recovery"
     LOSS = "loss"
     AVOID = "avoid"
@@ -91,7 +90,9 @@ class Conclusion:
         return [*zip(self.kinds, (self.headline, *self.points), strict=True)]
 
 
-def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
+def answer_info(
+    analysis: Analysis, groups: Groups, values: Values, intervals: Intervals, fastest: Sequence[Fastest]
+) -> Conclusion:
     metric = values.default_metric
     topics = topic_sentences(analysis.topics)
     if not groups.groups:
@@ -100,83 +101,85 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
         return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "", kinds)
     if not values.has(metric):
         headline = "No message was received, so there is no time to compare."
-        return Conclusion(headline, metric, (), (_losses(values),), "")
+        return Conclusion(headline, metric, (), (loss_sentence(groups, values),), "")
     # Answers compare latencies, which need the relay's trace.
     has_latency = metric == "latency"
     answers = analysis.details.answers if has_latency else ()
     costs = analysis.details.bridge_costs if has_latency else analysis.details.bridge_costs.clear()
     cures = {group: finding.cure for finding in analysis.findings if finding.cure for group in finding.groups}
-    verdicts = verdicts_info(answers, groups.vendors)
+    forged = {group for finding in analysis.findings if finding.code == FORGED for group in finding.groups}
+    usable = replace(groups, groups=tuple(group for group in groups.groups if group.index not in forged))
+    losses = loss_sentence(usable, values)
     remarks = (
         *_deadline_remarks(analysis.details, groups),
         *([] if has_latency else [_without_latency(metric)]),
-        *_level_remarks(groups, values, metric),
-        *_bridge_remarks(costs, groups.vendors),
-        _losses(values),
+        *_level_remarks(usable, values, metric),
+        *([] if losses or forged else ["Every message was received."]),
     )
+    verdicts = verdicts_info(answers, groups.vendors)
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
-    first, *others = _who_is_fastest(verdicts, groups, values, answers)
+    first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
-        (PointKind.RECOVERY, recovery_sentence(analysis, groups)),
-        (PointKind.LOSS, loss_sentence(groups, values)),
+        *((PointKind.TOPIC, text) for text in topics),
+        (PointKind.FORGED, forged_sentence(analysis, groups)),
+        *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
+        (PointKind.LOSS, losses),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
-        (PointKind.PLACE, place_sentence(groups, values, intervals) if has_latency else ""),
+        (PointKind.PLACE, place_sentence(usable, values, intervals) if has_latency else ""),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),
     ]
-    sentences[:0] = [(PointKind.TOPIC, text) for text in topics]
     kinds, (headline, *points) = zip(*[(kind, text) for kind, text in sentences if text], strict=True)
-    is_decided = any(outcome_of(answer).is_decided for answer in answers)
-    is_lossy, loses = PointKind.AVOID in kinds, PointKind.LOSS in kinds
+    is_decided = any(kind.is_decided for kind in fastest)
+    is_lossy, loses = not {PointKind.AVOID, PointKind.FORGED}.isdisjoint(kinds), PointKind.LOSS in kinds
     outcome = "lossy" if is_lossy else "" if loses else "decided" if is_decided else "open"
     return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome, kinds)
 
 
 def _who_is_fastest(
-    verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+    fastest: Sequence[Fastest], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> list[tuple[PointKind, str]]:
-    if any(outcome_of(answer).is_decided for answer in answers):
-        winners = [(PointKind.FASTEST, text) for text in winner_sentences(answers, groups.vendors)]
+    if any(kind.is_decided for kind in fastest):
+        winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
         return [*winners, (PointKind.TAIL, tail_sentence(answers))]
-    return [(PointKind.UNDECIDED, _why_undecided(verdicts, groups, values, answers))]
+    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, values, answers)]
 
 
 def _why_undecided(
-    verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
-) -> str:
-    if verdicts:
+    fastest: Sequence[Fastest], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+) -> list[str]:
+    if fastest:
         return _no_winner(answers, groups.vendors)
-    vendors = sorted({series.vendor_label for series in groups.series})
+    vendors = sorted({groups.series_of(group).vendor_label for group in groups.groups})
     if len(vendors) == 1:
-        return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
+        return [_ways(vendors[0], groups, values), "No other middleware was measured."]
     if not answers:
-        return f"{joined(vendors)} were not compared, because that needs the rows of all messages."
+        return [f"{joined(vendors)} were not compared, because that needs the rows of all messages."]
     names = sorted(set(contender_labels(answers, groups.vendors).values()))
-    return f"{joined(names)} were not measured under equal conditions, so no choice can be made from this."
+    return [f"{joined(names)} were not measured under equal conditions, so they are not compared."]
 
 
-def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
-    open_rows = [
-        (row, answer)
-        for answer in answers
-        for row in answer.of_claim(Claim.FASTEST, "latency_p50")
-        if row.reason not in (Reason.NONE.value, Reason.ONLY_ONE.value)
-    ]
+def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[str]:
     reasons: dict[str, list[tuple[Judgement, CaseAnswer]]] = {}
-    for row, answer in open_rows:
-        reasons.setdefault(row.reason, []).append((row, answer))
+    for answer in answers:
+        for row in answer.of_claim(Claim.FASTEST, "latency_p50"):
+            if row.reason not in (Reason.NONE.value, Reason.ONLY_ONE.value):
+                reasons.setdefault(row.reason, []).append((row, answer))
     labels = contender_labels(answers, vendors)
-    total = len(open_rows)
+    total = sum(map(len, reasons.values()))
     where = "for the one message compared" if total == 1 else f"for any of the {total} kinds of message compared"
+    if len(reasons) == 1:
+        ((reason, judged),) = reasons.items()
+        return [f"No clear winner {where}: {_WHY[Reason(reason)](judged, labels)}."]
     parts = [
-        f"{'' if len(judged) == total else f'in {len(judged)} of them '}{_WHY[Reason(reason)](judged, labels)}"
+        f"In {len(judged)} of them {_WHY[Reason(reason)](judged, labels)}."
         for reason, judged in sorted(reasons.items(), key=lambda item: -len(item[1]))
     ]
-    return f"No clear winner {where}: {'; '.join(parts)}."
+    return [f"No clear winner {where}.", " ".join(parts)]
 
 
 def _near(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
@@ -259,68 +262,6 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
     return remarks
 
 
-def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
-    rows = list(costs.filter(statistic="p50", metric="latency").iter_rows(named=True))
-    pairs = [
-        place_label(row["ping_device"], row["relay_device"], row["connectivity"], condition_of(str(row["setting"])))
-        for row in rows
-    ]
-    ways: dict[str, list[dict[str, Any]]] = {}
-    for row, pair in zip(rows, pairs, strict=True):
-        where = f", on {pair}" if len(set(pairs)) > 1 else ""
-        way = f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
-        ways.setdefault(f"{way}{where}", []).append(row)
-    return [f"{way}: {_bridge_remark(own)}" for way, own in ways.items()]
-
-
-_BRIDGE_VERDICTS = {
-    "worse": "clearly slower",
-    "better": "clearly faster",
-    "same": "the same within 5 %",
-    "inconclusive": "no clear difference",
-}
-
-
-def _bridge_remark(rows: list[dict[str, Any]]) -> str:
-    # Where messages were lost, the received ones are the quick ones.
-    complete = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
-    whole = [row for row in complete if finite(row["difference_ns"]) is not None]
-    lossy, partial = len(rows) - len(complete), len(complete) - len(whole)
-    sentences = [_added_words(whole)] if whole else []
-    if lossy:
-        verb = "is" if lossy == 1 else "are"
-        sentences.append(
-            f"{counted(lossy, 'result')} lost messages that the same domain did not, and {verb} not compared."
-        )
-    if partial:
-        sentences.append(f"{counted(partial, 'result')} lost most of the messages in the same domain too.")
-    return " ".join(sentences)
-
-
-def _added_words(rows: list[dict[str, Any]]) -> str:
-    added = sorted(row["difference_ns"] for row in rows)
-    is_typical = all(row["basis"] == Basis.BETWEEN_RUNS.value for row in rows)
-    median = "median of a typical run" if is_typical else "median"
-    if len(rows) == 1:
-        low, high = rows[0]["difference_low_ns"], rows[0]["difference_high_ns"]
-        between = (
-            ""
-            if low is None or high is None
-            else f" (95 %{_within(rows[0])}: {format_added_ns(low)} to {format_added_ns(high)})"
-        )
-        verdict = _BRIDGE_VERDICTS[rows[0]["verdict"]]
-        return f"{median} {format_added_ns(added[0])}{between} against the same domain for the one message compared; {verdict}."
-    verdicts = Counter(row["verdict"] for row in rows)
-    counts = [f"{words} in {verdicts[name]}" for name, words in _BRIDGE_VERDICTS.items() if verdicts[name]]
-    counts[0] += f" of {counted(len(rows), 'result')}"
-    ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
-    return f"{median} {ends} against the same domain; {', '.join(counts)}."
-
-
-def _within(row: Mapping[str, Any]) -> str:
-    return f", {row['basis']}" if row["basis"] == Basis.WITHIN_RUN.value else ""
-
-
 _DEADLINE_LABELS = {"response": "response (planned send to reply)", "outbound": "way out", "return": "way back"}
 
 
@@ -353,29 +294,6 @@ def _missed_ratio(row: Mapping[str, int]) -> float:
 def _without_latency(metric: str) -> str:
     what = METRIC_LABELS[metric].lower()
     return f"No relay's trace was found: the latency is unknown, and the {what} below includes the time in the relay."
-
-
-def _losses(values: Values) -> str:
-    published, received = ([round(count or 0) for count in values.plain[name]] for name in ("published", "received"))
-    lost, unsent = sum(published) - sum(received), _unsent(values)
-    if lost == 0:
-        return f"Every message {'that was sent ' if unsent else ''}was received.{unsent}"
-    lossy = sum(sent > back for sent, back in zip(published, received, strict=True))
-    messages = counted(sum(published), "message", text=format_count(sum(published)))
-    share, where = format_ratio(lost / sum(published)), _of_results(lossy, len(published))
-    return f"{format_count(lost)} of {messages} ({share}) were lost, in {where}.{unsent}"
-
-
-def _of_results(part: int, count: int) -> str:
-    return f"{format_count(part)} of {counted(count, 'result', text=format_count(count))}"
-
-
-def _unsent(values: Values) -> str:
-    counts = [round(count or 0) for count in values.plain["unsent"]]
-    if not any(counts):
-        return ""
-    more = counted(sum(counts), "more message was", "more messages were", text=format_count(sum(counts)))
-    return f" {more} due and never sent, in {_of_results(sum(map(bool, counts)), len(counts))}; verdicts count them as lost."
 
 
 MOST_COMPARED = 3

@@ -13,6 +13,7 @@ from .facets import Facets, facets_info
 from .findings import FindingKind, findings_info
 from .glance import Glance, glance_info
 from .groups import Groups, groups_info
+from .headline import Fastest, fastest_setups
 from .numbers import Curves, Intervals, Values, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
 from .recommendation import Advice, recommendation_info
@@ -77,8 +78,14 @@ class Book:
         return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
 
     @cached_property
+    def fastest(self) -> list[Fastest]:
+        """Who is fastest for each kind of message; empty without latencies."""
+        answers = self.analysis.details.answers if self.values.default_metric == "latency" else ()
+        return fastest_setups(answers, self.groups.vendors)
+
+    @cached_property
     def answer(self) -> Conclusion:
-        return answer_info(self.analysis, self.groups, self.values, self.intervals)
+        return answer_info(self.analysis, self.groups, self.values, self.intervals, self.fastest)
 
     @cached_property
     def sizes(self) -> SizeTable | None:

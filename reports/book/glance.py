@@ -1,4 +1,4 @@
-"""The picture next to the answer: a dot with its interval for each setup, on every device pair or at every size."""
+"""The picture next to the answer: a dot with its interval for each setup."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Dot:
 
 @dataclass(frozen=True, slots=True)
 class DotRow:
-    """The dots of one setup, one for each column; `choice` is its option among the dimension's, None where it has no group."""
+    """`choice` is the setup's option among the dimension's, None where it has no group."""
 
     setup: str
     choice: int | None
@@ -35,7 +35,7 @@ class DotRow:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """Blocks of rows, by device pair or by size; `columns` are the links, `left_out` counts blocks that the table has."""
+    """Blocks of rows, by device pair or by size; `left_out` counts blocks that only the table has."""
 
     message: str
     columns: tuple[str, ...]

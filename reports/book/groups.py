@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -198,30 +200,41 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
 
 
 def series_labels(series: Sequence[Series]) -> list[str]:
-    parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
+    parts = (*_LABEL_PARTS, (where_it_helps, _setting_part(series)))
     return tell_apart(series, lambda member: member.vendor_label, parts)
 
 
-def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
-    settings = {one.setting: parse_setting(one.setting) for one in series}
-    keys = sorted({key for setting in settings.values() for key in setting})
-    varying = [key for key in keys if len({setting.get(key) for setting in settings.values()}) > 1]
-
-    def label(member: Series) -> str:
-        setting = settings[member.setting]
-        words = [_word(key, setting[key]) for key in varying if key in setting]
-        return printable(", ".join(words)) or "nothing else set"
-
-    return label
+def _setting_part(series: Sequence[Series]) -> Callable[[Series], str]:
+    word = setting_word(one.setting for one in series)
+    return lambda member: word(member.setting)
 
 
-def _word(key: str, value: str) -> str:
-    return key if value == "true" else value if key == "outage_by" else f"{key}={value}"
+def setting_word(settings: Iterable[str]) -> Callable[[str], str]:
+    """Return how one of some settings is named: by what varies, a file by its name where that is unique."""
+    parsed = {setting: parse_setting(setting) for setting in settings}
+    keys = sorted({key for setting in parsed.values() for key in setting})
+    varying = [key for key in keys if len({setting.get(key) for setting in parsed.values()}) > 1]
+    files = {(key, value) for setting in parsed.values() for key, value in setting.items() if _FILE.search(value)}
+    names = Counter(_FILE.sub("", value) for _, value in files)
+
+    def words(key: str, value: str) -> str:
+        name = _FILE.sub("", value)
+        if (key, value) in files and names[name] == 1:
+            return name
+        return key if value == "true" else value if key == "outage_by" else f"{key}={value}"
+
+    return lambda setting: printable(
+        ", ".join(words(key, parsed[setting][key]) for key in varying if key in parsed[setting])
+    )
+
+
+_FILE = re.compile(r"#[0-9a-f]{8}\b")
+"""The end of a configuration file's name, of its content."""
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
     series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
-    parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
+    parts = (*_LABEL_PARTS, (where_it_varies, _setting_part(series)))
     rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
     return tell_apart(series, lambda member: member.vendor_label, rules)
 

@@ -1,17 +1,19 @@
-"""The first sentences of a report; each rests on verdicts within one device pair and link, and none on a mean over several."""
+"""The first sentences of a report; each rests on verdicts within one device pair and link."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from statistics import median
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.model.setting import condition_of
+from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_number, format_rate, format_size
 
@@ -24,55 +26,73 @@ from .groups import (
     domain_label,
     format_count,
     format_ratio,
+    group_labels,
     joined,
     way_words,
 )
 from .numbers import Values
-from .outcomes import PERCENTILES, Outcome, Stretch, answers_by_kind, outcome_of, places_alike, stretches
-from .verdicts import MODES, conditions_label, contender_labels, place_of
+from .outcomes import PERCENTILES, Outcome, Stretch, answers_by_kind, places_alike, stretches
+from .verdicts import MODES, conditions_label, contender_labels, place_of, setup_labels
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
 
+FORGED = "forged_or_foreign"
 MOST_NAMED = 3
 
 
-def recovery_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return how long each setup took to come back from outages that the sweep made: median and range of its runs."""
-    times_ns: dict[str, list[float | None]] = {}
-    own = {group.index: groups.series_of(group) for group in groups.groups}
-    rows = analysis.details.recoveries.select("group", "by", "outage_ns", "never", "back_ns")
-    for group, by, outage_ns, never, back_ns in rows.iter_rows():
-        if group in own:
-            setup = f"{own[group].vendor_label}, {domain_label(own[group])}, {printable(by)} {outage_ns / 1e9:.1f} s"
-            times_ns.setdefault(setup, []).append(None if never else back_ns)
-    return (
-        f"After an outage, replies came back: {_some([*map(_came_back, times_ns.items())], 'more')}."
-        if times_ns
-        else ""
-    )
+def forged_sentence(analysis: Analysis, groups: Groups) -> str:
+    forged = {
+        group: finding.what for finding in analysis.findings if finding.code == FORGED for group in finding.groups
+    }
+    labels = group_labels(groups)
+    parts = [f"{labels[group]} ({what.rstrip('.')})" for group, what in forged.items()]
+    return f"Do not use, as somebody else may have answered: {_some(parts, 'more in the findings')}." if parts else ""
 
 
-def _came_back(setup: tuple[str, Sequence[float | None]]) -> str:
-    name, times_ns = setup
+def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
+    """Return how long each setup took to come back: median and range of its runs."""
+    series = {group.index: groups.series_of(group) for group in groups.groups}
+    labels = setup_labels({group: asdict(one) for group, one in series.items()}, groups.vendors)
+    outages: dict[tuple[str, float, str], dict[str, list[float | None]]] = {}
+    for group, by, never, back_ns in analysis.details.recoveries.select("group", "by", "never", "back_ns").iter_rows():
+        if group in series:
+            planned = parse_setting(series[group].setting).get("outage", "")
+            length_s = float(planned.removesuffix("s")) if planned[:1].isdigit() else 0.0
+            outage = _OUTAGES.get(by, by), length_s, planned
+            outages.setdefault(outage, {}).setdefault(labels[group], []).append(None if never else back_ns)
+    return [
+        printable(f"{by} for {planned}: {joined(_came_back(*setup) for setup in setups.items())}.")
+        for (by, _, planned), setups in sorted(outages.items())
+    ]
+
+
+_OUTAGES = {"link": "link down", "address": "address gone", "loss": "all messages dropped", "relay": "relay stopped"}
+
+
+def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
     back_ns = sorted(time_ns for time_ns in times_ns if time_ns is not None)
-    never = len(times_ns) - len(back_ns)
-    words = [f"never in {never} of {counted(len(times_ns), 'run')}"] * bool(never)
-    if back_ns:
-        least, most = format_duration(back_ns[0]), format_duration(back_ns[-1])
-        words.insert(
-            0, f"after {format_duration(median(back_ns))} ({least} to {most} in {counted(len(back_ns), 'run')})"
-        )
-    return f"{name}: {', '.join(words)}"
+    runs, never = counted(len(times_ns), "run"), len(times_ns) - len(back_ns)
+    if not back_ns:
+        return f"{name} did not come back ({runs})"
+    least, middle, most = (
+        format_duration(ns) if ns else "at once" for ns in (back_ns[0], median(back_ns), back_ns[-1])
+    )
+    ends = f"{least} to {most}, " if least != most else ""
+    noted = f", never in {never}" if never else ""
+    return f"{name} {'' if middle == 'at once' else 'after '}{middle} ({ends}{runs}{noted})"
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
+    """Return what was lost of all messages that were due, unsent ones too."""
     planned, lost = _planned_and_lost(groups.groups, values)
     if not lost:
         return ""
-    scope = _scope([group for group in groups.groups if _planned_and_lost([group], values)[1]], groups)
+    lossy = [group for group in groups.groups if _planned_and_lost([group], values)[1]]
+    scope, unsent = _scope(lossy, groups), sum(round(values.plain["unsent"][group.index] or 0) for group in lossy)
     where = f", all of them {scope}" if scope else ""
-    return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}){where}."
+    never = f", {format_count(unsent)} of them never sent" if unsent else ""
+    return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}{never}){where}."
 
 
 def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int]:
@@ -107,7 +127,7 @@ def _from_size(least: int, largest: int) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
-    """Return which setups are not to be used, the worst result of each; not those whose losses have a cure (row -> cure)."""
+    """`cures`: row -> cure of its losses."""
     lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
     worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
     shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
@@ -121,8 +141,9 @@ def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: M
     for row, where in _advised(answers, vendors):
         if row.group is not None and row.group in cures:
             by_cure.setdefault(cures[row.group], []).append(_lost_words(row, where))
+    more = f"; and {len(by_cure) - 1} more in the findings" if len(by_cure) > 1 else ""
     parts = [f"{_some(setups, 'more')}: {printable(cure)}" for cure, setups in by_cure.items()]
-    return f"Losses with a known cure: {_some(parts, 'more in the findings')}." if parts else ""
+    return f"Losses with a known cure: {parts[0]}{more}." if parts else ""
 
 
 def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
@@ -131,7 +152,7 @@ def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> s
         for row, where in _lossy(answers, vendors)
         if row.reason == Reason.FEW_LOST.value
     ]
-    return f"Too few losses to judge: {_some(few, 'more in the table')}." if few else ""
+    return f"Too few losses or runs to judge: {_some(few, 'more in the table')}." if few else ""
 
 
 def _lost_words(row: Judgement, where: str) -> str:
@@ -157,26 +178,66 @@ def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[J
     return sorted(lossy, key=lambda one: -(one[0].value or 0.0))
 
 
-def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
+@dataclass(frozen=True, slots=True)
+class Fastest:
+    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `cases` are those of `place`."""
+
+    heading: str
+    lines: tuple[tuple[str, str, bool], ...]
+    place: str
+    cases: tuple[CaseAnswer, ...]
+    left_out: int = 0
+
+    @property
+    def is_decided(self) -> bool:
+        return any(is_decided for *_, is_decided in self.lines)
+
+
+def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[Fastest]:
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
-    sentences = []
+    kinds = []
     for (mode, data_type), by_pair in answers_by_kind(compared):
-        if not any(outcome_of(case).is_decided for cases in by_pair.values() for case in cases):
-            continue
         words = MODES.get(mode, printable(mode))
-        where = f"In the {words}" if mode == "same" else f"Across {words}"
-        what = f"{where}, {data_type_label(data_type)}" if several_types else where
-        shown = places_alike(by_pair)[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
-        for pairs in shown:
+        what = f"Fastest {'in the' if mode == 'same' else 'across'} {words}"
+        what += f" ({data_type_label(data_type)})" if several_types else ""
+        alike = places_alike(by_pair)[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
+        for pairs in alike:
             cut = stretches(case for pair in pairs for case in by_pair[pair])
-            on = "" if len(by_pair) == 1 else f", on {_pairs(pairs, len(by_pair))}"
-            sentences.append(f"{what}{on}: {_outcomes(cut, labels)}.")
-        more = len(by_pair) - sum(map(len, shown))
-        if more:
-            sentences[-1] += f" For the others see the table ({counted(more, 'pair')} of devices and links)."
+            cut = by_outcome(cut) if len(cut) > MOST_NAMED else cut
+            lines = tuple(_line(stretch, cut, labels) for stretch in cut)
+            on = "" if len(by_pair) == 1 else f" on {_pairs(pairs, len(by_pair))}"
+            left_out = len(by_pair) - sum(map(len, alike)) if pairs is alike[-1] else 0
+            kinds.append(Fastest(what + on, lines, pairs[0], tuple(by_pair[pairs[0]]), left_out))
+    return sorted(kinds, key=lambda kind: not kind.is_decided)
+
+
+def winner_sentences(kinds: Sequence[Fastest]) -> tuple[str, ...]:
+    sentences: list[str] = []
+    for kind in kinds:
+        clauses = [f"{span}: {words}" for span, words, _ in kind.lines]
+        first = next((index for index, (*_, is_decided) in enumerate(kind.lines) if is_decided), 0)
+        parts = [[clauses.pop(first)], clauses] if not sentences else [clauses]
+        sentences += [f"{kind.heading} {'; '.join(part)}." for part in parts if part]
+        if kind.left_out:
+            sentences.append(f"For the others see the table ({counted(kind.left_out, 'pair')} of devices and links).")
     return tuple(sentences)
+
+
+def _line(stretch: Stretch, cut: Sequence[Stretch], labels: Mapping[str, str]) -> tuple[str, str, bool]:
+    sizes = [size for other in cut for size in other.sizes]
+    span = "at every size" if {*stretch.sizes} == {*sizes} and len({*sizes}) > 1 else size_span(stretch.sizes, sizes)
+    rates = {case.rate_hz for case in stretch.cases}
+    if any(other is not stretch and {*other.sizes} & {*stretch.sizes} for other in cut) and len(rates) == 1:
+        span += f" and {format_rate(rates.pop())}"
+    parts = {name: labels[name].split(", ") for name in stretch.setups}
+    shared = [part for part in next(iter(parts.values()))[1:] if all(part in own[1:] for own in parts.values())]
+    span += f" with {', '.join(shared)}" if shared else ""
+    own_labels = {
+        name: ", ".join([own[0], *(part for part in own[1:] if part not in shared)]) for name, own in parts.items()
+    }
+    return span, fastest_words(stretch, own_labels), stretch.is_decided
 
 
 def tail_sentence(answers: Sequence[CaseAnswer]) -> str:
@@ -193,42 +254,26 @@ def _pairs(pairs: Sequence[str], count: int) -> str:
     return "; ".join(pairs) if len(pairs) <= MOST_NAMED else f"{len(pairs)} of {count} pairs of devices and links"
 
 
-def _outcomes(cut: Sequence[Stretch], labels: Mapping[str, str]) -> str:
-    sizes = [size for stretch in cut for size in stretch.sizes]
-    parts = []
-    for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
-        where, outcome = size_span(stretch.sizes, sizes), stretch.outcome
-        if outcome is None:
-            parts.append(f"{where} it depends on the rate ({_wins(stretch.cases, labels)})")
-        elif outcome.p50 or outcome.p99:
-            parts.append(f"{where} {_leader_words(stretch, outcome, labels)}")
-        elif outcome.slower:
-            parts.append(f"{where} {_tier_words(stretch, outcome, labels)}")
-        elif outcome.is_interleaved:
-            parts.append(f"{where} no clear winner{_repeats_words(stretch.cases, '')}")
-        else:
-            parts.append(f"{where} no clear winner: the setups were recorded one after the other")
-    return "; ".join(parts)
-
-
 def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
     won = Counter(name for case in cases if (name := case.leader_p50 or case.leader_p99))
+    if not won:
+        return "who is slower depends on the rate"
     (first, count), *others = won.most_common()
     lead = f"{labels[first]} is fastest in {count} of {counted(len(cases), 'comparison')}"
-    return ", ".join([lead, *(f"{labels[name]} in {wins}" for name, wins in others)])
+    return f"it depends on the rate ({', '.join([lead, *(f'{labels[name]} in {wins}' for name, wins in others)])})"
 
 
-def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
-    joined_of: dict[Outcome | None, Stretch] = {}
+def by_outcome(cut: Sequence[Stretch]) -> tuple[Stretch, ...]:
+    joined_of: dict[tuple[Outcome | None, frozenset[str]], Stretch] = {}
     for stretch in cut:
-        joined = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
-        sizes, cases = (*joined.sizes, *stretch.sizes), (*joined.cases, *stretch.cases)
-        joined_of[stretch.outcome] = Stretch(stretch.outcome, sizes, cases)
-
-    def order(stretch: Stretch) -> tuple[bool, int]:
-        return stretch.outcome is None or not stretch.outcome.is_decided, -len(stretch.sizes)
-
-    return sorted(joined_of.values(), key=order)
+        key = stretch.outcome, stretch.setups
+        joined_of[key] = joined_of[key].with_sizes(stretch) if key in joined_of else stretch
+    return tuple(
+        sorted(
+            joined_of.values(),
+            key=lambda stretch: (not stretch.is_decided, stretch.outcome is None, -len(stretch.sizes)),
+        )
+    )
 
 
 def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:
@@ -241,78 +286,6 @@ def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:
     if first and last:
         return f"at every size ({low} to {high})"
     return f"from {low} on" if last else f"up to {high}" if first else f"from {low} to {high}"
-
-
-def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
-    leaders = [(getattr(outcome, percentile), percentile, label) for percentile, label in PERCENTILES]
-    leads = [(name, _lead_words(stretch, percentile), label) for name, percentile, label in leaders if name]
-    start = "all setups lose too much; of them, " if outcome.is_lossy else ""
-    if len(leads) == len(leaders) and outcome.p50 == outcome.p99:
-        by = ", ".join(f"{words} {label}" for _, words, label in leads)
-        return f"{start}{labels[outcome.p50]} is fastest (the next takes {by})"
-    parts = [
-        f"{labels[name]}{'' if number else ' is fastest'} {label} (the next takes {words})"
-        for number, (name, words, label) in enumerate(leads)
-    ]
-    is_tested = all(setup.letters_p99 for case in stretch.cases for setup in case.contenders)
-    parts += [
-        f"no clear difference {label}"
-        for name, percentile, label in leaders
-        if not name and (percentile == "p50" or is_tested)
-    ]
-    return start + ", ".join(parts)
-
-
-def _lead_words(stretch: Stretch, percentile: str) -> str:
-    won, factors = _leads(stretch, percentile)
-    within = f" in {len(won)} of {len(stretch.cases)} comparisons" if len(won) < len(stretch.cases) else ""
-    return f"{factor_words(factors)} as long{within}" if factors else f"longer, as its messages were lost{within}"
-
-
-def _leads(stretch: Stretch, percentile: str) -> tuple[list[CaseAnswer], list[float]]:
-    won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}")]
-    return won, [factor for case in won if (factor := _factor(case, percentile)) is not None]
-
-
-def _lead_factors(stretch: Stretch, percentile: str) -> str:
-    factors = _leads(stretch, percentile)[1]
-    return factor_words(factors) if factors else "longer, as its messages were lost"
-
-
-def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
-    ratios = []
-    for case in stretch.cases:
-        times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
-        if outcome_of(case) == outcome and times[name] != float("inf"):
-            ratios.append(times[name] / times[outcome.best[0]])
-    return factor_words(ratios) if ratios else ""
-
-
-def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
-    first = outcome.best[0]
-    label = dict(PERCENTILES)[outcome.percentile]
-    best = f"{joined([labels[name] for name in outcome.best], 'or')}, no difference proven {label}"
-    if len(outcome.best) == 1:  # a setup that loses more is as fast
-        best = f"of setups that lose little, {labels[first]} is fastest {label}"
-    parts = []
-    for name in outcome.slower:
-        factors = _slower_factors(stretch, outcome, name)
-        takes = f"{factors} as long as {labels[first]}" if factors else "longer, as messages were lost"
-        parts.append(f"{labels[name]} takes {takes}")
-    shown = parts[:MOST_NAMED] + ([f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else [])
-    return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases, ' the rest')}"
-
-
-def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
-    counts = [case.repeats_p50 for case in cases if case.repeats_p50 is not None]
-    return f" (about {max(counts)} repeats would decide{what})" if counts else ""
-
-
-def _factor(case: CaseAnswer, percentile: str) -> float | None:
-    times = {setup.name: getattr(setup, f"{percentile}_ns") for setup in case.contenders}
-    fastest_ns = times.pop(getattr(case, f"leader_{percentile}"))
-    others = [value for value in times.values() if value is not None and fastest_ns <= value != float("inf")]
-    return min(others) / fastest_ns if others and fastest_ns else None
 
 
 def factor_words(factors: Sequence[float]) -> str:
@@ -397,20 +370,41 @@ def _some(parts: Sequence[str], noun: str) -> str:
 def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
     outcome = stretch.outcome
     if outcome is None:
-        return f"it depends on the rate ({_wins(stretch.cases, labels)})"
-    if outcome.p50 or outcome.p99:
-        leads = [
-            f"{'' if percentile == 'p50' else 'at p99 '}{labels[name]}, next {_lead_factors(stretch, percentile)}"
-            for percentile, _ in PERCENTILES
-            if (name := getattr(outcome, percentile))
-        ]
-        if outcome.p50 == outcome.p99:
-            leads = [f"{leads[0]}, at p99 {_lead_factors(stretch, 'p99')}"]
-        return "; ".join(leads) + (" (all setups lose too much)" if outcome.is_lossy else "")
-    repeats = _repeats_words(stretch.cases, "").replace("about ", "")
+        return _wins(stretch.cases, labels)
+    leads = [
+        f"{'at p99 ' if percentile == 'p99' else ''}{labels[name]} (the next takes {_takes(stretch, Claim.FASTEST, percentile, name)})"
+        for percentile, _ in PERCENTILES
+        if (name := getattr(outcome, percentile))
+    ]
+    if len(leads) == len(PERCENTILES) and outcome.p50 == outcome.p99:
+        leads = [f"{leads[0].removesuffix(')')}, at p99 {_takes(stretch, Claim.FASTEST, 'p99', outcome.p99)})"]
+    if leads:
+        return ("of setups that all lose too much, " if outcome.is_lossy else "") + ", ".join(leads)
+    counts = [case.repeats_p50 for case in stretch.cases if case.repeats_p50 is not None]
+    repeats = f"about {max(counts)} repeats would decide" if counts else ""
     if not outcome.slower:
-        return f"no clear winner{repeats}"
-    slower = {labels[name]: _slower_factors(stretch, outcome, name) for name in outcome.slower}
-    parts = [f"{name} {factors}" for name, factors in [*slower.items()][:MOST_NAMED]]
+        if not outcome.is_interleaved:
+            repeats = "the setups were recorded one after the other"
+        return f"no clear winner{f' ({repeats})' if repeats else ''}"
+    parts = [
+        f"{labels[name]} takes {_takes(stretch, Claim.SLOWER, outcome.percentile, name, outcome.best[0])}"
+        for name in outcome.slower
+    ]
+    shown = _some(parts, "take longer").split("; ") + ([f"{repeats} the rest"] if repeats else [])
     at_tail = "at p99 " if outcome.percentile == "p99" else ""
-    return f"{at_tail}{joined([labels[name] for name in outcome.best], 'or')}; {joined(parts)}{repeats}"
+    only = "of setups that lose little, " if len(outcome.best) == 1 else ""  # one that loses more is as fast
+    return f"{at_tail}{only}{joined([labels[name] for name in outcome.best], 'or')} ({'; '.join(shown)})"
+
+
+def _takes(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> str:
+    rows = [
+        row
+        for case in stretch.cases
+        for row in case.of_claim(claim, f"latency_{percentile}")
+        if row.verdict == PROVEN and row.subject == subject and base in (None, row.base)
+    ]
+    factors = [row.value for row in rows if row.value is not None and math.isfinite(row.value)]
+    within = (
+        f", in {len(rows)} of {counted(len(stretch.cases), 'comparison')}" if len(rows) < len(stretch.cases) else ""
+    )
+    return f"{factor_words(factors)} as long{within}" if factors else f"longer, as messages were lost{within}"

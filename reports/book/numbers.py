@@ -54,6 +54,7 @@ def values_info(analysis: Analysis) -> Values:
         },
         plain={
             **{name: tuple(finite(value) for value in summary[name]) for name in PLAIN_COLUMNS},
+            "received_ratio": planned_shares(summary),
             "sustained": tuple(map(finite, sustained_shares(summary))),
         },
     )

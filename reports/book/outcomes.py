@@ -30,11 +30,26 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Neighbouring sizes with the same outcome, which is None where it depends on the rate."""
+    """Neighbouring sizes with the same setups and outcome, None where it depends on the rate."""
 
     outcome: Outcome | None
     sizes: tuple[int, ...]
     cases: tuple[CaseAnswer, ...]
+
+    @property
+    def setups(self) -> frozenset[str]:
+        return _setups(self.cases[0])
+
+    @property
+    def is_decided(self) -> bool:
+        return self.outcome is None or self.outcome.is_decided
+
+    def with_sizes(self, other: Stretch) -> Stretch:
+        return Stretch(self.outcome, (*self.sizes, *other.sizes), (*self.cases, *other.cases))
+
+
+def _setups(case: CaseAnswer) -> frozenset[str]:
+    return frozenset(setup.name for setup in case.contenders)
 
 
 def outcome_of(case: CaseAnswer) -> Outcome:
@@ -47,27 +62,29 @@ def outcome_of(case: CaseAnswer) -> Outcome:
     ]
     for percentile, _ in PERCENTILES:
         ranked = sorted(
-            (value, setup.name, set(getattr(setup, f"letters_{percentile}")))
+            (value, setup.name)
             for setup in usable or case.contenders
             if (value := getattr(setup, f"{percentile}_ns")) is not None
         )
-        slower = [name for _, name, letters in ranked if not letters & ranked[0][2]]
-        if slower and ranked[0][2]:
-            first, *slower_ones = (name for _, name, _ in ranked if name not in slower)
-            return Outcome(best=(first, *sorted(slower_ones)), slower=tuple(sorted(slower)), percentile=percentile)
+        names = [name for _, name in ranked]
+        rows = case.of_claim(Claim.SLOWER, f"latency_{percentile}")
+        slower = sorted(row.subject for row in rows if row.base == names[0] and row.subject in names)
+        if slower:
+            first, *alike = (name for name in names if name not in slower)
+            return Outcome(best=(first, *sorted(alike)), slower=tuple(slower), percentile=percentile)
     return Outcome(is_interleaved=case.interleaved)
 
 
 def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
-    by_size: dict[int, list[CaseAnswer]] = {}
+    by_size: dict[tuple[int, frozenset[str]], list[CaseAnswer]] = {}
     for case in cases:
         if case.clarity is not Clarity.ONLY_ONE:
-            by_size.setdefault(case.payload_bytes, []).append(case)
+            by_size.setdefault((case.payload_bytes, _setups(case)), []).append(case)
     cut: list[Stretch] = []
-    for size, cases_of_size in sorted(by_size.items()):
-        outcome = _common_outcome(cases_of_size)
-        before = cut.pop() if cut and cut[-1].outcome == outcome else Stretch(outcome, (), ())
-        cut.append(Stretch(outcome, (*before.sizes, size), (*before.cases, *cases_of_size)))
+    for (size, setups), same_size in sorted(by_size.items(), key=lambda item: item[0][0]):
+        added = Stretch(_common_outcome(same_size), (size,), tuple(same_size))
+        joins = cut and (cut[-1].outcome, cut[-1].setups) == (added.outcome, setups)
+        cut.append(cut.pop().with_sizes(added) if joins else added)
     return tuple(cut)
 
 
@@ -81,7 +98,8 @@ def answers_by_kind(answers: Iterable[CaseAnswer]) -> list[tuple[tuple[str, str]
 def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]]:
     alike: dict[object, list[str]] = {}
     for site, cases in by_place.items():
-        alike.setdefault(tuple((stretch.outcome, stretch.sizes) for stretch in stretches(cases)), []).append(site)
+        cut = tuple((stretch.outcome, stretch.sizes, stretch.setups) for stretch in stretches(cases))
+        alike.setdefault(cut, []).append(site)
     return sorted(alike.values(), key=lambda sites: -len(sites))
 
 
@@ -101,4 +119,6 @@ def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
         return Outcome(next(iter(medians), ""), next(iter(tails), ""), is_lossy=is_lossy)
     outcomes = list(dict.fromkeys(map(outcome_of, cases)))
     decided = [outcome for outcome in outcomes if outcome.is_decided]
-    return decided[0] if len(decided) == 1 else min(outcomes, key=lambda one: one.is_interleaved)
+    if len(decided) > 1:
+        return None
+    return decided[0] if decided else min(outcomes, key=lambda one: one.is_interleaved)

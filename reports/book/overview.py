@@ -85,12 +85,11 @@ def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
 def _messages(analysis: Analysis) -> str:
     if not analysis.summary.height:
         return ""
-    published, received = (int(analysis.summary[name].sum()) for name in ("published", "received"))
-    runs = len(analysis.runs)
-    share = "all received" if published == received else f"{format_count(received)} received"
-    unsent = int(analysis.summary["unsent"].sum())
-    never = f", {format_count(unsent)} more never sent" if unsent else ""
-    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {share}{never}"
+    published, received, unsent = (int(analysis.summary[name].sum()) for name in ("published", "received", "unsent"))
+    due, runs = published + unsent, len(analysis.runs)
+    share = "all received" if due == received else f"{format_count(received)} received"
+    never = f", {format_count(unsent)} never sent" if unsent else ""
+    return f"{format_count(due)} in {counted(runs, 'run', text=format_count(runs))}, {share}{never}"
 
 
 def _sent(groups: Groups) -> str:

@@ -1,4 +1,4 @@
-"""Topics that taps heard: how late, how old, what was lost, and what each hop of a chain takes, in words and tables."""
+"""Topics that taps heard, in words and tables."""
 
 from __future__ import annotations
 

@@ -1,23 +1,25 @@
-"""The analyzer's verdicts by kind of data, setups and device pairs, under the names of a report; nothing is judged here."""
+"""The analyzer's verdicts under the names of a report."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeVar
 
-from dds_trace.analyzer.model.names import tell_apart, where_alike
+from dds_trace.analyzer.model.names import Rule, tell_apart, where_alike
 from dds_trace.analyzer.model.parameters import ParameterValue
-from dds_trace.analyzer.model.setting import parse_setting
+from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from .groups import DATA_TYPES, VendorLabels, data_type_label, device_pair, format_ratio, way_words
+from .groups import DATA_TYPES, VendorLabels, data_type_label, device_pair, format_ratio, setting_word, way_words
+
+Key = TypeVar("Key", bound=Hashable)
 
 CLEARLY = (
     "Setups are compared for the same message, on the same devices and link, at the median and, where every setup has enough messages "
@@ -36,7 +38,18 @@ WITHIN_ONE_RUN = (
 MODES = {"same": "same domain", "different": "different domains"}
 
 # Columns that extend equal labels of setups.
-_FURTHER = ("backend", "relay_backend", "rmw", "reliability", "durability", "history", "depth", "serialization")
+_FURTHER = (
+    "backend",
+    "relay_backend",
+    "rmw",
+    "reliability",
+    "durability",
+    "history",
+    "depth",
+    "serialization",
+    "vendor",
+    "bridge",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +131,18 @@ def place_of(answer: CaseAnswer) -> str:
 
 
 def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
-    settings = {setup.name: setup.setting for answer in answers for setup in answer.contenders}
-    parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
-    labels = tell_apart(list(settings.values()), partial(_label, vendors), parts)
-    return dict(zip(settings, labels, strict=True))
+    return setup_labels({setup.name: setup.setting for answer in answers for setup in answer.contenders}, vendors)
+
+
+def setup_labels(settings: Mapping[Key, Mapping[str, ParameterValue]], vendors: VendorLabels) -> dict[Key, str]:
+    """Name setups by middleware and bridge, and those of one name by whatever differs between them."""
+    choices = [choice_of(str(setting["setting"])) for setting in settings.values()]
+    word = setting_word(choices)
+    parts: list[tuple[Rule, Callable[[Mapping[str, ParameterValue]], str]]] = [
+        *((where_alike, partial(_value, column)) for column in _FURTHER),
+        (where_alike, lambda setting: word(choice_of(str(setting["setting"])))),
+    ]
+    return dict(zip(settings, tell_apart(list(settings.values()), partial(_label, vendors), parts), strict=True))
 
 
 def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
@@ -132,7 +153,7 @@ def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
 
 def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     value = setting[column]
-    return printable(f"depth {value}" if column == "depth" else value)
+    return printable(f"depth {value}" if column == "depth" else "none" if value is None else value)
 
 
 def _order(answer: CaseAnswer) -> tuple[object, ...]:

@@ -83,8 +83,6 @@ def _plain(value: object) -> object:
 
 WIDTH = 80
 _LONGEST_NAME = 28
-"""Topic names of up to so many letters are shown in one line."""
-
 _LEVELS = "·▁▂▃▄▅▆▇█"
 _STYLES = {"whole": "green", "holes": "yellow", "damaged": "red"}
 

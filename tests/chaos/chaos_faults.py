@@ -101,8 +101,6 @@ class Happening:
 
 
 class Kill(Happening):
-    """A signal to one process."""
-
     first = signal.SIGKILL
     struck: Process | None = None
 

@@ -152,7 +152,6 @@ class ChaosRound:
 
 
 def main() -> None:
-    """Run one round; print its line as JSON."""
     seed, folder, only = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:]
     combinations = installed_combinations()
     drawn = draw_round(seed, [pair for pair in combinations if not only or ":".join(pair) in only])

@@ -11,8 +11,6 @@ from dds_trace.cli.sweep import command
 
 @pytest.fixture
 def call(monkeypatch, capsys):
-    """Calls `dds-sweep`; its exit code, stdout and stderr."""
-
     def calling(*arguments):
         monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:

@@ -89,7 +89,6 @@ class Target:
         return self._bag("bag.db3", changed(self._good["bag.db3"], data))
 
     def _ros1(self, data: bytes) -> Path:
-        """The bytes are a ROS 1 bag."""
         return self._file("bag.bag", data)
 
     def _changed_ros1(self, data: bytes) -> Path:

@@ -54,7 +54,6 @@ class Target:
         shaped(self._shapes, data)
 
     def seeds(self) -> dict[str, bytes]:
-        """Good texts, and no change to good descriptions."""
         return shaped_seeds(
             self._shapes,
             {

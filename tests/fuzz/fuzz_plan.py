@@ -113,7 +113,6 @@ def toml(table: dict[str, Any]) -> str:
 
 
 def text(value: object) -> str:
-    """Return a value as TOML writes it."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{text(key)} = {text(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list):

@@ -39,7 +39,6 @@ def chunk(content: bytes, compression: bytes, packed: bytes) -> bytes:
 
 
 def finished(data_section: bytes) -> bytes:
-    """A file around a data section, without summary."""
     header = record(Opcode.HEADER, struct.pack("<II", 0, 0))
     end = record(Opcode.DATA_END, bytes(4)) + record(Opcode.FOOTER, bytes(20))
     return MAGIC + header + data_section + end + MAGIC

@@ -50,7 +50,6 @@ class Target:
             raise AssertionError(f"{trace.truncated}, {trace.event_count} events, {report}")
 
     def seeds(self) -> dict[str, bytes]:
-        """A good ring in each shape."""
         return shaped_seeds(
             self._shapes,
             {

@@ -23,7 +23,6 @@ UNIT = Path(__file__).parents[2] / "systemd/dds-trace-relay@.service"
 
 @pytest.fixture
 def service():
-    """The section `[Service]` of the unit."""
     parser = configparser.RawConfigParser(delimiters=("=",), comment_prefixes=("#",))
     parser.optionxform = str
     parser.read(UNIT)

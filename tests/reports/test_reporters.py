@@ -87,7 +87,7 @@ def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
     lines = terminal.render_brief(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
     binary = lines.index("Fastest in the same domain (Binary)")
     fact, bars = lines[binary + 1 : binary + 3]
-    assert fact.startswith("✓ at every size: Zenoh, next ")
+    assert fact.startswith("✓ at every size: Zenoh (")
     short, long = (part.count("▇") for part in bars.split("   ")[:2])
     assert 1 <= short < long == INLINE_BAR
     assert bars.endswith("1 MB at 10 Hz")
@@ -231,9 +231,8 @@ def test_the_terminal_says_what_its_numbers_rest_on():
 @pytest.mark.parametrize("kind", ["terminal", "md", "html"])
 def test_messages_that_were_never_sent_are_mentioned(kind):
     text = " ".join(load_reporter(kind).render(Book(make_analysis(*HALF_SENT))).split())
-    assert "300 more messages" in text
-    assert "in 1 of 1 result" in text
-    assert "all received, 300 more never sent" in text
+    assert "300 of them never sent" in text
+    assert "300 received, 300 never sent" in text
 
 
 @pytest.mark.parametrize("kind", ["terminal", "md", "html"])
@@ -248,7 +247,7 @@ def test_times_of_a_result_with_losses_are_named_those_of_the_received_messages(
 @pytest.mark.parametrize(("changes", "runs"), [({}, "1, within one run"), ({"details": details_not_requested()}, "1")])
 def test_markdown_counts_unsent_messages_next_to_the_received_ones_and_runs_even_without_intervals(changes, runs):
     text = load_reporter("md").render(Book(replace(make_analysis(*HALF_SENT), **changes)))
-    assert f"| 100 %, 300 unsent | {runs} |" in text
+    assert f"| 50 %, 300 unsent | {runs} |" in text
 
 
 def test_rich_markup_in_a_trace_stays_text():

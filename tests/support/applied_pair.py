@@ -47,7 +47,6 @@ class Report:
 
     @property
     def settings(self) -> list[str]:
-        """Settings that were not applied, by the end."""
         return [setting for setting, _ in self.at_end]
 
 

@@ -43,7 +43,6 @@ def points(count: int, store: Any = ROS2) -> Any:
 
 
 def image(count: int, store: Any = ROS2) -> Any:
-    """An Image of `count` rows of 30 bytes."""
     return store.types["sensor_msgs/msg/Image"](
         header=header(store, "camera"),
         height=count,

@@ -6,17 +6,17 @@ from mcap.writer import CompressionType, Writer
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
 
-MS = 1_000_000
+MS, S = 1_000_000, 10**9
 START_NS = 1_700_000_000 * 10**9
 HEADER = ("my_msgs/msg/Blob", "ros2msg", b"std_msgs/Header header\nuint8[] data\n")
 
 
-def blob(stamp_ns, size=8):
-    return b"\0\1\0\0" + struct.pack("<iI", *divmod(stamp_ns, 10**9)) + struct.pack("<I", 2) + b"a\0" + bytes(size)
+def blob(stamp_ns, size=8, frame="a"):
+    head = struct.pack("<4siII", b"\0\1\0\0", *divmod(stamp_ns, 10**9), len(frame) + 1)
+    return head + frame.encode() + b"\0" + bytes(size)
 
 
 def write(path, topics, *, schema=HEADER, chunk_size=1 << 20, metadata=None, sequences=None):
-    """Topics: name -> list of (log time in ns, stamp in ns); in order of the log times, as a recorder writes them."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=chunk_size, compression=CompressionType.NONE)
         writer.start("ros2")
@@ -35,7 +35,6 @@ def write(path, topics, *, schema=HEADER, chunk_size=1 << 20, metadata=None, seq
 
 
 def timer(hz, seconds, *, without=(), since_ns=START_NS):
-    """Log times and stamps of a timer; `without` are (first, last) in s that are missing."""
     times = [since_ns + round(n * 1e9 / hz) for n in range(int(hz * seconds))]
     return [(at, at - MS) for at in times if not any(first <= (at - since_ns) / 1e9 < last for first, last in without)]
 

@@ -8,7 +8,6 @@ from dds_trace.cli.analyze import main
 
 
 def run_main(*arguments):
-    """Run the command; its exit code."""
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     return ended.value.code or 0

@@ -45,7 +45,6 @@ def text(rng: random.Random, size: int) -> bytes:
 
 
 def make_good(kind: str, folder: Path, seed: int) -> Good:  # noqa: C901 - each kind has its own layout
-    """Write a recording of 300 messages."""
     rng = random.Random(seed)
     messages = [
         (TOPICS[number % 3], START_NS + number * 10_000_000, text(rng, rng.randrange(10, 600))) for number in range(300)

@@ -42,7 +42,6 @@ class Progress:
 
 
 def read_progress(path: Path, threads: int) -> list[Progress]:
-    """What the threads have told."""
     data = path.read_bytes()
     return [Progress(*_WORDS.unpack_from(data, thread * PROGRESS_BYTES)) for thread in range(threads)]
 

@@ -36,13 +36,11 @@ def open_sink(path: Path, **options: int) -> TraceSink:
 
 
 def stamp(sink: TraceSink, first: int, end: int) -> None:
-    """Keep a T1 of each sequence number."""
     for sequence in range(first, end):
         sink.record(1, 1, sequence, 1000 * sequence)
 
 
 def sequences(path: Path) -> list[int]:
-    """The sequence numbers of all T1."""
     return read_trace(path).events[Stage.T1].sequence.tolist()
 
 

@@ -98,7 +98,6 @@ class RunningCommand:
         return Finished(status, "".join(self._lines["stdout"]), "".join(self._lines["stderr"]))
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> Finished:
-        """End it as a user would, and wait."""
         self.send_signal(number)
         return self.finish()
 

@@ -50,7 +50,6 @@ def secured_environment() -> Path:
 
 
 def _make() -> str:
-    """Build it; empty where that fails."""
     folder = Path(os.environ.get(KEPT) or tempfile.mkdtemp(prefix="dds-trace-tests-"))
     home, environment = folder / "cyclonedds-home", folder / f"cyclonedds-{VERSION}"
     home.mkdir()

@@ -323,7 +323,6 @@ def write_messages(
 
 
 def string_cdr(text: str) -> bytes:
-    """`std_msgs/msg/String` as little-endian CDR."""
     data = text.encode() + b"\0"
     return b"\x00\x01\x00\x00" + len(data).to_bytes(4, "little") + data
 

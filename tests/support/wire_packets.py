@@ -89,7 +89,6 @@ def heartbeat(first, last, writer=WRITER):
 
 
 def acknack(base, missing=0, writer=WRITER):
-    """Asks for so many numbers from `base` on."""
     bitmap = struct.pack("<I", 0xFFFFFFFF) if missing else b""
     return submessage(
         0x06, entities(READER, writer) + struct.pack("<iII", 0, base, missing) + bitmap + struct.pack("<I", 1)

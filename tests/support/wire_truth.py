@@ -19,8 +19,6 @@ _RECORD = struct.Struct("<BBI")
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as the forwarder saw it."""
-
     side: int
     dropped: bool
     octets: bytes

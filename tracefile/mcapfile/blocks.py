@@ -52,12 +52,7 @@ _FREE: deque[UnpackMemory] = deque(maxlen=8)
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Records of neighbouring chunks, or a stretch of records outside of chunks, taken apart.
-
-    Attributes:
-        starts: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
-        chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
-    """
+    """Records of neighbouring chunks, or a stretch of records outside of chunks, taken apart."""
 
     data: Buffer
     scan: Scan

@@ -39,13 +39,7 @@ class ChannelEvents(NamedTuple):
 
 @dataclass(slots=True)
 class Scan:
-    """Offsets of the records in a buffer.
-
-    Attributes:
-        runs: (byte offset, count) of each unbroken stretch of event-shaped records.
-        others: (opcode, byte offset of the content, its length) of each other record of a requested kind, in order.
-        end: end of the last record: the end of the buffer, or the first byte that begins no record.
-    """
+    """Offsets of the records in a buffer."""
 
     runs: list[tuple[int, int]] = field(default_factory=list)
     others: list[tuple[int, int, int]] = field(default_factory=list)

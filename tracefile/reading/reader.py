@@ -29,10 +29,7 @@ _INSTANTS, _OPTIONAL = slice(2, 4), slice(4, 6)  # of the wide columns: T and T0
 
 
 class ColumnsMemory:
-    """Memory for columns, reused as soon as nobody refers to a column in it.
-
-    The C library returns large blocks to the kernel, so that each piece of a trace would fill fresh memory.
-    """
+    """Memory for columns, reused as soon as nobody refers to a column in it."""
 
     def __init__(self) -> None:
         self._free: list[NDArray[np.uint8]] = []  # any thread that drops the last column appends
@@ -74,10 +71,7 @@ class ColumnsBuilder:
 
 
 class _StageColumns:
-    """Events of one stage, all columns in one piece of memory, unfilled parts of which are never allocated.
-
-    numpy requests large pages for it, which halves the cost of touching fresh memory.
-    """
+    """Events of one stage, all columns in one piece of memory, unfilled parts of which are never allocated."""
 
     def __init__(self, expected: int, memory: ColumnsMemory | None) -> None:
         self.filled = 0

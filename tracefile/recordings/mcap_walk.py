@@ -78,21 +78,7 @@ class _Unpacked:
 
 
 class McapWalk:
-    """One-time iterable of the messages, attachments and metadata of a file, in file order.
-
-    Attributes, final after the last item:
-        closed: whether the file has its footer.
-        is_unpacked: whether no chunk so far was compressed.
-        damages: one line for each damage; `notes` what else is worth a word.
-        unchecked: messages without a checksum; `doubtful` messages out of damaged chunks, which may be damaged themselves.
-        schemas, channels: by id; what the summary declares counts more, as it has a CRC.
-        claims: messages of each channel id by the statistics.
-        chunks: first and last log time and number of messages of each chunk.
-
-    Raises:
-        UnreadableError: by the iteration: the file is made to keep a reader busy.
-        TraceFormatError: the device fails.
-    """
+    """One-time iterable of the messages, attachments and metadata of a file, in file order."""
 
     def __init__(self, file: RecordFile) -> None:
         self._file = file

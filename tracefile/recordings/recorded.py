@@ -18,13 +18,7 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordedTopic:
-    """A topic as the recording declares it; a text is empty where there is none.
-
-    Attributes:
-        definition: text of the message definition in `definition_encoding` (`ros2msg`, `ros1msg`, ...).
-        publisher: who published, where the recording distinguishes (rosbag1).
-        type_hash: of the type (REP 2016).
-    """
+    """A topic as the recording declares it; a text is empty where there is none."""
 
     name: str
     message_type: str

@@ -30,17 +30,7 @@ UNFINISHED_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """Result of a recovery.
-
-    Attributes:
-        recovered: the closed trace that was written; None if `path` was closed and whole.
-        originals: the cut off file and its ring, by their new names.
-        file_events, ring_events: events in the file's complete chunks, and those that only the ring had.
-        missing_events: events in neither, after a power failure or on a bad disk.
-        torn_bytes: bytes at the file's end that were no complete record.
-        damaged_chunks: chunks with other content than was written.
-        ring_fault: the damage of a ring from which only whole slots were used, or None.
-    """
+    """Result of a recovery."""
 
     path: Path
     recovered: Path | None

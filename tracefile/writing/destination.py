@@ -32,7 +32,6 @@ class TraceDestination:
 
     @property
     def flush_seconds(self) -> float:
-        """Time between chunks; half with `fsync`, as an event waits for one flush and all of the next."""
         return self.chunk_seconds / 2 if self.fsync else self.chunk_seconds
 
     @property

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from ...choices import Call
 from ..call_node import RELAY_SUFFIX, CallMessage
 from ..node import Endpoint, NodeSubscription, TopicView
-from .node import Ros2Node, message_class, qos_profile
+from .installation import message_class
+from .node import Ros2Node, qos_profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

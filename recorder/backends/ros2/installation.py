@@ -7,12 +7,14 @@ import re
 import subprocess
 import sys
 from contextlib import suppress
-from importlib import metadata
+from functools import lru_cache
+from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.printable import printable
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
@@ -164,6 +166,29 @@ def _debian_version(package: str) -> str | None:
         if distro and (match := re.search(pattern, DPKG_STATUS.read_text(errors="replace"), re.MULTILINE)):
             return match[1]
     return None
+
+
+_INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-9]{0,99}")
+
+
+@lru_cache(256)
+def message_class(type_name: str) -> Any:
+    """Return the class of an interface of an installed package; the name of a type, which may be a stranger's, imports nothing else.
+
+    Raises:
+        BackendUnavailableError: it is not installed, or not the name of an interface.
+    """
+    if _INTERFACE.fullmatch(type_name) is None:
+        raise BackendUnavailableError(f"{printable(type_name, 80)} is not the name of a ROS 2 type (package/msg/Name)")
+    package, kind, name = type_name.split("/")
+    spec = find_spec(package)
+    folders = [] if spec is None else spec.submodule_search_locations or []
+    if any(list(Path(folder).glob(f"{package}_s__rosidl_typesupport_c*.so")) for folder in folders):
+        with suppress(ImportError, AttributeError):
+            return getattr(import_module(f"{package}.{kind}"), name)
+    raise BackendUnavailableError(
+        f"the message type {type_name} is not installed; apt install ros-$ROS_DISTRO-{package.replace('_', '-')}, or {INSTALL}"
+    )
 
 
 def find_program(package: str, program: str) -> Path | None:

@@ -21,12 +21,13 @@ from dds_trace.tracefile.format.descriptions import Qos
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind, Transport
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, Publication, ThreadedNode, TopicView
-from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, requested_durations
+from ..other_side import NOT_TEXT
+from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
 from .fastdds_profile import publish_unlocked
-from .installation import INSTALL, package_version
+from .installation import message_class, package_version
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Mapping, Sequence
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription, TapReceive, TopicPatterns
 
@@ -126,25 +127,45 @@ class Ros2Node(ThreadedNode):
         return opened
 
     def list_publications(self, matches: TopicPatterns) -> list[Publication]:
-        names = [name for name, _ in self._node.get_topic_names_and_types() if matches(name)]
-        infos = [(name, info) for name in names for info in self._node.get_publishers_info_by_topic(name)]
+        infos = self._infos("/parameter_events") or []
+        own_gid = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
+        names = ((name, types) for name, types in self._names_and_types(matches.texts) if matches(name))
+        return [publication for name, types in names for publication in self._publications(name, types, own_gid)]
+
+    def _names_and_types(self, names: Sequence[str]) -> list[tuple[str, list[str]]]:
+        """Return the graph's topics; where a name is not text, which fails the list, those of ROS nodes and of `names`."""
+        try:
+            return self._node.get_topic_names_and_types()  # type: ignore[no-any-return]
+        except UnicodeDecodeError:
+            self.strangers.count_once(NOT_TEXT)
+        found = {name: list[str]() for name in names if name.startswith("/") and not set(name) & set("*?[")}
+        with suppress(UnicodeDecodeError):
+            for node in self._node.get_node_names_and_namespaces():
+                with suppress(Exception):  # it left, or this one is the stranger
+                    found.update(self._node.get_publisher_names_and_types_by_node(*node))
+        return list(found.items())
+
+    def _infos(self, name: str) -> list[Any] | None:
+        with suppress(Exception):  # not a name of ROS, or the name of a node is not text
+            return self._node.get_publishers_info_by_topic(name)  # type: ignore[no-any-return]
+        return None
+
+    def _publications(self, name: str, types: Sequence[str], own_gid: bytes) -> list[Publication]:
+        infos = self._infos(name)
+        if infos is None:  # who joins it gets rclpy's reason
+            return [Publication(name, type_name) for type_name in types]
         return [
             Publication(
                 name,
                 info.topic_type,
-                bytes(info.endpoint_gid[:GUID_BYTES]).hex(),
+                (guid := bytes(info.endpoint_gid[:GUID_BYTES])).hex(),
                 f"{info.node_namespace.rstrip('/')}/{info.node_name}",
                 _endpoint(info).qos,
-                self._is_local(bytes(info.endpoint_gid[:GUID_BYTES])),
+                own_gid[:_HOST_BYTES] == guid[:_HOST_BYTES] if own_gid[:2] == guid[:2] == _FAST_DDS else None,
             )
-            for name, info in infos
+            for info in infos
             if info.node_name != self.options.name
         ]
-
-    def _is_local(self, guid: bytes) -> bool | None:
-        infos = self._node.get_publishers_info_by_topic("/parameter_events")
-        own_gid = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
-        return own_gid[:_HOST_BYTES] == guid[:_HOST_BYTES] if own_gid[:2] == guid[:2] == _FAST_DDS else None
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
@@ -208,7 +229,7 @@ class Ros2Node(ThreadedNode):
             publishers,
             subscriptions,
             pairs or tuple(sorted(self._incompatible.get(topic, ()))),
-            tuple(_other_definitions(topic, [*publishing, *subscribed], self.options.name)),
+            tuple(other_definitions(topic, [*publishing, *subscribed], self.options.name)),
         )
 
     def participant_names(self) -> list[str]:
@@ -374,17 +395,6 @@ def _events(class_name: str, on_incompatible: Callable[[Any], None]) -> Any:
     return getattr(import_module(module), class_name)(incompatible_qos=on_incompatible, use_default_callbacks=False)
 
 
-def message_class(type_name: str) -> Any:
-    package, kind, name = type_name.split("/")
-    try:
-        return getattr(import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as err:
-        raise BackendUnavailableError(
-            f"the message type {type_name} is not installed; "
-            f"apt install ros-$ROS_DISTRO-{package.replace('_', '-')}, or {INSTALL}"
-        ) from err
-
-
 def qos_profile(qos: Qos) -> Any:
     kinds = _rclpy().qos
     try:
@@ -415,16 +425,6 @@ def _endpoint(info: Any) -> Endpoint:
             duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES}),
         ),
     )
-
-
-def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
-    """Yield a line for each endpoint of another definition than ours: Fast DDS would misread its messages."""
-    hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
-    hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
-    our_types = {info.topic_type: text for info, text in hashes if info.node_name == own_name}
-    for info, text in hashes:
-        if text != our_types.get(info.topic_type, text):
-            yield f"{topic}: {info.node_name}'s {info.topic_type} has the same name and another definition"
 
 
 def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:

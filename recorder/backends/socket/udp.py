@@ -95,7 +95,6 @@ class UdpLinks:
 
     @property
     def receive_buffer_bytes(self) -> int:
-        """Size of the receive buffer as the kernel reports it, twice the requested one (socket(7))."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     @property

@@ -13,7 +13,10 @@ from ..station.namespaces import NamespacePair
 
 
 class OutageReport(TypedDict):
-    """One outage of a run, on this machine's CLOCK_MONOTONIC; `limit_s`: how long the run waited for a message after it."""
+    """One outage of a run, on this machine's CLOCK_MONOTONIC; `limit_s`: how long the run waited for a message after it.
+
+    Of a link, `began_ns` and `ended_ns` are when the kernel took it down and up.
+    """
 
     by: str
     seconds: float
@@ -50,17 +53,16 @@ class Outage:
         if self._due_s is None:
             self._due_s = now_s + self._run.outage_after_seconds
         if not self._began_ns and now_s >= self._due_s:
-            self._began_ns = time.monotonic_ns()
-            self._cut()
+            self._began_ns = self._cut()
         if self._began_ns and not self._ended_ns:
             left_s = self._seconds - (time.monotonic_ns() - self._began_ns) / 1e9
             if left_s <= _LONGEST_WAIT_S:
                 time.sleep(max(left_s, 0.0))
-                if self._by is OutageBy.RELAY:
+                if self._pair is not None and self._by is not OutageBy.RELAY:
+                    self._ended_ns = self._pair.restore(self._by)
+                else:
                     self._serve()
-                elif self._pair is not None:
-                    self._pair.restore(self._by)
-                self._ended_ns = time.monotonic_ns()
+                    self._ended_ns = time.monotonic_ns()
 
     def report(self) -> OutageReport | None:
         if not self._ended_ns:
@@ -81,12 +83,13 @@ class Outage:
             if self._pair is not None:
                 self._pair.repair()
 
-    def _cut(self) -> None:
+    def _cut(self) -> int:
         if self._by is OutageBy.RELAY:
+            began_ns = time.monotonic_ns()
             self._kill()
-        else:
-            assert self._pair is not None  # the plan was checked
-            self._pair.cut(self._by)
+            return began_ns
+        assert self._pair is not None  # the plan was checked
+        return self._pair.cut(self._by)
 
 
 _LONGEST_WAIT_S = 0.25

@@ -163,7 +163,6 @@ class SweepState:
 
 
 def _check_names(name: str, cell: CellState) -> None:
-    """Refuse foreign names: they become paths to files that may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
     for segment in filter(None, (cell.segment, cell.killed_segment, *cell.further)):

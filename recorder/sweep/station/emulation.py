@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import json
 import os
+import selectors
 import shutil
+import socket
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError
 
 from ..plan.link import EndCounters, Link
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 INTERFACE = "link0"
 
@@ -24,6 +34,14 @@ SYSTEM_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian ha
 # <linux/if_tun.h>
 _TUNSETIFF = 0x400454CA
 _IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
+
+# <linux/sched.h>, <linux/netlink.h>, <linux/rtnetlink.h>, <linux/if.h>
+_CLONE_NEWNET, _NETLINK_ROUTE, _LINK_AND_TC = 0x40000000, 0, 0x1 | 0x8
+_NEW_LINK, _NEW_DISCIPLINE, _REMOVED_DISCIPLINE = 16, 36, 37
+_UP_AND_CARRIER = 0x1 | 0x10000
+
+DROPPING_HANDLE = 0xFF
+"""Major number of the queue discipline that drops every frame."""
 
 _TBF_BURST_FRAMES_BYTES = 2 * 1514
 _TBF_BURST_S = 0.0002
@@ -78,6 +96,70 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
              "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
         )  # fmt: skip
     return disciplines
+
+
+class LinkEvents:
+    """When the kernel takes the link of namespaces down and up (rtnetlink); the commands themselves take up to 72 ms."""
+
+    def __init__(self, namespaces: Sequence[str]) -> None:
+        with ThreadPoolExecutor(1) as pool:  # a thread of its own, as it changes its namespace
+            self._sockets = [pool.submit(_route_socket, namespace).result() for namespace in namespaces]
+        self._wake, self._waker = os.pipe()
+        self._thread = threading.Thread(target=self._read, name="link-events", daemon=True)
+        self._times: list[tuple[int, bool]] = []
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.write(self._waker, b"x")  # what the commands changed is in the sockets by now
+        self._thread.join()
+        for descriptor in (self._wake, self._waker):
+            os.close(descriptor)
+        for netlink in self._sockets:
+            netlink.close()
+
+    def first_ns(self, *, passes: bool) -> int | None:
+        return min((at_ns for at_ns, state in self._times if state is passes), default=None)
+
+    def last_ns(self, *, passes: bool) -> int | None:
+        return max((at_ns for at_ns, state in self._times if state is passes), default=None)
+
+    def _read(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._wake, selectors.EVENT_READ)
+            for netlink in self._sockets:
+                selector.register(netlink, selectors.EVENT_READ)
+            while ready := [key.fileobj for key, _ in selector.select()]:
+                at_ns = time.monotonic_ns()
+                for netlink in self._sockets:
+                    if netlink in ready:
+                        self._times += [(at_ns, passes) for passes in link_changes(netlink.recv(65_536))]
+                if ready == [self._wake]:
+                    return
+
+
+def _route_socket(namespace: str) -> socket.socket:
+    with Path("/run/netns", namespace).open("rb") as file:
+        if ctypes.CDLL(None, use_errno=True).setns(file.fileno(), _CLONE_NEWNET):
+            raise BackendUnavailableError(f"network namespace {namespace}: {os.strerror(ctypes.get_errno())}")
+    netlink = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_ROUTE)
+    netlink.bind((0, _LINK_AND_TC))
+    return netlink
+
+
+def link_changes(messages: bytes) -> Iterator[bool]:
+    """Yield for each message about the link whether frames pass from then on; `lo` is left out."""
+    at = 0
+    while at + 28 <= len(messages):
+        length, kind = struct.unpack_from("IH", messages, at)
+        index, value = struct.unpack_from("=iI", messages, at + 20)
+        if kind == _NEW_LINK and index != 1:
+            yield value & _UP_AND_CARRIER == _UP_AND_CARRIER
+        elif kind in (_NEW_DISCIPLINE, _REMOVED_DISCIPLINE) and value == DROPPING_HANDLE << 16:
+            yield kind == _REMOVED_DISCIPLINE
+        at += max(16, (length + 3) & ~3)
 
 
 def open_tap(name: str, namespace: str) -> int:

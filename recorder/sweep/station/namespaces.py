@@ -17,7 +17,18 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..plan.cells import OutageBy
 from ..plan.link import EndCounters
-from .emulation import INTERFACE, SYSTEM_PATH, count_traffic, ip, open_tap, queue_disciplines, start_forwarder, tc
+from .emulation import (
+    DROPPING_HANDLE,
+    INTERFACE,
+    SYSTEM_PATH,
+    LinkEvents,
+    count_traffic,
+    ip,
+    open_tap,
+    queue_disciplines,
+    start_forwarder,
+    tc,
+)
 
 if TYPE_CHECKING:
     import subprocess
@@ -120,21 +131,30 @@ class NamespacePair:
             for side in (self.ping, *self.relays):
                 self._renew_disciplines(side)
 
-    def cut(self, by: OutageBy) -> None:
-        if by is not OutageBy.LOSS:
-            ip("-n", self.ping.namespace, "link", "set", INTERFACE, "down")
-            return
-        for side in (self.ping, self.relay):
-            replaced = f"qdisc replace dev {INTERFACE} root handle ff: pfifo limit 0"
-            tc("-n", side.namespace, *replaced.split())
+    def cut(self, by: OutageBy) -> int:
+        """Return when the first frame could no longer pass, by CLOCK_MONOTONIC."""
+        with LinkEvents([side.namespace for side in (self.ping, self.relay)]) as events:
+            if by is OutageBy.LOSS:
+                for side in (self.ping, self.relay):
+                    replaced = f"qdisc replace dev {INTERFACE} root handle {DROPPING_HANDLE:x}: pfifo limit 0"
+                    tc("-n", side.namespace, *replaced.split())
+            else:
+                ip("-n", self.ping.namespace, "link", "set", INTERFACE, "down")
+            done_ns = time.monotonic_ns()
+        return events.first_ns(passes=False) or done_ns
 
-    def restore(self, by: OutageBy) -> None:
-        if by is OutageBy.LOSS:
-            self._restore_disciplines()
-            return
-        if by is OutageBy.ADDRESS:
-            self._set_address(OTHER_ADDRESS)
-        self._bring_up(self.ping)
+    def restore(self, by: OutageBy) -> int:
+        """Return when frames could pass again, by CLOCK_MONOTONIC."""
+        with LinkEvents([side.namespace for side in (self.ping, self.relay)]) as events:
+            if by is OutageBy.LOSS:
+                self._restore_disciplines()
+            else:
+                if by is OutageBy.ADDRESS:
+                    self._set_address(OTHER_ADDRESS)
+                self._bring_up(self.ping)
+            done_ns = time.monotonic_ns()
+        found_ns = events.last_ns(passes=True) if by is OutageBy.LOSS else events.first_ns(passes=True)
+        return found_ns or done_ns
 
     def repair(self) -> None:
         self._restore_disciplines()
@@ -152,7 +172,7 @@ class NamespacePair:
 
     def _restore_disciplines(self) -> None:
         for side in (self.ping, self.relay):
-            if "qdisc pfifo ff:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
+            if f"qdisc pfifo {DROPPING_HANDLE:x}:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
                 self._renew_disciplines(side)
 
     def _renew_disciplines(self, side: Side) -> None:

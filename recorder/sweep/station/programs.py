@@ -97,7 +97,6 @@ class Program:
 
     @property
     def relay_id(self) -> int | None:
-        """The number of a relay in its replies, as its log has it; None before it serves."""
         serving = _SERVING.search(self.log.read_text(errors="replace"))
         return None if serving is None else int(serving[1], 16)
 

@@ -25,6 +25,8 @@ import dds_trace.analyzer.findings
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.units import parse_duration
+from dds_trace.reports.book.answer import PointKind
+from dds_trace.reports.book.book import Book
 from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
@@ -377,13 +379,18 @@ def test_replies_before_the_relay_sent_them_are_forged_on_one_clock(tmp_path):
     messages[7] = replace(messages[7], t2=messages[7].t4 - 1)
     write_pair(tmp_path, messages, ping=ping_session(extra=BOOT), relay=relay_session(extra=BOOT))
     assert "1 sooner" in findings(tmp_path)["forged_or_foreign"].what
+    analysis = analyze(tmp_path)
+    (kind, _), *others = Book(analysis).answer.sentences
+    assert (kind, analysis.details.answers) == (PointKind.FORGED, ())
+    assert not [text for _, text in others if "median" in text]
 
 
 @pytest.mark.parametrize("offset_ns", [1_000_000 * MS, 5 * MS])
 def test_a_relay_in_another_time_namespace_is_nobody_else(tmp_path, offset_ns):
     messages = [replace(one, t3=one.t3 + offset_ns, t4=one.t4 + offset_ns) for one in drawn(count=100)]
     write_pair(tmp_path, messages, ping=ping_session(extra=BOOT), relay=relay_session(extra=BOOT))
-    assert "forged_or_foreign" not in findings(tmp_path)
+    for details in (True, False):
+        assert "forged_or_foreign" not in {finding.code for finding in analyze(tmp_path, details=details).findings}
 
 
 def test_a_clock_set_between_two_recordings_is_found(tmp_path):

@@ -13,7 +13,6 @@ def columns(*events):
 
 
 def pair(t1, t2=(), t3=(), t4=(), warmup=0):
-    """Events as (sequence, ns) pairs."""
     published = published_messages(columns(*(event(s, t, scheduled_ns=t) for s, t in t1)), warmup)
     return published, pair_messages(published, *(columns(*(event(s, t) for s, t in e)) for e in (t2, t3, t4)))
 

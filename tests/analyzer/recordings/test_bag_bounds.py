@@ -54,7 +54,6 @@ BAGS = {
 
 @pytest.fixture(params=BAGS)
 def write_bag(request, tmp_path):
-    """A function that writes a bag of messages of the given sizes, and returns its path."""
 
     def written(*sizes_bytes):
         path = tmp_path / request.param

@@ -2,11 +2,12 @@ import struct
 
 import numpy as np
 import pytest
-from card_bags import MS, START_NS, card, timer, write
+from card_bags import MS, START_NS, S, card, timer, write
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 
+from dds_trace.analyzer.recordings.periods import find_regularity
 from dds_trace.analyzer.recordings.rows import qos_words
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 
@@ -112,22 +113,6 @@ def test_messages_at_time_0_are_of_another_clock(tmp_path):
     assert any(note.startswith("3 messages logged 54 years") for note in health.notes)
 
 
-def test_a_clock_that_was_set_forward_is_no_loss(tmp_path):
-    moved = [(log_ns + (n >= 100) * 30 * 10**9, stamp_ns) for n, (log_ns, stamp_ns) in enumerate(timer(20, 10))]
-    _, health, rows = card(write(tmp_path / "x.mcap", {"/cam": moved}))
-    assert rows["/cam"]["missing"] == 0
-    assert any("set forward" in note for note in health.notes)
-
-
-def test_stamps_that_jump_or_run_over_are_named(tmp_path):
-    stamps = [(at, at - MS - (n >= 50) * 5 * 10**9) for n, (at, _) in enumerate(timer(10, 10))]
-    _, health, _ = card(write(tmp_path / "x.mcap", {"/a": stamps}))
-    assert any("jump 1 time" in note for note in health.notes)
-    over = [(at, (at // 1000 % 2**32) * 1000) for at, _ in timer(1, 9000)]
-    _, health, _ = card(write(tmp_path / "y.mcap", {"/a": over}))
-    assert any("32 bits of us" in note for note in health.notes)
-
-
 def test_chunks_out_of_order_are_counted(tmp_path):
     path = tmp_path / "x.mcap"
     with path.open("wb") as file:
@@ -187,3 +172,119 @@ def test_a_damaged_chunk_is_a_damage_and_the_rest_is_read(tmp_path):
     assert (report.verdict, health.verdict) == ("damaged", "damaged")
     assert "is damaged" in health.damages[0]
     assert rows["/a"]["messages"] >= 999
+
+
+def camera(hz, selected, *, jitter_ms=0.2, stamp_jitter_ms=0.0):
+    rng, count = np.random.default_rng(3), len(selected)
+    stamps = START_NS + np.arange(count) * 1e9 / hz + rng.normal(0, stamp_jitter_ms, count) * MS
+    logged = stamps + (3 + np.abs(rng.normal(0, jitter_ms, count))) * MS
+    return sorted((int(logged[n]), int(stamps[n])) for n in np.flatnonzero(selected))
+
+
+N = np.arange(16_000)
+GRIDS = {
+    "every second frame gone in half of the time": (15, (N[:900] // 75 % 2 == 0) | (N[:900] % 2 == 0)),
+    "three quarters lost at random": (20, np.random.default_rng(7).random(1200) > 0.75),
+    "five of sixteen arrive": (1000, N % 16 < 5),
+}
+
+
+@pytest.mark.parametrize("stamp_jitter", [0, 0.015])
+@pytest.mark.parametrize("name", GRIDS)
+def test_stamps_on_a_grid_count_what_is_missing(tmp_path, name, stamp_jitter):
+    hz, selected = GRIDS[name]
+    frames = camera(hz, selected, stamp_jitter_ms=stamp_jitter * 1000 / hz)
+    row = card(write(tmp_path / "x.mcap", {"/points": frames}))[2]["/points"]
+    missing = int(np.diff(np.flatnonzero(selected) - 1).sum() - selected.sum()) + 1
+    assert (row["missing"], row["missing_low"], row["missing_from"]) == (missing, missing, "stamps")
+    assert row["expected_rate_hz"] == pytest.approx(hz, rel=1e-3)
+
+
+def stalled(seed, every, stall_ms, next_ms):
+    rng, now, arrivals = np.random.default_rng(seed), 0.0, []
+    for n in range(1000):
+        now = max(now + next_ms * (1 + 0.05 * rng.normal()), n * 20 + abs(rng.normal(0, 0.6)))
+        if n % every == every - 1:
+            now = n * 20 + stall_ms * (0.6 + 0.8 * rng.random())
+        arrivals.append(now)
+    return np.array(arrivals)
+
+
+@pytest.mark.parametrize(
+    ("every", "stall_ms", "next_ms"), [(50, 100, 2.2), (25, 100, 0.2), (15, 80, 5), (100, 500, 2.2)]
+)
+def test_a_queue_that_is_flushed_is_no_other_rate(every, stall_ms, next_ms):
+    for seed in range(40):
+        times_ns = START_NS + (stalled(seed, every, stall_ms, next_ms) * MS).astype(np.int64)
+        regularity = find_regularity(times_ns)
+        assert (regularity.missing, regularity.low) == (0, 0)
+        assert regularity.rate_hz == pytest.approx(50, rel=0.02)
+
+
+def test_two_readings_of_arrivals_are_within_the_interval(tmp_path):
+    selected = (N[:900] < 450) | (N[:900] % 2 == 0)
+    topics = {"/a": [(log, log) for log, _ in camera(15, selected, jitter_ms=1)]}
+    report, health, rows = card(write(tmp_path / "x.mcap", topics))
+    assert (rows["/a"]["missing_low"], health.verdict) == (0, "whole")
+    assert rows["/a"]["missing_high"] == pytest.approx(224, abs=2)
+    assert "are missing" not in render_markdown(report)
+
+
+@pytest.mark.parametrize("name", ["/cmd_vel", "/something"])
+def test_silence_of_commands_is_no_loss(tmp_path, name):
+    pressed = [(2, 5), (20, 22.5), (41, 47)]
+    keys = [at for at in np.arange(2, 47, 1 / 30) if any(first <= at < last for first, last in pressed)]
+    topics = {name: [(START_NS + int(at * S), START_NS + int(at * S) - 2 * MS) for at in keys], "/odom": timer(20, 60)}
+    _, health, rows = card(write(tmp_path / "x.mcap", topics))
+    assert (rows[name]["missing"], rows[name]["missing_from"], health.verdict) == (None, "", "whole")
+
+
+def ages(count, hz, age_ms):
+    due = [(START_NS + int(n * S / hz), int(age_ms(n) * MS)) for n in range(count)]
+    return [(at + max(age_ns, 0), at + max(-age_ns, 0)) for at, age_ns in due]
+
+
+def queued_ms(at_ms):
+    return next((3 + end - at_ms for start, end in ((5000, 5800), (9000, 9500)) if start < at_ms < end), 3)
+
+
+STEADY = {"/imu": ages(3200, 100, lambda _: 3), "/odom": ages(640, 20, lambda _: 3)}
+CLOCKS = {
+    "a topic": ({"/color": ages(450, 15, lambda n: 60 if n < 150 else 1200), **STEADY}, "/color became 1.14 s later at 00:10"),
+    "the recorder": ({t: ages(600, 20, lambda n: 3 + 2500 * (n > 300)) for t in ("/a", "/b")}, "was set forward by 2.5 s at 00:15"),
+    "a device": ({"/oak": ages(300, 30, lambda n: 3 - 4000 * (n > 120)), **STEADY}, "jump 1 time"),
+    "one topic": ({"/cam": ages(200, 20, lambda n: 3 + 30_000 * (n > 100))}, "no other topic shows which"),
+    "one jump": ({"/a": [(at, at - MS - (n >= 50) * 5 * S) for n, (at, _) in enumerate(timer(10, 10))]}, "jump 1 time"),
+    "a counter of 32 bits": ({"/a": [(at, (at // 1000 % 2**32) * 1000) for at, _ in timer(1, 9000)]}, "32 bits of us"),
+    "a stall": ({"/a": ages(2000, 100, lambda n: queued_ms(n * 10)), "/b": ages(1000, 50, lambda n: queued_ms(n * 20))}, "2 times, for up to 800 ms at 00:05"),
+    "latched": ({"/tf_static": [(START_NS + n * MS, START_NS - 156 * S // (n + 1)) for n in range(3)], **STEADY}, "nodes that started earlier"),
+    "two kinds": ({"/tf": sorted(ages(1000, 20, lambda _: 2) + [(at + 7 * MS, at + 1200 * MS) for at, _ in ages(100, 2, lambda _: 0)])}, "two kinds"),
+    "a slow simulation": ({"/pose": [(START_NS + int(n * 0.1 / 0.28 * S), 10 * S + n * 100 * MS) for n in range(1200)]}, "0.28 of real time"),
+    "TAI": ({"/points": ages(200, 10, lambda _: -36_995), **STEADY}, "TAI"),
+    "GPS": ({"/fix": ages(200, 10, lambda _: -17_950), **STEADY}, "GPS"),
+    "microseconds": ({"/flow": [(START_NS + n * 20 * MS, START_NS + n * 20_000) for n in range(500)]}, "microseconds"),
+    "growth": ({"/image": ages(1800, 30, lambda n: 30 + 6000 * n / 1800)}, "from 36.7 ms to"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_each_change_of_an_age_has_its_own_sentence(tmp_path, name):
+    topics, words = CLOCKS[name]
+    _, health, rows = card(write(tmp_path / "x.mcap", topics))
+    notes = [note for note in health.notes if "another clock" not in note]
+    assert len(notes) == 1
+    assert words in notes[0]
+    assert ("recorder's clock" in notes[0]) is (name in {"the recorder", "one topic"})
+    assert not any(row["missing_low"] for row in rows.values())
+
+
+def test_bursts_and_units_of_stamps_are_said(tmp_path):
+    bursts = [(START_NS + b * 100 * MS + k * 100_000, START_NS + (b - 1) * 100 * MS + k * 5 * MS) for b in range(200) for k in range(20)]  # fmt: skip
+    seconds = [(at, at // S * S) for at, _ in timer(20, 20)]
+    report, _, rows = card(write(tmp_path / "x.mcap", {"/livox": bursts, "/odom": seconds}))
+    assert (rows["/livox"]["expected_rate_hz"], rows["/livox"]["missing"]) == (pytest.approx(200), 0)
+    assert (rows["/livox"]["burst_messages"], rows["/livox"]["burst_ns"]) == (20, 1.9 * MS)
+    assert rows["/odom"]["age_resolution_ns"] == S
+    page = render_markdown(report)
+    assert "then 98.1 ms" in page
+    assert "below 1 s" in page

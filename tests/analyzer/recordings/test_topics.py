@@ -73,7 +73,6 @@ def write_bag2(path, storage, compression=None):
 
 
 def write_mcap(path, messages, *, encoding="json", schema=None, compression=CompressionType.NONE):
-    """Messages (topic, log, publish, data) as one MCAP file."""
     with path.open("wb") as file:
         writer = Writer(file, compression=compression)
         writer.start()
@@ -143,7 +142,6 @@ def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
 
 
 def write_transforms(path, store, *, ros1=False):
-    """`/tf` at 10 Hz: two transforms in each message, stamped 30 ms before; every fifth message is empty."""
     types = store.types
     vector, turn = types["geometry_msgs/msg/Vector3"](1, 2, 3), types["geometry_msgs/msg/Quaternion"](0, 0, 0, 1)
     more = {"seq": 3} if ros1 else {}
@@ -312,7 +310,6 @@ def test_a_time_beyond_the_year_2262_ends_the_reading(tmp_path, times):
 
 
 def write_chunks(path, *chunks):
-    """An MCAP file of chunks: (claimed bytes, packed records)."""
     records = [
         struct.pack("<QQQII", 0, 0, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
         for claimed, packed in chunks

@@ -350,12 +350,6 @@ def test_losses_are_adjusted_over_kinds_of_message():
         assert [one.name for answer in answers for one in answer.contenders if one.loses_more] == losers
 
 
-def test_one_run_is_counted_as_too_few_in_the_headline():
-    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
-    (verdict,) = verdicts_info(find_answers(rows_by_group(frame)), VENDORS)
-    assert (verdict.inconclusive, verdict.within_one_run) == (1, 1)
-
-
 def test_one_of_a_hundred_messages_is_not_more_than_one_percent():
     assert not exceeds_lossy_share(1 - 0.99)
     assert exceeds_lossy_share(1 - 0.989)

@@ -179,7 +179,6 @@ LOCAL = NodeOptions(discovery=Discovery.LOCALHOST, transport=Transport.UDP)
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """A process that has made no node yet."""
     monkeypatch.setattr(fastdds_profile, "_loaded", [])
 
 

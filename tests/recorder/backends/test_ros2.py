@@ -16,6 +16,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.applied.vendors import ros_middleware
 from dds_trace.recorder.backends import load_backend, open_node
 from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.backends.qos import other_definitions
 from dds_trace.recorder.backends.ros2 import node as ros2
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 from dds_trace.recorder.payloads import BINARY, IMU, data_types
@@ -294,11 +295,11 @@ def test_a_type_of_the_same_name_and_another_definition_is_named(sentences):
         return SimpleNamespace(node_name=node_name, topic_type=topic_type, topic_type_hash=type_hash)
 
     ours = info("me", "RIHS01_aa")
-    sentences(*ros2._other_definitions("imu_data", [ours, info("you", "RIHS01_bb")], "me"))
+    sentences(*other_definitions("imu_data", [ours, info("you", "RIHS01_bb")], "me"))
     alike = [info("you", "RIHS01_aa"), info("cyclone", "INVALID"), info("other", "RIHS01_cc", "std_msgs/msg/String")]
     assert (
         list(
-            ros2._other_definitions(
+            other_definitions(
                 "imu_data", [ours, *alike, SimpleNamespace(node_name="humble", topic_type=ours.topic_type)], "me"
             )
         )

@@ -25,8 +25,6 @@ ENOUGH = 10
 
 
 class Beacon:
-    """A beacon on a thread of its own."""
-
     def __init__(self, path, backend, domain_id):
         node = NodeOptions(domain_id=domain_id, discovery=Discovery.LOCALHOST)
         self.options = RecordOptions(

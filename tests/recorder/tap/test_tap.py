@@ -7,7 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.choices import Durability, Reliability
-from dds_trace.recorder.tap.tap import TAP, Tap, chosen_qos, definition_of, reader_of, summarize
+from dds_trace.recorder.tap.tap import MOST_ANNOUNCED, TAP, Tap, chosen_qos, definition_of, reader_of, summarize
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
 
@@ -290,11 +290,11 @@ def test_what_a_graph_announces_is_refused_by_topic_once():
     class StrictNode(FakeTapNode):
         def create_tap(self, topic, type_name, receive, *, qos):
             if topic != CAMERA.topic:
-                raise ValueError(f"{type_name}: no such type")
+                raise ValueError(f"{type_name}: no such type \x1b[2J")
             return super().create_tap(topic, type_name, receive, qos=qos)
 
     node, notes = StrictNode(), []
-    node.graph = [Publication("/camera/\x1b[2J", "nonsense", "bb" * 16, "/x", Qos()), CAMERA]
+    node.graph = [Publication("/camera/other", "nonsense", "bb" * 16, "/x", Qos()), CAMERA]
     tap = Tap(
         node, JsonSink(), TopicPatterns(("*",)), session_id=1, qos=chosen_qos(None, None, None), note=notes.append,
         clock=FakeClock(),
@@ -304,3 +304,31 @@ def test_what_a_graph_announces_is_refused_by_topic_once():
     assert len([note for note in notes if "no such type" in note]) == 1
     assert "\x1b" not in "".join(notes)
     assert set(node.subscriptions) == {CAMERA.topic}
+
+
+def test_topics_and_types_without_end_are_bounded_and_counted():
+    topics = [Publication(f"/many{number:04}", IMAGE) for number in range(MOST_ANNOUNCED)]
+    types = [Publication("/one", f"many/msg/Type{number}") for number in range(MOST_ANNOUNCED)]
+    bench = Bench("/*", graph=[CAMERA, *types, *topics])
+    bench.node.unknown = {publication.type_name for publication in types}
+    for _ in range(3):
+        bench.look()
+    assert len(bench.tap._topics) == MOST_ANNOUNCED
+    assert bench.tap.left_out == MOST_ANNOUNCED + 1
+    assert len([note for note in bench.notes if "left out" in note]) == 1
+    assert CAMERA.topic in bench.tap.topics
+    bench = Bench("/*", graph=[])
+    bench.node.graph, bench.node.unknown = types, {publication.type_name for publication in types}
+    bench.look()
+    assert len([note for note in bench.notes if "not joined" in note]) == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "/", "//x", "/..", "/../../etc/passwd", "/x/**", "/\x1b[2J", "/a b", "/x/", "/\u202e", "/" + 10_000 * "a"],
+)
+def test_a_name_that_no_topic_has_is_refused(name):
+    bench = Bench("*", graph=[Publication(name, IMAGE), CAMERA, Publication("/typed", name or " ")])
+    assert bench.tap.topics == [CAMERA.topic]
+    assert len(bench.tap.refused) == 2
+    assert all(note.isprintable() for note in bench.notes)

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,6 +38,7 @@ BACKENDS = [
     pytest.param(name, marks=pytest.mark.skipif(find_spec(package) is None, reason=f"no {package} here"))
     for name, package in PACKAGES.items()
 ]
+STRANGER = Path(__file__).parents[2] / "support" / "hostile_graph.py"
 STAMP_NS = 1_700_000_000_123_456_789
 
 
@@ -277,3 +281,28 @@ def test_the_state_of_the_topics_is_on_diagnostics(tmp_path, domain_id):
             if channel.topic == "/diagnostics" and schema.name == "diagnostic_msgs/msg/DiagnosticArray"
         ]
     assert any(b"/camera/image" in state for state in states)
+
+
+@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="nobody here to announce them")
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_names_of_strangers_cost_only_their_topics(tmp_path, domain_id, backend, monkeypatch):
+    package = tmp_path / "hostile_package"
+    (package / "msg").mkdir(parents=True)
+    (package / "__init__.py").write_text("import pathlib; pathlib.Path(__file__).with_name('ran').touch()\n")
+    (package / "msg" / "__init__.py").write_text("X = object\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    stranger = [sys.executable, STRANGER, "zenoh" if backend == "zenoh" else "cyclonedds", str(domain_id)]
+    with (
+        subprocess.Popen(stranger, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process,
+        tapping(tmp_path / "tap.mcap", backend, domain_id, "/*", "/good", "*") as (watch, result),
+    ):
+        assert process.stdout.readline().startswith(b"announced")
+        wait_until(lambda: watch.messages >= 5 and len([note for note in watch.notes if "not joined" in note]) >= 5)
+        process.stdin.close()
+    assert result[0].error is None
+    described = {text["topic"]: text["messages"] for text in read_trace(tmp_path / "tap.mcap").publishers}
+    assert described["/good"] >= 5
+    refused = [note.partition(" is not joined")[0] for note in watch.notes if "is not joined" in note]
+    assert len(refused) == len(set(refused))
+    assert all(note.isprintable() for note in watch.notes)
+    assert not (package / "ran").exists()

@@ -32,17 +32,9 @@ def test_a_clear_winner_is_named(sentences):
             place="pi-one → pi-two, wired",
         ),
     )
-    assert "Zenoh is fastest at the median" in answer.headline
+    assert "Zenoh (the next" in answer.headline
     assert 9.92 in numbers(answer.headline)
     sentences(answer.headline, *answer.points, answer.rule)
-
-
-def test_overlap_is_inconclusive(sentences):
-    # 20 messages: the interval of the median reaches from the 6th to the 15th, 1.005 to 1.014 ms of the faster.
-    slightly_slower = [ns + 5_000 for ns in FAST]
-    answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
-    assert answer.verdicts[0].inconclusive == 1
-    sentences(answer.headline)
 
 
 def test_with_fewer_than_three_runs_nothing_is_faster(sentences):
@@ -59,18 +51,8 @@ def test_lost_messages_are_infinitely_late(sentences):
     lossy = [*FAST[:10], *["lost_return"] * 10]
     answer = Book(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH))).answer
     assert all(win.contender != "Zenoh" for win in answer.verdicts[0].wins)
-    assert numbers(answer.remarks[-1]) == [10, 40, 25, 1, 2]
-    sentences(answer.remarks[-1])
-
-
-def test_runs_that_differ_more_than_the_contenders_are_inconclusive():
-    answer = Book(make_analysis(Measured([10 * MS] * 3), Measured([10 * MS + 100] * 3, **ZENOH))).answer
-    assert answer.verdicts[0].inconclusive == 1
-
-
-def test_a_quality_of_service_is_part_of_a_choice():
-    answer = Book(make_analysis(Measured(SLOW), Measured(FAST, reliability="best_effort"))).answer
-    assert answer.verdicts[0].wins == (WinCount("Fast DDS, best_effort", "fastdds", 1),)
+    assert numbers(answer.headline) == [25, 10, 40]
+    sentences(answer.headline)
 
 
 def test_without_the_round_trips_in_memory_nothing_is_judged(sentences):
@@ -85,6 +67,7 @@ def test_unlike_conditions_are_not_compared(sentences):
     answer = Book(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == ()
     assert "not measured under equal conditions" in answer.headline
+    assert "no choice" not in answer.headline
     sentences(answer.headline)
 
 
@@ -100,21 +83,8 @@ def test_bridges_are_contenders_across_domains():
 def test_one_middleware_leaves_no_choice_and_the_bridge_its_price(sentences):
     answer = Book(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED))).answer
     assert numbers(answer.headline) == [1.01, 10]
-    assert numbers(answer.remarks[1]) == [9, 95, 8.52, 9.5]
+    assert any(numbers(point) == [9.92] for point in answer.points)
     sentences(answer.headline, *answer.remarks)
-
-
-def test_a_bridge_that_lost_messages_is_not_called_quick_for_the_received_ones(sentences):
-    half = [ns if index % 2 else "lost_outbound" for index, ns in enumerate(FAST)]
-    lossy = Book(make_analysis(Measured(SLOW), Measured(half, **BRIDGED))).answer
-    both = Book(make_analysis(
-            Measured(SLOW), Measured(half, **BRIDGED),
-            Measured(FAST, rate_hz=20.0), Measured(SLOW, rate_hz=20.0, **BRIDGED),
-        )).answer  # fmt: skip
-    assert "median" not in lossy.remarks[1]
-    assert "a typical run +9 ms (95 " in both.remarks[1]
-    assert both.remarks[1].endswith(lossy.remarks[1].partition(": ")[2])
-    sentences(lossy.remarks[1])
 
 
 def test_wins_are_counted_over_rates(sentences):
@@ -144,7 +114,7 @@ def on_three_devices(shares, **more):
 def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences):
     # Pooled, the devices' unlike speeds would hide the 20 % (Simpson).
     book = Book(make_analysis(*on_three_devices([0.8] * 3)))
-    assert "33 KB Zenoh is fastest" in book.answer.headline
+    assert "33 KB: Zenoh (" in book.answer.headline
     assert "1.25 times" in book.answer.headline
     sentences(book.answer.headline)
     assert [(one.place, one.wins[0].contender) for one in book.answer.verdicts] == [
@@ -160,8 +130,8 @@ def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences
 
 def test_different_answers_of_devices_have_a_sentence_each(sentences):
     answer = Book(make_analysis(*on_three_devices([0.8, 0.8, 1.25]))).answer
-    assert re.search("fast, wired; pi, wired: .* Zenoh", answer.headline)
-    assert re.search("zero, wired: .* Fast DDS is", answer.points[0])
+    assert re.search("pi, wired at 33 KB: Zenoh", answer.headline)
+    assert re.search("zero, wired at 33 KB: Fast", answer.points[0])
     sentences(answer.headline, answer.points[0])
 
 
@@ -177,21 +147,6 @@ def test_conditions_follow_devices_and_link_in_every_report():
     for kind in ("html", "terminal"):
         assert place in " ".join(load_reporter(kind).render(book).split()), kind
     assert markdown(place) in load_reporter("md").render(book)
-
-
-def test_a_bridge_has_its_price_on_each_device():
-    price = [
-        Measured([int(ns * speed) for ns in times], ping_device=device, relay_device=device, **way)
-        for device, speed in DEVICES.items()
-        for times, way in ((FAST, {}), (SLOW, BRIDGED))
-    ]
-    remarks = [
-        one
-        for one in Book(make_analysis(*price)).answer.remarks
-        if one.startswith("Fast DDS, through our built-in bridge")
-    ]
-    assert [re.search(r", on (\w+), wired: median", one)[1] for one in remarks] == list(DEVICES)
-    assert all(one.endswith("clearly slower.") for one in remarks)
 
 
 def test_the_deadline_is_judged_in_words_and_the_worst_result_is_named(sentences):
@@ -215,7 +170,7 @@ def test_nothing_to_say(sentences):
     lost = Book(EVERY_ANALYSIS["nothing came back"]()).answer
     assert "No message was received" in lost.headline
     (remark,) = lost.remarks
-    assert numbers(remark) == [40, 40, 100, 2, 2]
+    assert numbers(remark) == [100, 40, 40]
     sentences(remark)
 
 

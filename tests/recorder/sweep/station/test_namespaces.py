@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -14,8 +15,9 @@ import pytest
 from namespaces import needs_namespaces
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.recorder.sweep.plan.cells import OutageBy
 from dds_trace.recorder.sweep.plan.link import PRESETS, Link
-from dds_trace.recorder.sweep.station.emulation import ip
+from dds_trace.recorder.sweep.station.emulation import LinkEvents, ip, link_changes
 from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_stale, require_root
 
 UDP_ECHO = Path(__file__).parents[3] / "support" / "udp_echo.py"
@@ -111,6 +113,32 @@ def test_every_preset_can_be_applied_and_leaves_nothing_behind(link):
         assert "224.0.0.0/4 dev link0" in routes
     assert pair.ping.namespace not in ip("netns", "list")
     assert pair._forwarder is None
+
+
+@skipped
+def test_an_outage_begins_and_ends_when_the_kernel_says_and_not_with_the_command():
+    with NamespacePair(Link(rate_mbit_s=10)) as pair:
+        for by in set(OutageBy) - {OutageBy.RELAY}:
+            before_ns = time.monotonic_ns()
+            down_ns = pair.cut(by)
+            between_ns = time.monotonic_ns()
+            with LinkEvents([pair.ping.namespace, pair.relay.namespace]) as events:
+                up_ns = pair.restore(by)
+            assert before_ns < down_ns < between_ns < up_ns < time.monotonic_ns()
+            # The second observer saw it too, as it came from the kernel.
+            assert events.first_ns(passes=True) <= events.last_ns(passes=True)
+            pair.repair()
+
+
+def test_messages_of_the_kernel_about_other_interfaces_and_disciplines_are_no_outage():
+    def message(kind, index, value):
+        return struct.pack("IHHIIBBHiI", 32, kind, 0, 0, 0, 0, 0, 0, index, value) + bytes(4)
+
+    up, dropping = 0x10001, 0xFF0000
+    several = [message(16, 2, up), message(16, 1, 0), message(16, 2, 1), message(36, 2, 0x10000), message(20, 2, 0)]
+    assert [*link_changes(b"".join(several))] == [True, False]
+    assert [*link_changes(message(37, 2, dropping) + message(36, 2, dropping))] == [True, False]
+    assert [*link_changes(bytes(15))] == [*link_changes(bytes(64))] == []
 
 
 @skipped

@@ -1,0 +1,133 @@
+"""Every number of an answer is one of the frame: a row of `judgements`, `groups` or another frame of the JSON report."""
+
+import json
+import re
+import tarfile
+from pathlib import Path
+
+import pytest
+from analyses import EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
+from four_campaigns import CAMPAIGNS
+from trace_files import SAMPLE_NAMES, SAMPLES
+
+from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
+from dds_trace.analyzer.model.setting import CONDITIONS
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.units import format_duration, format_number, format_rate, format_size
+from dds_trace.recorder.sweep.plan.cells import AXES
+from dds_trace.reports import document
+from dds_trace.reports.book.answer import PointKind
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio
+from dds_trace.reports.book.verdicts import setup_labels
+
+RESULTS = Path(__file__).parents[3] / "docs" / "results"
+STORED = sorted({path.parent.name for path in RESULTS.glob("*/*.tar.xz")} - {"drive"})
+MADE = {f"made {name}": make for name, make in {**EVERY_ANALYSIS, **CAMPAIGNS}.items()}
+TOKEN = re.compile(r"(?<![\w#-])\d+(?:,\d{3})*(?:\.\d+)?(?: (?:%|(?:ns|µs|ms|s|B|KB|MB|Hz)\b))?")
+JUDGED = {kind for kind in PointKind if kind not in (PointKind.PLACE, PointKind.WHERE, PointKind.TOPIC)}
+
+
+def named(groups):
+    """The numbers of names, sizes and rates of the groups."""
+    for group in groups:
+        yield format_size(group["payload_bytes"])
+        yield format_rate(group["rate_hz"])
+        yield from (token for value in group.values() if isinstance(value, str) for token in TOKEN.findall(value))
+        yield str(group["depth"])
+
+
+def losses(groups):
+    due = sum(group["published"] + group["unsent"] for group in groups)
+    lost = due - sum(group["received"] for group in groups)
+    yield from (format_ratio(lost / due), format_count(lost), format_count(due))
+    yield format_count(sum(group["unsent"] for group in groups))
+
+
+def judged(report):
+    for row in report["judgements"]:
+        if row["claim"] == "lossy":
+            yield from (format_ratio(row["value"]), format_count(row["lost"]), format_count(row["messages"]))
+        if row["claim"] in ("leads", "takes longer"):
+            yield from (format_number(row["value"] or 0), str(row["needs"]))
+            for end in ("value", "low", "high"):
+                yield f"{100 * ((row[end] or 1) - 1):.3g} %"
+
+
+def frames(report):
+    yield from map(str, range(2 * len(report["answers"]) + 1))  # counts of comparisons
+    yield from (format_number(row["ratio"] or 0) for row in report["bridge_costs"])
+    yield from (format_duration(row["back_ns"] or 0) for row in report["recoveries"])
+    yield from map(str, range(1 + max([group["runs"] for group in report["groups"]], default=0)))
+    for group in report["groups"]:
+        yield from (format_duration(group[f"{m}_p50_ns"] or 0) for m in ("latency", "rtt", "intermediate", "response"))
+
+
+def check(book):
+    report = json.loads(document.render(book))
+    groups = report["groups"]
+    known = {*named(groups), *judged(report), *frames(report), *(losses(groups) if groups else ())}
+    for kind, sentence in book.answer.sentences:
+        without_labels = sentence.replace("1.01 times", "").replace("p99", "")
+        cures = {token for finding in report["findings"] for token in TOKEN.findall(finding["cure"] + finding["what"])}
+        if kind in JUDGED:
+            assert {*TOKEN.findall(without_labels)} <= known | cures, (kind, sentence)
+    said = " ".join(text for _, text in book.answer.sentences)
+    assert not ("Do not use" in said and "no choice" in said)
+    kind, headline = book.answer.sentences[0]
+    is_of_one_clause = ";" not in headline.replace("; 1 run", "")
+    assert is_of_one_clause or kind is PointKind.TOPIC or any(";" in label for label in book.groups.labels)
+
+
+def campaign(name, folder):
+    if name in SAMPLE_NAMES:
+        return analyze(SAMPLES / name)
+    for archive in (RESULTS / name).glob("*.tar.xz"):
+        with tarfile.open(archive) as traces:
+            traces.extractall(folder / archive.name, filter="data")
+    return analyze(folder) if name in STORED else MADE[name]()
+
+
+@pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *MADE])
+def test_every_number_of_an_answer_is_one_of_its_frames(tmp_path, name):
+    check(Book(campaign(name, tmp_path)))
+
+
+def test_a_setup_is_not_compared_with_one_that_was_measured_with_another_message():
+    sides = [({}, 33_000, 10), (ZENOH, 33_000, 10), ({}, 33_100, 1), (ZENOH, 33_100, 1)]
+    measured = [
+        Measured(around(MS if side else 2 * MS), payload_bytes=size, setting=f"queue_depth={depth}", **side)
+        for side, size, depth in sides
+    ]
+    headline, *points = [text for _, text in Book(make_analysis(*measured)).answer.sentences]
+    assert "with queue_depth=10: Zenoh (" in headline
+    assert "with queue_depth=1: Zenoh (" in points[0]
+
+
+def settings():
+    """A setup, and others of which each differs in one axis, setting or column."""
+    plain = dict.fromkeys(CONTENDER_COLUMNS, "x") | {"vendor": "fastdds", "relay_vendor": "fastdds", "bridge": "none"}
+    plain |= {"depth": 10, "setting": ""}
+    yield plain
+    yield from ({**plain, name: 1 if name == "depth" else "other"} for name in CONTENDER_COLUMNS)
+    for name, axis in AXES.items():
+        values = axis.choices or ["true" if axis.kind is bool else "7"]
+        yield from ({**plain, "setting": f"{name}={value}"} for value in values if name not in CONDITIONS)
+    for file in ("p.xml#0123abcd", "q.xml#0123abcd", "q.xml#4567abcd"):
+        yield from ({**plain, "setting": f"{variable}={file}"} for variable in ("PROFILES", "OTHER"))
+
+
+def test_no_two_setups_of_any_axis_or_setting_have_one_name():
+    every = dict(enumerate(settings()))
+    assert len(every) > 40
+    labels = setup_labels(every, VendorLabels(VENDORS))
+    assert sorted(labels.values()) == sorted(set(labels.values()))
+    for key, setting in every.items():
+        pair = setup_labels({0: every[0], key: setting}, VendorLabels(VENDORS)) if key else {}
+        assert len({*pair.values()}) == len(pair), setting
+
+
+def test_a_configuration_file_is_named_by_its_file():
+    plain = next(settings())
+    labels = setup_labels({0: plain, 1: {**plain, "setting": "PROFILES=p.xml#0123abcd"}}, VendorLabels(VENDORS))
+    assert labels == {0: "Fast DDS", 1: "Fast DDS, p.xml"}

@@ -50,6 +50,7 @@ setup(
     package_dir={PACKAGE: "../src/dds_trace"},
     package_data={
         PACKAGE: ["py.typed"],
+        f"{PACKAGE}.recorder.tap": ["*.html"],
         f"{PACKAGE}.reports": ["report.schema.json"],
         f"{PACKAGE}.reports.comparison": ["comparison.schema.json", "assets/*.*"],
         f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],

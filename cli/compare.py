@@ -15,6 +15,7 @@ from .quick_help import argument, command_app, declare_command, option
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.reports.comparison.info import ComparisonInfo
 
 
@@ -45,6 +46,12 @@ def compare_command(
             "'received_ratio < 99%', 'received_ratio < -0.5 points'; repeatable. 'default': p50 > +10%, p99 > +20%, "
             "received < -0.5 points.",
         ),
+    ] = None,
+    limits_file: Annotated[
+        Path | None, option("--limits FILE", "A limits.toml: limits by result, and accepted changes.")
+    ] = None,
+    write_limits: Annotated[
+        Path | None, option("--write-limits FILE", "Write a limits.toml from good runs, with room by their spread.")
     ] = None,
     allow_missing: Annotated[
         bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")
@@ -100,25 +107,32 @@ def compare_command(
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.statistics.power import confidence_at_each
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gates
+    from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
     from dds_trace.analyzer.verdicts.ignoring import match_without
-    from dds_trace.base.errors import OptionError
     from dds_trace.base.units import counted
     from dds_trace.reports.comparison import terminal
     from dds_trace.reports.comparison.info import comparison_info
 
-    for path, where, limit in ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH)):
+    from .limits_file import write_limits as write_limits_file
+
+    paths = ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH))
+    for path, where, limit in (
+        *paths,
+        (limits_file, "--limits", limits.PATH),
+        (write_limits, "--write-limits", limits.PATH),
+    ):
         limits.check(limit, None if path is None else str(path), where)
-    gates = parse_gates(fail_if or [])  # before anything is read
-    if new is None and (not gates or any(gate.against is not Against.NEW for gate in gates)):
-        raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
+    gates = _read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
     before = analyze(base, details=False)
     after = before if new is None else analyze(new, details=False)
     options = CompareOptions(match=match, paired=paired, confidence=confidence_at_each(looks))
     comparison = compare(before, after, options_for(gates, options))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
+    if write_limits is not None:
+        write_limits_file(comparison, write_limits)
+        say(f"Wrote {write_limits}")
     for folder, side in ((base, before), *([] if new is None else [(new, after)])):
         for finding in side.findings:
             if finding.code == "not_applied":
@@ -143,6 +157,19 @@ def compare_command(
         warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
         print(f"dds-trace compare: {outcome.value}{warning}", file=sys.stderr)
     raise typer.Exit(0 if is_let_pass else outcome.exit_code)
+
+
+def _read_gates(texts: list[str], limits_file: Path | None, *, one_side: bool, needed: bool) -> "list[Gate]":
+    from dds_trace.analyzer.verdicts.gate import parse_gates
+    from dds_trace.base.errors import OptionError
+
+    from .limits_file import limits_of_one_side, read_limits
+
+    gates = parse_gates(texts)
+    if one_side and (limits_of_one_side(gates) != gates or (needed and not gates and limits_file is None)):
+        raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
+    more = [] if limits_file is None else read_limits(limits_file)
+    return [*gates, *(limits_of_one_side(more) if one_side else more)]
 
 
 def _text(

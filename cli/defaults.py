@@ -37,6 +37,7 @@ _WITHOUT_DEFAULT = frozenset(
         "version",
         "help",
         "list",
+        "write-limits",
     )
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
@@ -53,6 +54,7 @@ OWN_ONLY = frozenset(
         "host",
         "keep",
         "keys",
+        "limits",
         "listen",
         "open",
         "out",

@@ -6,7 +6,7 @@ import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
@@ -68,6 +68,17 @@ class Against(Enum):
     NEW = "new"  # the new side itself
 
 
+Patterns = tuple[tuple[str, str], ...]
+"""Columns of a result, each with a pattern of its value."""
+
+
+def _fits(row: Mapping[str, object], patterns: Patterns) -> bool:
+    return all(
+        fnmatchcase(f"{value:g}" if isinstance(value := row[column], float) else str(value), pattern)
+        for column, pattern in patterns
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Gate:
     """A condition under which a comparison fails.
@@ -77,6 +88,9 @@ class Gate:
         statistic: `mean` or a percentile; empty for `received_ratio`.
         limit: a ratio new / base for `RATIO`, otherwise ns (for `received_ratio` a share).
         topic: a topic that a tap heard, or a pattern of such; empty for all results that have the metric.
+        results: columns of the results that are judged, with the pattern of their values.
+        unless: of the results, the ones that another gate judges in its place.
+        accepted: why a change is accepted; empty if it is not.
     """
 
     text: str
@@ -86,10 +100,16 @@ class Gate:
     against: Against
     limit: float
     topic: str = ""
+    results: Patterns = ()
+    unless: tuple[Patterns, ...] = ()
+    accepted: str = ""
 
-    def applies_to(self, data_type: object) -> bool:
-        """Return whether a result with this kind of data is judged."""
-        return not self.topic or (is_topic(data_type) and fnmatchcase(str(data_type), self.topic))
+    def applies_to(self, row: Mapping[str, object]) -> bool:
+        """Return whether the result with these columns is judged."""
+        data_type = row["data_type"]
+        if self.topic and not (is_topic(data_type) and fnmatchcase(str(data_type), self.topic)):
+            return False
+        return _fits(row, self.results) and not any(_fits(row, patterns) for patterns in self.unless)
 
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
         """Judge an estimate by its interval; an end that is None may be anywhere."""
@@ -140,11 +160,11 @@ def parse_gate(text: str) -> Gate:
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
 
 
-def parse_threshold(metric: str, condition: str) -> Gate:
-    """Read what a plan requires (`latency_p99`, `< 20 ms`) as the gate that fails where it is not met.
+def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate:
+    """Read what results have to meet (`latency_p99`, `< 20 ms`) as the gate that fails where it is not met.
 
     Raises:
-        OptionError: there is no such metric, or the condition is no limit of one side.
+        OptionError: there is no such metric, or the condition is not a limit.
     """
     where = f"[thresholds] {shown(metric)} = {condition!r}"
     match = _GATE.fullmatch(f"{metric} {condition}")
@@ -152,12 +172,8 @@ def parse_threshold(metric: str, condition: str) -> Gate:
         raise OptionError(f"{where}: write what passes, for example latency_p99 = '< 20 ms'")
     name, statistic = _parse_metric(where, metric)
     against, limit = _parse_limit(where, match["limit"], name)
-    if name not in (*METRICS, RECEIVED_RATIO):
-        raise OptionError(
-            f"{where}: a result of a plan has {', '.join(METRICS)} and {RECEIVED_RATIO}; choose one of them"
-        )
-    if against is not Against.NEW:
-        raise OptionError(f"{where}: a plan has one side; write a value such as 20 ms or 99 %, not a change")
+    if name not in (*METRICS, RECEIVED_RATIO) and not any(value.startswith("/") for _, value in results):
+        raise OptionError(f"{where}: a result has {', '.join(METRICS)} and {RECEIVED_RATIO}; choose one of them")
     text = f"{metric} {match['operator']} {match['limit']}"
     return Gate(text, name, statistic, _OPPOSITE[match["operator"]], against, limit)
 

@@ -140,8 +140,12 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing:
         return []
     names = varying_columns(comparison)
     results = [] if allow_missing else list(_missing(comparison, names))
-    for gate in gates:
-        results += _judge(comparison, gate, names)
+    families: dict[object, list[Gate]] = {}
+    for number, gate in enumerate(gates):  # limits by result are one family, as one limit of all is
+        is_part = bool(gate.results or gate.unless)
+        families.setdefault((gate.metric, gate.statistic, gate.against) if is_part else number, []).append(gate)
+    for family in families.values():
+        results += _judge(comparison, family, names)
     return results
 
 
@@ -174,24 +178,25 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
             )
 
 
-def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
-    confidence = comparison.options.confidence
-    measure = _received if gate.metric == RECEIVED_RATIO else _times
-    groups = list(measure(comparison, gate, names))
-    if gate.topic and not groups:
-        yield GateResult(gate, gate.topic, GateOutcome.INCONCLUSIVE, None, None, None, _no_such_topic(comparison))
-    outcomes = [gate.judge(group.value, group.low, group.high) for group in groups]
+def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
+    confidence, first = comparison.options.confidence, family[0]
+    measure = _received if first.metric == RECEIVED_RATIO else _times
+    measured = [(gate, group) for gate in family for group in measure(comparison, gate, names)]
+    gates, groups = [gate for gate, _ in measured], [group for _, group in measured]
+    if first.topic and not groups:
+        yield GateResult(first, first.topic, GateOutcome.INCONCLUSIVE, None, None, None, _no_such_topic(comparison))
+    outcomes = [gate.judge(group.value, group.low, group.high) for gate, group in measured]
     beyond = [
         index
         for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True))
         if outcome is GateOutcome.REGRESSED and group.basis is Basis.BETWEEN_RUNS
     ]
-    is_ratio = gate.against is Against.RATIO or bool(gate.statistic and gate.against is Against.NEW)
-    p_values = [groups[index].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for index in beyond]
+    is_ratio = first.against is Against.RATIO or bool(first.statistic and first.against is Against.NEW)
+    p_values = [groups[index].p_beyond(gates[index].limit, confidence, is_ratio=is_ratio) for index in beyond]
     # Groups that are not beyond the limit are of the family, too: their p values are larger than these.
     adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
     by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
-    for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):
+    for index, ((gate, group), outcome) in enumerate(zip(measured, outcomes, strict=True)):
         is_equal = comparison.same_recordings and gate.against is not Against.NEW  # nothing can have changed
         is_barred = group.group in comparison.barred and not is_equal
         reason = "" if is_equal else _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
@@ -234,7 +239,7 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     unit = "" if gate.against is Against.RATIO else "_ns"
     is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
-        if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row["data_type"]):
+        if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row):
             continue
         yield _Measured(
             where=group_words(row, names),
@@ -292,7 +297,7 @@ def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> _Advice:
 def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
     is_of_new = gate.against is Against.NEW
     for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
-        if not gate.applies_to(row["data_type"]):
+        if not gate.applies_to(row):
             continue
         sides = [change.new] if is_of_new else [change.base, change.new]
         value, low, high = (

@@ -67,6 +67,9 @@ def main_command(
     max_rate: Annotated[
         bool, option("--max-rate", "Search the highest rate that works, instead of the plan's rates.")
     ] = False,
+    limits_file: Annotated[
+        Path | None, option("--limits FILE", "A limits.toml, whose limits of one side the results have to meet.")
+    ] = None,
     until: Annotated[
         str | None,
         option(
@@ -153,7 +156,7 @@ def main_command(
         raise OptionError(
             "[[flows]], relays, hosts, pings and topics are swept as they are; remove --max-rate or --against"
         )
-    gates = read_thresholds(requested, target, is_judged=not (max_rate or against or advises))
+    gates = read_thresholds(requested, target, limits_file, is_judged=not (max_rate or against or advises))
     if dry_run or rehearse:
         code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)
         raise typer.Exit(code)

@@ -55,13 +55,17 @@ def _value(gate: Gate, value: float | None) -> str:
     return "lost" if math.isinf(value) else format_duration(value)
 
 
-def read_thresholds(plan: Plan, until: Until | None, *, is_judged: bool) -> list[Gate]:
-    if not plan.thresholds:
+def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool) -> list[Gate]:
+    if not plan.thresholds and limits is None:
         return []
     from dds_trace.analyzer.statistics.intervals import MIN_RUNS
-    from dds_trace.analyzer.verdicts.gate import parse_threshold
 
-    gates = [parse_threshold(metric, text) for metric, texts in plan.thresholds.items() for text in texts]
+    from ..limits_file import gates_of, limits_of_one_side, read_limits
+
+    gates = gates_of(plan.thresholds, "[thresholds]")
+    if limits_of_one_side(gates) != gates:
+        raise OptionError("[thresholds]: a plan has one side; write a value such as 20 ms or 99 %, not a change")
+    gates += limits_of_one_side(read_limits(limits)) if limits else []
     if not is_judged:
         raise OptionError("[thresholds] judge a sweep of the plan itself; remove the table, or --max-rate or --against")
     if (plan.run.repeats if until is None else until.max_passes) < MIN_RUNS:

@@ -165,7 +165,7 @@ def _explanation(
     run = replace(plan.run, repeats=repeats, order=Order.ALTERNATING, own_cost_passes=1)
     cells = dict.fromkeys(cell for setup in setups for pair in setup.pairs.values() for cell in pair)
     name = f"{plan.name}-{'rates' if is_of_rates else 'size'}"
-    measured_plan = replace(plan, name=name, cells=tuple(cells), excluded=(), run=run, thresholds={})
+    measured_plan = replace(plan, name=name, cells=tuple(cells), excluded=(), run=run, thresholds=())
     return Explanation(measured_plan, tuple(setups), left_out, is_of_rates)
 
 

@@ -207,6 +207,11 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
         for gated in gates
         if gated.result.outcome is GateOutcome.REGRESSED and gated.result.reason
     ]
+    notes += dict.fromkeys(
+        f"Accepted: {gated.result.gate.text} in {gated.where}: {gated.result.gate.accepted}"
+        for gated in gates
+        if gated.result.gate.accepted
+    )
     unsure = [gated for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
     by_runs = [gated for gated in unsure if gated.result.runs_needed is not None]
     if by_runs:

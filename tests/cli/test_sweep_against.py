@@ -86,18 +86,6 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
         sentences(row.split("|")[1], asked)
 
 
-def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_path):
-    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path, "--against", environment, "--json")
-    assert done.status == 0, done.stderr
-    sides = json.loads(done.stdout)
-    compared = run("dds-analyze", "compare", sides["base"], sides["new"], "--report", "md", "--all")
-    assert compared.status == 0, compared.stderr
-    row = next(line for line in compared.stdout.splitlines() if "| Round trip median |" in line)
-    assert "| 3 pairs |" in row
-    assert "environment" not in compared.stdout.lower()  # the same machine, program and Python
-    assert "Measured in turns" not in compared.stdout  # both were asked for the same
-
-
 def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path, sentences):
     two = plan("q", "2KB", 'reliability = ["reliable", "best_effort"]\n')
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)

@@ -52,7 +52,6 @@ def test_a_threshold_is_the_gate_that_fails_where_it_is_missed():
     [
         ("latency_p98", "< 20 ms", "latency_p9"),
         ("latency_p99", "20 ms", "what passes"),
-        ("latency_p99", "< +10%", "one side"),
         ("latency_p99", "< 20 parsecs", "no limit"),
         ("received_ratio", "> 5 ms", "99%"),
     ],
@@ -71,6 +70,9 @@ def test_what_is_no_threshold_is_one_line(metric, condition, word):
         ("latency_p98 = '< 20 ms'", (), 3, "latency_p98"),
         ("latency_p50 = 20", (), 3, "condition"),
         ("latency_p50 = '< 20 ms'", (), 2, "repeats"),
+        ("latency_p50 = '< +10%'", (), 3, "one side"),
+        ("['payload=3']\nlatency_p50 = '< 20 ms'".replace("[", "[thresholds."), (), 3, "COLUMN=PATTERN"),
+        ("", ("--limits", "missing.toml"), 3, "missing.toml"),
         ("latency_p50 = '< 20 ms'", ("--max-rate",), 3, "--max-rate"),
     ],
 )
@@ -94,7 +96,7 @@ def test_a_sweep_ends_with_pass_or_fail(sweep):
     ]
     assert {one["outcome"] for one in judged} == {"passed"}
     # The recordings are there: other thresholds are judged without another run.
-    failed = sweep("rtt_p50 = '< 1 ns'")
+    failed = sweep("rtt_p50 = '< 1 s'\n[thresholds.'payload_bytes=1*']\nrtt_p50 = '< 1 ns'")
     assert failed.status == 20, failed.stderr
     assert "failed: rtt_p50 < 1 ns" in failed.stdout
     assert "0 of 1 threshold passed" in failed.stdout

@@ -192,6 +192,16 @@ class Network:
 
 
 @dataclass(frozen=True, slots=True)
+class Threshold:
+    """Conditions such as `< 20 ms` on a metric of the results that fit a pattern, all if it is empty."""
+
+    metric: str
+    conditions: tuple[str, ...]
+    result: str = ""
+    accepted: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """All cells of a sweep, with the settings and devices to record them.
 
@@ -199,7 +209,7 @@ class Plan:
         connectivity: the sessions'; None lets each device detect it.
         partners: cell without pass -> cell of the other plan that it alternates with.
         hosts: of `[[devices]]`, the relays' devices; `relay` is the first of them.
-        thresholds: metric -> conditions that each result has to meet, such as `< 20 ms`.
+        thresholds: what each result has to meet.
     """
 
     name: str
@@ -215,7 +225,7 @@ class Plan:
     by_hand: bool = False
     search: Search = Search()
     partners: Mapping[str, str] = field(default_factory=dict)
-    thresholds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    thresholds: tuple[Threshold, ...] = ()
     flows: tuple[str, ...] = ()
     hosts: tuple[DeviceSettings, ...] = ()
 

@@ -22,7 +22,7 @@ from .cells import AXES, DEFAULTS, Cell, OutageBy
 from .drive import read_drive
 from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, fan_out_faults, flow_cells, sender_cells
 from .link import PRESETS, Link
-from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search
+from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search, Threshold
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable
 
@@ -117,7 +117,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)),
         by_hand=by_hand,
         search=root.table("search").fill(Search()),
-        thresholds=_thresholds(root.table("thresholds")),
+        thresholds=tuple(read_thresholds(root.table("thresholds"))),
         flows=tuple(flow.name for flow in flows),
         hosts=hosts,
     )
@@ -154,14 +154,19 @@ def _flows(root: TomlTable, combined: Collection[AxisValues]) -> list[Flow]:
     return flows
 
 
-def _thresholds(table: TomlTable) -> dict[str, tuple[str, ...]]:
-    conditions: dict[str, tuple[str, ...]] = {}
+def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
+    """Yield the conditions of a table for all results, then those of its tables, which have the name of a result."""
     for metric, value in table.values.items():
-        listed = value if isinstance(value, list) else [value]
-        for text in listed:
-            limits.check(limits.CONDITION, text, f"{table.where}: {limits.shown(metric)} =")
-        conditions[metric] = tuple(map(str, listed))
-    return conditions
+        if not isinstance(value, dict):
+            listed = value if isinstance(value, list) else [value]
+            for text in listed:
+                limits.check(limits.CONDITION, text, f"{table.where}: {limits.shown(metric)} =")
+            yield Threshold(metric, tuple(map(str, listed)), result)
+    for name, value in table.values.items():
+        if isinstance(value, dict):
+            if result:
+                raise OptionError(f"{table.where}: {limits.shown(name)} is a table within that of a result")
+            yield from read_thresholds(table.table(name), name)
 
 
 def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by_hand: bool) -> str | None:

@@ -116,7 +116,7 @@ TABLES: Mapping[str, Table] = {
     "thresholds": Table(
         "What every result has to meet, judged as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
         '`received_ratio`, and a condition or a list of them, such as `latency_p99 = "< 20 ms"`, `received_ratio = ">= 99.9 %"`. '
-        "Metrics have the names of [`--fail-if`](../how-to/ci.md).",
+        "Metrics have the names of [`--fail-if`](../how-to/ci.md). A table in it has the name of a result ([limits.toml](../how-to/ci.md#one-file-of-limits)).",
         {},
     ),
 }
@@ -246,6 +246,7 @@ _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
 
 _ABOVE_ZERO = {"exclusiveMinimum": 0}
 _CONDITION: Schema = {"type": "string", **_words(limits.CONDITION)}
+_CONDITIONS: list[Schema] = [_CONDITION, {"type": "array", "items": _CONDITION}]
 _RULES: Mapping[str, Schema] = {
     "run": {
         "oneOf": [
@@ -255,7 +256,11 @@ _RULES: Mapping[str, Schema] = {
         ]
     },
     "devices": {"type": ["object", "array"], "items": {"$ref": "#/properties/devices/properties/relay"}},
-    "thresholds": {"additionalProperties": {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}},
+    "thresholds": {
+        "additionalProperties": {
+            "anyOf": [*_CONDITIONS, {"type": "object", "additionalProperties": {"anyOf": _CONDITIONS}}]
+        }
+    },
 }
 """Rules beyond single keys: a run has a length in messages or in time; thresholds have names of metrics."""
 

@@ -1,0 +1,152 @@
+"""`limits.toml`: what results have to meet, by result, and changes that are accepted; read for gates, and written from good runs."""
+
+from __future__ import annotations
+
+import glob
+import json
+import math
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units import format_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from dds_trace.analyzer.statistics.intervals import Interval
+    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.analyzer.verdicts.gate import Gate, Patterns
+    from dds_trace.recorder.sweep.plan.plan import Threshold
+
+_MOST_BYTES = 1 << 20
+LEAST_ROOM = 0.1
+"""Of a limit of time over the good runs; `LEAST_LOSS` likewise of a share received."""
+LEAST_LOSS = 0.005
+
+
+def read_limits(path: Path) -> list[Gate]:
+    """Return the gates of a file of limits.
+
+    Raises:
+        OptionError: it cannot be read, or something in it is not a limit.
+    """
+    from dds_trace.base.files import open_regular
+    from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
+    from dds_trace.recorder.sweep.plan.toml_table import TomlTable
+
+    try:
+        with open_regular(path) as file:
+            data = file.read(_MOST_BYTES + 1)
+        text = data.decode()
+    except (OSError, UnicodeDecodeError) as err:
+        raise OptionError(f"--limits {path}: {getattr(err, 'strerror', None) or err}; give a file of limits") from err
+    if len(data) > _MOST_BYTES:
+        raise OptionError(f"--limits {path} is larger than {_MOST_BYTES >> 20} MiB, which no file of limits is")
+    root = TomlTable.parse(text, str(path))
+    root.allow("thresholds", "accepted")
+    thresholds = list(read_thresholds(root.table("thresholds")))
+    for table in root.tables("accepted"):
+        why = [table.take(key, str, "") for key in ("reason", "commit")]
+        if not all(why):
+            raise OptionError(f"{table.where}: an accepted change has a reason and a commit")
+        limits = {key: value for key, value in table.values.items() if key not in {"result", "reason", "commit"}}
+        accepted = f"{why[0]} ({why[1]})"
+        one = replace(table, values=limits)
+        result = table.take("result", str, "")
+        thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(one)]
+    return gates_of(thresholds, str(path))
+
+
+def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
+    """Return a gate for each condition; for the results that it fits, a later one of the same kind takes the place of an earlier."""
+    from dds_trace.analyzer.verdicts.gate import Against, parse_threshold
+
+    gates: list[Gate] = []
+    for threshold in thresholds:
+        patterns = _patterns(threshold.result, where)
+        for condition in threshold.conditions:
+            gate = replace(
+                parse_threshold(threshold.metric, condition, patterns), results=patterns, accepted=threshold.accepted
+            )
+            kind = gate.metric, gate.statistic, gate.against is Against.NEW
+            gates = [
+                replace(earlier, unless=(*earlier.unless, patterns))
+                if (earlier.metric, earlier.statistic, earlier.against is Against.NEW) == kind
+                and earlier.results != patterns
+                else earlier
+                for earlier in gates
+            ]
+            gates.append(gate)
+    return gates
+
+
+def _patterns(result: str, where: str) -> Patterns:
+    from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
+    from dds_trace.base.limits import nearest, shown
+
+    if result.startswith("/"):
+        return (("data_type", result),)
+    words = [word.partition("=") for word in re.split(r" +(?=\w+=)", result.strip()) if word]
+    for column, equals, _ in words:
+        if not equals or column not in MATCH_COLUMNS:
+            raise OptionError(
+                f"{where}: {shown(result)} names no result: write COLUMN=PATTERN ..., or a topic; "
+                f"{nearest(column, MATCH_COLUMNS)}"
+            )
+    return tuple((column, pattern) for column, _, pattern in words)
+
+
+def limits_text(comparison: Comparison) -> str:
+    """Return limits that further runs like the ones of the new side meet, by result: beyond 95 % of single runs, and 10 % at least."""
+    from dds_trace.analyzer.model.names import group_words
+    from dds_trace.analyzer.verdicts.gates import varying_columns
+
+    names = varying_columns(comparison)
+    sections: dict[str, list[str]] = {}
+    for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
+        if (row["metric"], row["statistic"]) in {("latency", "p50"), ("latency", "p99"), ("age", "p99")}:
+            key = _section(group_words(row, names))
+            sections.setdefault(key, []).extend(_limits_of_time(f"{row['metric']}_{row['statistic']}", change.new))
+    for row, delivery in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        share = delivery.new
+        if share.value is not None and share.lower is not None:
+            least = share.value - max(LEAST_LOSS, 2 * (share.value - share.lower))
+            line = f'received_ratio = "> {math.floor(1000 * max(0.0, least)) / 10:g} %"'
+            sections.setdefault(_section(group_words(row, names)), []).append(line)
+    head = "# Written by `dds-trace compare --write-limits` from good runs; docs/how-to/ci.md says what may be in it.\n"
+    return head + "".join(f"\n{key}\n" + "".join(f"{line}\n" for line in lines) for key, lines in sections.items())
+
+
+def _section(words: str) -> str:
+    return f"[thresholds.{json.dumps(glob.escape(words))}]"
+
+
+def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
+    if not new.value or not new.upper or math.isinf(new.upper):
+        return
+    # Of n runs the reach of the mean, times sqrt(n + 1), is that of a single further run.
+    room = max(LEAST_ROOM, (new.upper / new.value) ** math.sqrt(new.units + 1) - 1)
+    limit_ns = new.value * (1 + room)
+    digits = 10 ** (math.floor(math.log10(limit_ns)) - 1)
+    time = format_duration(math.ceil(limit_ns / digits) * digits).replace("µs", "us")
+    yield f'{metric} = ["< {time}", "< +{5 * math.ceil(20 * room):g} %"]'
+
+
+def write_limits(comparison: Comparison, path: Path) -> None:
+    """Write `limits_text` into a file that is not there yet."""
+    from dds_trace.base.errors import OutputError
+
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(limits_text(comparison))
+    except OSError as err:
+        raise OutputError(f"{path}: cannot be written ({err.strerror or err}); give another --write-limits") from err
+
+
+def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:
+    from dds_trace.analyzer.verdicts.gate import Against
+
+    return [gate for gate in gates if gate.against is Against.NEW]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -20,8 +20,8 @@ PERIOD_NS = 20_000_000
 """Between two messages of a bag: 50 Hz."""
 
 
-def header(store: Any = ROS2, frame_id: str = "lidar_link") -> Any:
-    time = store.types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=6)
+def header(store: Any = ROS2, frame_id: str = "lidar_link", stamp_ns: int = 1_700_000_000_000_000_006) -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
     more = {"seq": 9} if store is ROS1 else {}
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **more)
 
@@ -60,10 +60,10 @@ def jpeg(count: int, store: Any = ROS2) -> Any:
     )
 
 
-def imu(yaw: float, store: Any = ROS2) -> Any:
+def imu(yaw: float, store: Any = ROS2, **stamped: Any) -> Any:
     vector, quaternion = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion"))
     return store.types["sensor_msgs/msg/Imu"](
-        header=header(store),
+        header=header(store, **stamped),
         orientation=quaternion(0.0, 0.0, yaw, 1.0),
         orientation_covariance=np.zeros(9),
         angular_velocity=vector(1.0, 2.0, 3.0),
@@ -77,23 +77,39 @@ def text(data: str, store: Any = ROS2) -> Any:
     return store.types["std_msgs/msg/String"](data=data)
 
 
-def write_bag2(path: Path, topics: dict[str, Sequence[Any]], plugin: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    """A rosbag2 folder with the messages of each topic, 50 Hz; the folder."""
-    with Writer2(path, version=9, storage_plugin=plugin) as writer:
-        for topic, messages in topics.items():
-            connection = writer.add_connection(topic, messages[0].__msgtype__, typestore=ROS2)
-            for n, message in enumerate(messages):
-                data = ROS2.serialize_cdr(message, message.__msgtype__)
-                writer.write(connection, 1_700_000_000_000_000_000 + n * PERIOD_NS, data)
+def write_bag2(
+    path: Path,
+    topics: dict[str, Sequence[Any]],
+    plugin: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+    times_ns: Sequence[int] | None = None,
+) -> Path:
+    """A rosbag2 folder with the messages of each topic, logged at these times or at 50 Hz; the folder."""
+    bag = Writer2(path, version=9, storage_plugin=plugin)
+    if mode is not CompressionMode.NONE:
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    _write(bag, topics, ROS2, ROS2.serialize_cdr, times_ns)
     return path
 
 
-def write_bag1(path: Path, topics: dict[str, Sequence[Any]]) -> Path:
+def write_bag1(
+    path: Path,
+    topics: dict[str, Sequence[Any]],
+    compression: Writer1.CompressionFormat | None = None,
+    times_ns: Sequence[int] | None = None,
+) -> Path:
     """Likewise as a ROS 1 bag, from messages of `ROS1`."""
-    with Writer1(path) as writer:
-        for topic, messages in topics.items():
-            connection = writer.add_connection(topic, messages[0].__msgtype__, typestore=ROS1)
-            for n, message in enumerate(messages):
-                data = ROS1.serialize_ros1(message, message.__msgtype__)
-                writer.write(connection, 1_700_000_000_000_000_000 + n * PERIOD_NS, data)
+    bag = Writer1(path)
+    if compression is not None:
+        bag.set_compression(compression)
+    _write(bag, topics, ROS1, ROS1.serialize_ros1, times_ns)
     return path
+
+
+def _write(bag: Any, topics: dict[str, Sequence[Any]], store: Any, serialize: Any, times_ns: Any) -> None:
+    with bag:
+        for topic, messages in topics.items():
+            connection = bag.add_connection(topic, messages[0].__msgtype__, typestore=store)
+            for n, message in enumerate(messages):
+                log_ns = 1_700_000_000_000_000_000 + n * PERIOD_NS if times_ns is None else times_ns[n]
+                bag.write(connection, log_ns, serialize(message, message.__msgtype__))

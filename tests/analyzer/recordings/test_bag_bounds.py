@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from functools import partial
 
 import pytest
-from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Bag2Writer
-from rosbags.typesys import Stores, get_typestore
+from bags import ROS1, ROS2, text, write_bag1, write_bag2
+from rosbags.rosbag1 import Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.recorder.payloads import STRING
@@ -22,43 +20,20 @@ KB = 1000
 TYPE = "std_msgs/msg/String"
 
 
-def write_bag1(compression, path, sizes_bytes):
-    store = get_typestore(Stores.ROS1_NOETIC)
-    bag = Bag1Writer(path)
-    bag.set_compression(compression)
-    write(bag, store, store.serialize_ros1, sizes_bytes)
-
-
-def write_bag2(mode, path, sizes_bytes):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    bag = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
-    bag.set_compression(mode, CompressionFormat.ZSTD)
-    write(bag, store, store.serialize_cdr, sizes_bytes)
-
-
-def write(bag, store, serialize, sizes_bytes):
-    with bag:
-        topic = bag.add_connection("/zeros", TYPE, typestore=store)
-        for number, size in enumerate(sizes_bytes):
-            message = store.types[TYPE](data="0" * size)
-            bag.write(topic, number, serialize(message, TYPE))
-
-
 BAGS = {
-    "ros1-bz2.bag": partial(write_bag1, Bag1Writer.CompressionFormat.BZ2),
-    "ros1-lz4.bag": partial(write_bag1, Bag1Writer.CompressionFormat.LZ4),
-    "ros2-files": partial(write_bag2, CompressionMode.FILE),
-    "ros2-messages": partial(write_bag2, CompressionMode.MESSAGE),
+    "ros1-bz2.bag": (write_bag1, ROS1, {"compression": Writer.CompressionFormat.BZ2}),
+    "ros1-lz4.bag": (write_bag1, ROS1, {"compression": Writer.CompressionFormat.LZ4}),
+    "ros2-files": (write_bag2, ROS2, {"plugin": StoragePlugin.SQLITE3, "mode": CompressionMode.FILE}),
+    "ros2-messages": (write_bag2, ROS2, {"plugin": StoragePlugin.SQLITE3, "mode": CompressionMode.MESSAGE}),
 }
 
 
 @pytest.fixture(params=BAGS)
 def write_bag(request, tmp_path):
+    write, store, packed = BAGS[request.param]
 
     def written(*sizes_bytes):
-        path = tmp_path / request.param
-        BAGS[request.param](path, sizes_bytes)
-        return path
+        return write(tmp_path / request.param, {"/zeros": [text("0" * size, store) for size in sizes_bytes]}, **packed)
 
     return written
 

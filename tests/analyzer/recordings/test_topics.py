@@ -7,12 +7,12 @@ import json
 import struct
 import zlib
 
-import numpy as np
 import pytest
 import zstandard
+from bags import ROS1, ROS2, imu, write_bag1, write_bag2
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -33,43 +33,9 @@ LOGGED_MS = (0, 100, 200, 500, 600)
 AGE_MS = (5, 5, 7, 5, 9)
 
 
-def imu_messages(store, **fields):
-    imu, header = store.types["sensor_msgs/msg/Imu"], store.types["std_msgs/msg/Header"]
-    vector, quaternion = store.types["geometry_msgs/msg/Vector3"], store.types["geometry_msgs/msg/Quaternion"]
-    time = store.types["builtin_interfaces/msg/Time"]
-    for logged_ms, age_ms in zip(LOGGED_MS, AGE_MS, strict=True):
-        stamp_ns = START_NS + (logged_ms - age_ms) * MS
-        yield (
-            START_NS + logged_ms * MS,
-            imu(
-                header(stamp=time(stamp_ns // 10**9, stamp_ns % 10**9), frame_id="imu", **fields),
-                quaternion(0, 0, 0, 1),
-                np.zeros(9),
-                vector(0, 0, 0),
-                np.zeros(9),
-                vector(0, 0, 0),
-                np.zeros(9),
-            ),
-        )
-
-
-def write_bag1(path):
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with Bag1Writer(path) as bag:
-        connection = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
-        for log_ns, message in imu_messages(store, seq=7):
-            bag.write(connection, log_ns, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
-
-
-def write_bag2(path, storage, compression=None):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    bag = Bag2Writer(path, version=9, storage_plugin=storage)
-    if compression is not None:
-        bag.set_compression(compression, CompressionFormat.ZSTD)
-    with bag:
-        connection = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
-        for log_ns, message in imu_messages(store):
-            bag.write(connection, log_ns, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+def imu_topic(store=ROS2):
+    stamps_ns = [START_NS + (logged - age) * MS for logged, age in zip(LOGGED_MS, AGE_MS, strict=True)]
+    return {"/imu": [imu(0, store, frame_id="imu", stamp_ns=stamp_ns) for stamp_ns in stamps_ns]}
 
 
 def write_mcap(path, messages, *, encoding="json", schema=None, compression=CompressionType.NONE):
@@ -85,11 +51,17 @@ def write_mcap(path, messages, *, encoding="json", schema=None, compression=Comp
         writer.finish()
 
 
+LOGGED_NS = [START_NS + logged * MS for logged in LOGGED_MS]
 WRITERS = {
-    "rosbag1": ("a.bag", write_bag1),
-    "rosbag2 sqlite3": ("a", lambda p: write_bag2(p, StoragePlugin.SQLITE3)),
-    "rosbag2 mcap": ("a", lambda p: write_bag2(p, StoragePlugin.MCAP)),
-    "rosbag2 compressed": ("a", lambda p: write_bag2(p, StoragePlugin.SQLITE3, CompressionMode.MESSAGE)),
+    "rosbag1": ("a.bag", lambda p: write_bag1(p, imu_topic(ROS1), times_ns=LOGGED_NS)),
+    **{
+        f"rosbag2 {name}": ("a", lambda p, how=how: write_bag2(p, imu_topic(), *how, times_ns=LOGGED_NS))
+        for name, how in {
+            "sqlite3": (StoragePlugin.SQLITE3,),
+            "mcap": (StoragePlugin.MCAP,),
+            "compressed": (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        }.items()
+    },
 }
 
 
@@ -264,7 +236,7 @@ def test_nothing_readable_is_an_error(tmp_path):
 
 
 def test_recordings_are_found_once_and_outputs_left_out(tmp_path):
-    write_bag2(tmp_path / "bag", StoragePlugin.MCAP)
+    write_bag2(tmp_path / "bag", imu_topic(), times_ns=LOGGED_NS)
     (tmp_path / "analysis").mkdir()
     write_mcap(tmp_path / "analysis" / "derived.mcap", [("/a", 1, 1, b"")])
     write_mcap(tmp_path / "x.mcap", [("/a", 1, 1, b"")])

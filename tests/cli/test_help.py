@@ -200,7 +200,9 @@ def test_a_command_of_the_one_program_has_the_options_of_the_program_that_it_is(
     name = " ".join([program, *words])
     app, more = (APPS[name], []) if name in APPS else (APPS[program], words)
     other = CliRunner().invoke(app, [*more, "--help"]).stdout.splitlines()
-    options, others = (set(re.findall(r"^  (-[\w-]+)(?=[, ]|$)", "\n".join(lines), re.MULTILINE)) for lines in (shown, other))
+    options, others = (
+        set(re.findall(r"^  (-[\w-]+)(?=[, ]|$)", "\n".join(lines), re.MULTILINE)) for lines in (shown, other)
+    )
     not_here = {"--install-completion", "--show-completion"} | ({"--role"} if "p" in command[6:] else set())
     assert not re.search(r"dds-(record|sweep|bridge|analyze)\b", " ".join(shown))
     if command in ("record ping", "record relay"):

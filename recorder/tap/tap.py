@@ -17,9 +17,8 @@ from dds_trace.base.printable import printable
 from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
-from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, TOPIC_PREFIX, hash_content
 from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, stamp_reader
-from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 

@@ -72,6 +72,8 @@ MOST_STAMP_NS = 1 << 62
 """Largest absolute value of a stamp, 146 years: differences of two fit into 64 bits, and none is a mark for "missing"."""
 
 STAGE_OF_TOPIC = {stage.topic: stage for stage in Stage}
+TOPIC_PREFIX = "/dds_trace/"
+"""Start of our topics."""
 SESSION_TOPIC = "/dds_trace/session"
 RUN_TOPIC = "/dds_trace/run"
 HOST_TOPIC = "/dds_trace/host"

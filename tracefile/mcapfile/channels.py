@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.events import STAGE_OF_TOPIC, Stage
+from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
 from .records import Buffer, parse_record, record_name
 
 _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hundred
@@ -54,6 +54,8 @@ class ChannelTable:
     def _add(self, channel: Channel, offset: int) -> None:
         declared = self._channels.get(channel.id)
         if declared is not None and declared.topic != channel.topic:
+            if not declared.topic.startswith(TOPIC_PREFIX) and not channel.topic.startswith(TOPIC_PREFIX):
+                return  # of others, and beyond the 65,536 ids of a file: nothing of them is read
             raise TraceFormatError(
                 self._path,
                 f"channel {channel.id} is {declared.topic!r} and here {channel.topic!r}; "

@@ -15,12 +15,12 @@ from dds_trace.base.units import counted
 
 from ..format.descriptions import Session
 from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
-from ..format.events import EVENT_RECORD_BYTES, Stage
+from ..format.events import EVENT_RECORD_BYTES, TOPIC_PREFIX, Stage
 from ..mcapfile.blocks import Block, BlockJobs
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, TornRecordError, read_summary
-from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
+from .source import Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

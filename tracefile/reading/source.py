@@ -14,9 +14,6 @@ from ..format.encoding import CDR_HEADER
 from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE, Records, Stage
 from ..mcapfile.chunks import unpack_zstd
 
-TOPIC_PREFIX = "/dds_trace/"
-"""Start of our topics."""
-
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
 

@@ -15,8 +15,8 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 
-from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
-from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
+from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
+from .source import Batch, Text, event_batch, unpack_message
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
 # SQLite reports an absurd size as a lack of memory.

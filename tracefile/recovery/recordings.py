@@ -169,15 +169,14 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
         writer = Writer(stream, compression=CompressionType.NONE if walk.is_unpacked else CompressionType.ZSTD)
         library = walk.header.library if walk.header else "unknown"
         writer.start(_profile(walk), f"{library}; recovered by dds-trace {__version__}")
-        schemas, channels = dict[tuple[int, str], int](), dict[tuple[int, str, int], int]()
+        schemas, channels, left_out = dict[tuple[int, str], int](), dict[tuple[int, str, int], int](), 0
 
-        def declared(channel: Channel) -> int:
+        def declared(channel: Channel) -> int | None:
+            """Return the channel's id in the new file, None beyond `MOST_CHANNELS`."""
             key = channel.id, channel.topic, channel.schema_id
             if key not in channels:
                 if len(channels) == MOST_CHANNELS:
-                    raise TraceFormatError(
-                        source, f"declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have"
-                    )
+                    return None
                 schema = walk.schemas.get(channel.schema_id)
                 schema_id = 0
                 if schema is not None:
@@ -206,14 +205,25 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 writer.add_metadata(item.name, item.metadata)
             else:
                 channel_id = declared(item.channel)
-                writer.add_message(channel_id, item.log_ns, item.data, item.publish_ns, item.sequence)
-                new.count(item.channel.topic, item.log_ns)
+                if channel_id is None:
+                    left_out += 1
+                else:
+                    writer.add_message(channel_id, item.log_ns, item.data, item.publish_ns, item.sequence)
+                    new.count(item.channel.topic, item.log_ns)
             item = next(items, None)
-        for channel in walk.channels.values():
-            declared(channel)
+        unused = [channel for channel in walk.channels.values() if declared(channel) is None]
         writer.finish()  # type: ignore[no-untyped-call]
     new.unchecked = walk.unchecked
-    return walk.damages, walk.doubtful
+    return [*walk.damages, *_beyond_the_limit(left_out, len(unused))], walk.doubtful
+
+
+def _beyond_the_limit(messages: int, channels: int) -> list[str]:
+    if not messages and not channels:
+        return []
+    what = (
+        f"{counted(messages, 'message')} of further ones, and {counted(channels, 'channel')} without any, are left out"
+    )
+    return [f"it declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have: {what}"]
 
 
 def _definition(schema: Schema) -> bytes:

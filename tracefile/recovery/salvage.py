@@ -12,7 +12,7 @@ from mcap.records import Channel, Header, Schema
 from dds_trace.base.errors import TraceFormatError
 
 from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
-from ..format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE
+from ..format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, TOPIC_PREFIX
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
 from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.channels import ChannelTable
@@ -20,7 +20,6 @@ from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, RecordHeader, TornRecordError
 from ..mcapfile.records import parse_record
 from ..mcapfile.scan import scan_records
-from ..reading.source import TOPIC_PREFIX
 from ..writing.event_chunks import LIBRARY
 from ..writing.payloads import MOST_TOPICS, Payload, PayloadTopic
 

@@ -114,3 +114,10 @@ def test_a_long_record_is_not_kept(parsed):
     for _ in range(2):
         assert declared((Opcode.CHANNEL, long)).get(3).stage is None
     assert parsed == [long, long]
+
+
+def test_topics_of_others_may_share_an_id_and_ours_may_not():
+    table = declared((Opcode.CHANNEL, channel("/a")), (Opcode.CHANNEL, channel("/b")))
+    assert table.get(3).topic == "/a"
+    with pytest.raises(TraceFormatError, match="distinguished"):
+        declared((Opcode.CHANNEL, channel("/a")), (Opcode.CHANNEL, channel()))

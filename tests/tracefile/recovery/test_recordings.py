@@ -4,6 +4,7 @@ import re
 import pytest
 from bags import imu, text, write_bag2
 from damaged_bags import KINDS, damage, make_good, read_recovered
+from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
@@ -99,15 +100,20 @@ def test_what_holds_nothing_is_refused_in_one_line(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "b.db3", "c.mcap"}
 
 
-def test_more_channels_than_a_file_can_have_are_one_line(tmp_path, monkeypatch):
+def test_more_channels_than_a_file_can_have_cost_only_their_messages(tmp_path, monkeypatch):
     monkeypatch.setattr("dds_trace.tracefile.recovery.recordings.MOST_CHANNELS", 3)
     with (tmp_path / "many.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        for number in range(4):
+        for number in range(5):
             channel = writer.register_channel(f"/{number}", "cdr", schema)
             writer.add_message(channel, number, b"\0\1\0\0\1\0\0\0\0", number)
         writer.finish()
-    with pytest.raises(TraceFormatError, match="more than 3 channels"):
-        recover_recording(tmp_path / "many.mcap")
+    report = recover_recording(tmp_path / "many.mcap")
+    assert report.messages == 3
+    assert [
+        line for line in report.damages if "2 messages" in line and "more than 3 channels" in line
+    ] == report.damages
+    with report.recovered.open("rb") as file:
+        assert {channel.topic for _, channel, _ in make_reader(file).iter_messages()} == {"/0", "/1", "/2"}

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 
 from dds_trace.base.limits import STORED_RELAY_ID, STORED_TIME_NS, Whole
 from dds_trace.base.printable import printable
-from dds_trace.base.units import DRIFT_LIMIT_PPB, SECOND_NS
+from dds_trace.base.units import DRIFT_LIMIT_PPB, SECOND_NS, counted
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.encoding import decode_string, encode_string
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..backends.node import Publisher, RawMessage
+from ..backends.other_side import Strangers
 
 WINDOW_NS = 5 * SECOND_NS
 """Of the round trips of this time only the quickest counts: the others waited somewhere."""
@@ -114,6 +115,8 @@ NOTES_TOPIC, NOTES_TYPE = "beacon_clocks", "std_msgs/msg/String"
 MOST_WAITING = 256
 """Replies and notes that wait for each other; the oldest go."""
 MOST_DEVICES = 64
+MOST_LINES = 16
+UNSENT_NOTE = "note about a message that was not sent"
 MOST_NOTE_BYTES = 4096
 _TEXT_CHARACTERS = 120
 T2 = 2
@@ -126,8 +129,11 @@ class OtherClock:
     wall_offset_ns: int
     time_service: str
     estimate: ClockEstimate = field(default_factory=ClockEstimate)
+    is_contradicted: bool = False
 
     def words(self, now_ns: int, wall_offset_ns: int) -> str:
+        if self.is_contradicted:
+            return f"{self.device}: somebody else answers in its name, so the difference of the clocks is unknown"
         now = self.estimate.at(now_ns)
         if now is None:
             return f"{self.device}: no round trip yet"
@@ -143,15 +149,17 @@ class OtherClock:
 class Exchanges:
     """This beacon's messages, and what other beacons note about them.
 
-    Notes come from peers: whatever is no note is ignored.
+    Notes come from peers: one counts only for a message that was sent and answered, and two that differ about one message
+    contradict each other.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, strangers: Strangers) -> None:
         self.others: dict[int, OtherClock] = {}
+        self._strangers = strangers
         self.run_ids: set[int] = set()
         self._sent: dict[tuple[int, int], int] = {}
         self._received: dict[tuple[int, int, int], int] = {}
-        self._noted: dict[tuple[int, int, int], tuple[int, int]] = {}
+        self._noted: dict[tuple[int, int, int], tuple[ClockNote, bool]] = {}
         self._lock = threading.Lock()
 
     def note_sent(self, run_id: int, sequence: int, publish_ns: int) -> None:
@@ -168,29 +176,41 @@ class Exchanges:
         if note is None or note.run_id not in self.run_ids:
             return
         with self._lock:
-            other = self.others.get(note.relay_id)
-            if other is None:
-                if len(self.others) >= MOST_DEVICES:
-                    return
-                other = self.others[note.relay_id] = OtherClock(note.device, 0, "")
-            other.wall_offset_ns, other.time_service = note.wall_offset_ns, note.time_service
-            _put(self._noted, (note.run_id, note.sequence, note.relay_id), (note.relay_in_ns, note.relay_out_ns))
-            self._match(note.run_id, note.sequence, note.relay_id)
+            if (note.run_id, note.sequence) not in self._sent:
+                self._strangers.count(UNSENT_NOTE)
+                return
+            key = note.run_id, note.sequence, note.relay_id
+            first, is_contradicted = self._noted.get(key, (note, False))
+            is_contradicted |= first != note
+            _put(self._noted, key, (first, is_contradicted))
+            if is_contradicted and note.relay_id in self.others:
+                self.others[note.relay_id].is_contradicted = True
+            self._match(*key)
 
     def _match(self, run_id: int, sequence: int, relay_id: int) -> None:
         key = (run_id, sequence, relay_id)
         publish_ns = self._sent.get((run_id, sequence))
-        if key in self._received and key in self._noted and publish_ns is not None:
-            receive_ns, (relay_in_ns, relay_out_ns) = self._received.pop(key), self._noted.pop(key)
-            self.others[relay_id].estimate.add(publish_ns, relay_in_ns, relay_out_ns, receive_ns)
+        if key not in self._received or key not in self._noted or publish_ns is None:
+            return
+        receive_ns, (note, is_contradicted) = self._received.pop(key), self._noted[key]
+        other = self.others.get(relay_id)
+        if other is None:
+            if len(self.others) >= MOST_DEVICES:
+                return
+            other = self.others[relay_id] = OtherClock(note.device, 0, "")
+        other.wall_offset_ns, other.time_service = note.wall_offset_ns, note.time_service
+        other.is_contradicted |= is_contradicted
+        other.estimate.add(publish_ns, note.relay_in_ns, note.relay_out_ns, receive_ns)
 
     def words(self, now_ns: int, wall_offset_ns: int) -> list[str]:
         with self._lock:
-            return sorted(other.words(now_ns, wall_offset_ns) for other in self.others.values())
+            lines = sorted(other.words(now_ns, wall_offset_ns) for other in self.others.values())
+        further = [f"and {counted(len(lines) - MOST_LINES, 'further device')}"] if len(lines) > MOST_LINES else []
+        return [*lines[:MOST_LINES], *further]
 
 
 def _put(waiting: dict, key: tuple[int, ...], value: object) -> None:  # type: ignore[type-arg]
-    if len(waiting) >= MOST_WAITING:
+    if len(waiting) >= MOST_WAITING and key not in waiting:
         del waiting[next(iter(waiting))]
     waiting[key] = value
 

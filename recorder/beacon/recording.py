@@ -103,7 +103,7 @@ class BeaconRecording(BaseRecording):
 
     def begin(self, stack: ExitStack) -> None:  # noqa: ARG002 - the node closes its endpoints
         options, node = self.options, self.node
-        self.exchanges = Exchanges()
+        self.exchanges = Exchanges(node.strangers)
         self.pings: list[AnyPing] = []
         self.run: Run | None = None
         self._reported_s = self._served_s = -float("inf")

@@ -1,10 +1,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
-from dds_trace.recorder.beacon.exchange import MOST_DEVICES, MOST_WAITING, ClockNote, Exchanges, parse_note
+from dds_trace.recorder.backends.other_side import Strangers
+from dds_trace.recorder.beacon.exchange import (
+    MOST_DEVICES,
+    MOST_LINES,
+    MOST_WAITING,
+    UNSENT_NOTE,
+    ClockNote,
+    Exchanges,
+    parse_note,
+)
 from dds_trace.recorder.beacon.recording import chrony_words
 from dds_trace.tracefile.format.encoding import encode_string
 
@@ -29,7 +39,7 @@ def test_a_note_arrives_as_it_was_sent():
 
 @pytest.mark.parametrize("reply_first", [True, False])
 def test_reply_and_note_make_a_round_trip(reply_first, sentences):
-    exchanges = Exchanges()
+    exchanges = Exchanges(Strangers())
     exchanges.run_ids.add(7)
     exchanges.note_sent(7, 3, 90 * MS)
     steps = [lambda: exchanges.note_reply(7, 3, 9, 101 * MS), lambda: exchanges.take_note(packed())]
@@ -42,19 +52,68 @@ def test_reply_and_note_make_a_round_trip(reply_first, sentences):
 
 
 def test_notes_about_others_are_ignored():
-    exchanges = Exchanges()
+    exchanges = Exchanges(Strangers())
     exchanges.take_note(packed())
     assert exchanges.words(0, 0) == []
 
 
-def test_memory_is_bounded():
-    exchanges = Exchanges()
+def exchanged(*notes, forged=(), replies=(9,)):
+    """Exchanges of a message that was sent and answered, with notes about it."""
+    exchanges = Exchanges(Strangers())
+    exchanges.run_ids.add(7)
+    for note in forged:
+        exchanges.take_note(packed(note))
+    exchanges.note_sent(7, 3, 90 * MS)
+    for note in notes:
+        exchanges.take_note(packed(note))
+    for relay_id in replies:
+        exchanges.note_reply(7, 3, relay_id, 101 * MS)
+    return exchanges
+
+
+MOVED = [
+    replace(NOTE, wall_offset_ns=11_000 * MS),
+    replace(NOTE, relay_in_ns=10_500 * MS, relay_out_ns=10_501 * MS),
+    replace(NOTE, device="x"),
+]
+
+
+@pytest.mark.parametrize("moved", MOVED)
+@pytest.mark.parametrize("is_late", [False, True])
+def test_two_notes_about_one_message_are_somebody_elses(moved, is_late):
+    exchanges = exchanged(NOTE, *([] if is_late else [moved]))
+    if is_late:
+        exchanges.take_note(packed(moved))
+    exchanges.note_sent(7, 4, 190 * MS)
+    exchanges.take_note(packed(replace(NOTE, sequence=4)))
+    exchanges.note_reply(7, 4, 9, 201 * MS)
+    (line,) = exchanges.words(201 * MS, 0)
+    assert "somebody else" in line
+    assert "+-" not in line
+
+
+def test_a_note_twice_is_no_contradiction():
+    assert "+-" in exchanged(NOTE, NOTE).words(101 * MS, 0)[0]
+
+
+def test_a_note_about_a_message_that_was_not_sent_or_answered_counts_nothing():
+    ahead = exchanged(NOTE, forged=MOVED)
+    assert ahead.words(101 * MS, 400 * MS) == exchanged(NOTE).words(101 * MS, 400 * MS)
+    assert ahead._strangers.counts == {UNSENT_NOTE: 3}
+    invented = [replace(NOTE, relay_id=number, device=f"d{number}") for number in range(100, 5100)]
+    assert len(exchanged(NOTE, *invented, NOTE).words(101 * MS, 0)) == 1
+
+
+def test_memory_and_lines_are_bounded():
+    exchanges = Exchanges(Strangers())
     exchanges.run_ids.add(7)
     for number in range(10 * MOST_WAITING):
         exchanges.note_sent(7, number, number)
         exchanges.take_note(packed(ClockNote("d", 7, number, number, 1, 2, 3, "")))
+        exchanges.note_reply(7, number, number, number)
     assert len(exchanges.others) == MOST_DEVICES
-    assert len(exchanges._sent) == MOST_WAITING
+    assert len(exchanges._sent) == len(exchanges._noted) == MOST_WAITING
+    assert len(exchanges.words(0, 0)) == MOST_LINES + 1
 
 
 TEXT = json.loads(packed()[8:-1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,6 @@ VARIABLE = "DDS_TRACE_CONFIG"
 """Variable that names the file instead of all others; empty for none."""
 
 TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
-
-_MOST_BYTES = 1 << 20
 
 _WITHOUT_DEFAULT = frozenset(
     (
@@ -42,31 +41,16 @@ _WITHOUT_DEFAULT = frozenset(
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
 
-OWN_ONLY = frozenset(
-    [
-        "against",
-        "bridge",
-        "bridge-listen",
-        "bridge-peer",
-        "cluster",
-        "configuration",
-        "file-mode",
-        "host",
-        "keep",
-        "keys",
-        "limits",
-        "listen",
-        "open",
-        "out",
-        "payload",
-        "peer",
-        "port",
-        "rmw",
-        "topic",
-        "type",
-    ]
-)
-"""Options that name code, an address, an output or what is sent: a working folder's file may be somebody else's."""
+_OF_THE_USER = frozenset(("PATH", "FILE", "FOLDER", "HOST", "PORT", "ADDRESS", "SIDE", "TYPE", "MODE", "RMW", "BRIDGE"))
+"""Metavars of paths, rights of files, addresses, programs and of what is sent: a working folder's file may be somebody else's."""
+
+_ACTING = frozenset(("keep", "open", "payload"))
+"""Options that remove files, start a program, or store what others send."""
+
+
+def is_own_only(option: Any) -> bool:
+    """Return whether an option has no default in a working folder, by its metavar."""
+    return bool(_OF_THE_USER & set(str(option.metavar).split(":"))) or _key(option) in _ACTING
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +75,17 @@ def _own_file() -> Path | None:
     return config / "dds-trace" / FILE_NAME if config.is_absolute() else None
 
 
-def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]) -> dict[str, Default]:
+def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, Any]) -> dict[str, Default]:
     """Return option -> its default, for one command.
 
     Args:
         files: the first one counts most.
         table: the command's table.
-        options: name without dashes -> whether it is repeatable.
+        options: name without dashes -> the command's option.
 
     Raises:
-        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one of `OWN_ONLY` in a
-            working folder.
+        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one that
+            `is_own_only` in a working folder.
     """
     defaults: dict[str, Default] = {}
     for path in reversed(files):
@@ -110,21 +94,16 @@ def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]
     return defaults
 
 
-def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, object]:
-    from dds_trace.base.files import open_regular
+def _read(path: Path, table: str, options: Mapping[str, Any]) -> dict[str, object]:
+    from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable  # not loaded where there is no file
 
     try:
-        with open_regular(path) as file:
-            _check_owner(path, os.fstat(file.fileno()).st_uid)
-            data = file.read(_MOST_BYTES + 1)
-        text = data.decode()
+        text = read_regular(path, partial(_check_owner, path)).decode()
     except OSError as err:
         raise OptionError(f"{path}: {err.strerror}; name another file in {VARIABLE}, or leave it empty") from err
     except UnicodeDecodeError as err:
         raise OptionError(f"{path}: {err}; it is UTF-8 text") from err
-    if len(data) > _MOST_BYTES:
-        raise OptionError(f"{path} is larger than {_MOST_BYTES >> 20} MiB, which no file of defaults is")
     root = TomlTable.parse(text, str(path))
     root.allow(*TABLES)
     entries = root.table(table)
@@ -133,21 +112,18 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
         if key in _WITHOUT_DEFAULT and key in options:
             raise OptionError(f"{entries.where}: {key} has no default; give --{key} each time")
         entries.allow(*allowed)
-        if isinstance(value, dict) or (isinstance(value, list) and not options[key]):
+        if isinstance(value, dict) or (isinstance(value, list) and not options[key].multiple):
             raise OptionError(f"{entries.where}: {key} is {limits.shown(value)}; write one value")
-        if _is_own_only(key, value) and VARIABLE not in os.environ and path != _own_file():
+        names_source = key == "data" and ":" in str(value)  # a file, a bag or a running topic
+        if (names_source or is_own_only(options[key])) and VARIABLE not in os.environ and path != _own_file():
             raise OptionError(
                 f"{entries.where}: {key} = {limits.shown(value)} cannot come from a working folder: give --{key}, or set it in "
                 f"{_own_file() or VARIABLE}; {VARIABLE}= in the environment ignores this file"
             )
     return {
-        key: value if isinstance(value, list) or not options[key] else [value] for key, value in entries.values.items()
+        key: value if isinstance(value, list) or not options[key].multiple else [value]
+        for key, value in entries.values.items()
     }
-
-
-def _is_own_only(key: str, value: object) -> bool:
-    """Return whether only the user may set this; `data` names a file, a bag or a running topic by its colon."""
-    return key in OWN_ONLY or (key == "data" and ":" in str(value))
 
 
 def _folders() -> Iterator[Path]:
@@ -192,7 +168,7 @@ class DefaultedCommand(TyperCommand):
         files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
         if files:
             options = {_key(option): option for option in self._options()}
-            values = read_defaults(files, self.table, {key: option.multiple for key, option in options.items()})
+            values = read_defaults(files, self.table, options)
             self.in_file = {options[key].name: default for key, default in values.items()}
             extra["default_map"] = {name: default.value for name, default in self.in_file.items()}
         return super().make_context(info_name, args, parent, **extra)

@@ -135,7 +135,7 @@ class PingOptions:
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
         "none",
-        "--bridge NAME",
+        "--bridge BRIDGE",
         Panel.BRIDGE,
         "Start this bridge to the domain of the relay:",
         limit=limits.NAME,

@@ -70,7 +70,7 @@ class NodeOptions:
     )
     rmw: str | None = detail(
         None,
-        "--rmw NAME",
+        "--rmw RMW",
         Panel.MIDDLEWARE,
         "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else the default of ROS 2",
         limit=limits.RMW,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.files import expand_home, open_regular
+from dds_trace.base.files import expand_home, read_regular
 from dds_trace.base.printable import printable
 from dds_trace.base.units import parse_size
 
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     AxisValue: TypeAlias = str | int | float | bool | None
     AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
-MAX_PLAN_BYTES = 4 << 20
-"""Largest plan; ours have a few kilobytes."""
-
 MAX_RUNS = 1_000_000
 """Most runs of a sweep, six weeks of four seconds each."""
 
@@ -54,15 +51,11 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
         OptionError: the file cannot be read, or has a wrong key or value.
     """
     try:
-        with open_regular(path) as file:
-            data = file.read(MAX_PLAN_BYTES + 1)
-        text = data.decode()
+        text = read_regular(path).decode()
     except OSError as err:
         raise OptionError(f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml") from err
     except UnicodeDecodeError as err:
         raise OptionError(f"{path}: {err}; a plan is UTF-8 text") from err
-    if len(data) > MAX_PLAN_BYTES:
-        raise OptionError(f"{path} is larger than {MAX_PLAN_BYTES >> 20} MiB, which no plan is; give another file")
     return parse_plan(text, path.stem, str(path), installed, by_hand=by_hand)
 
 

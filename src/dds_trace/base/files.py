@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from .errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from io import BufferedReader
 
 
@@ -104,13 +104,14 @@ MOST_SETTINGS_BYTES = 16 << 20
 """Far more than any configuration, plan or link file has."""
 
 
-def read_regular(path: Path) -> bytes:
-    """Read a file of settings whole.
+def read_regular(path: Path, check_owner: Callable[[int], object] = bool) -> bytes:
+    """Read a file of settings whole, once `check_owner` has taken the id of its owner.
 
     Raises:
         OSError: as `open_regular`, or it is larger than `MOST_SETTINGS_BYTES`.
     """
     with open_regular(path) as file:
+        check_owner(os.fstat(file.fileno()).st_uid)
         data = file.read(MOST_SETTINGS_BYTES + 1)
     if len(data) > MOST_SETTINGS_BYTES:
         raise OSError(errno.EFBIG, "larger than any file of settings", str(path))

@@ -141,7 +141,7 @@ def test_what_is_no_plan_at_all_is_refused(tmp_path):
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe9'\n")
     assert "a plan is UTF-8 text" in read_or_refuse(tmp_path / "latin.toml")
     with (tmp_path / "large.toml").open("wb") as file:
-        file.truncate(5 << 20)
-    assert "is larger than 4 MiB" in read_or_refuse(tmp_path / "large.toml")
+        file.truncate(17 << 20)
+    assert "larger than any file of settings" in read_or_refuse(tmp_path / "large.toml")
     (tmp_path / "link.toml").symlink_to("/dev/zero")
     assert "not a regular file" in read_or_refuse(tmp_path / "link.toml")

@@ -69,7 +69,6 @@ MIXED = random.Random(1).sample(range(20), 20)
 
 
 def around(typical_ns):
-    """20 times from `typical_ns` on, 1 µs apart."""
     return [typical_ns + n * 1000 for n in MIXED]
 
 

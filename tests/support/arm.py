@@ -29,8 +29,6 @@ needs_arm = pytest.mark.skipif(
 
 @dataclass(frozen=True)
 class ArmPython:
-    """The emulated interpreter; `words` precede its arguments."""
-
     root: Path
     wheels: Path
 

@@ -18,7 +18,6 @@ def pack_event(
     payload_bytes: int = 0,
     relay_id: int = 0,
 ) -> bytes:
-    """One event as little-endian CDR, 60 bytes."""
     fields = (run_id, sequence, monotonic_ns, scheduled_ns, source_ns, received_ns, payload_bytes, relay_id)
     return CDR_HEADER + EVENT.pack(*fields)
 

@@ -22,8 +22,6 @@ PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"
 
 @dataclass(frozen=True)
 class Sshd:
-    """How to reach it: `ssh *options destination`."""
-
     destination: str
     options: tuple[str, ...]
 

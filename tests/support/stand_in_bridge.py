@@ -61,7 +61,6 @@ def dies_at_once():
 
 
 def dies_when_told():
-    """Ends by itself at SIGUSR1."""
     print(UP)
     signal.sigwait({signal.SIGUSR1})
     print("stand-in lost its way")

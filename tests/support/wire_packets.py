@@ -50,7 +50,6 @@ def rtps(*submessages, prefix=PREFIX):
 
 
 def submessage(kind, body, flags=1, length=None):
-    """One submessage; flag 1 is little endian."""
     order = "<" if flags & 1 else ">"
     return struct.pack(order + "BBH", kind, flags, len(body) if length is None else length) + body
 

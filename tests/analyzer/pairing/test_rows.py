@@ -14,7 +14,6 @@ from dds_trace.analyzer.pipeline import analyze
 
 @pytest.fixture
 def analysis(tmp_path):
-    """Two groups of 3 and 2 messages."""
     for number, messages in enumerate((3, 2), 1):
         folder = tmp_path / "traces" / str(number)
         folder.mkdir(parents=True)

@@ -61,7 +61,6 @@ def test_text_of_others_is_no_stamp(text):
 
 
 def write_time(place, message, wall_ns):
-    """Both steps, as a ping goes them."""
     place.write_nanoseconds(message, wall_ns - place.write_second(message, wall_ns - 5))
 
 

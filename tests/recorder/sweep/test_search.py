@@ -32,7 +32,6 @@ SEARCH = Search(min_rate=1, max_rate=1000, resolution=1.1, knee_repeats=3)
 
 
 def search(holds, settings=SEARCH):
-    """RateAnswer, rates and the trials as {rate: runs}."""
     trials = Counter()
 
     def trial(rate_hz, number):

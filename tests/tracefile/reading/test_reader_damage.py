@@ -257,8 +257,6 @@ def read_in_little_memory(path, expression: str) -> str:
 
 
 class TestClaims:
-    """Sizes that a file claims cost no memory."""
-
     @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
     @pytest.mark.parametrize("claim", [1 << 40, (64 << 20) + 1, (1 << 64) - 1])
     def test_a_chunk_that_claims_a_terabyte(self, tmp_path, compression, claim):

@@ -114,7 +114,6 @@ def test_the_same_recordings_pass_every_change_and_fail_a_limit(folders, capsys)
 
 
 def dead(folder):
-    """Three runs like those of `record`, to which no reply came back."""
     for number in range(3):
         write_run(folder / str(number), number, [replace(m, t4=None, t2=None) for m in drawn(1, 600, number)])
 

@@ -34,8 +34,6 @@ def home(tmp_path, monkeypatch):
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Call a command; its exit code, stdout and stderr."""
-
     def call(app, *arguments):
         monkeypatch.setattr("sys.argv", ["dds-x", *arguments])
         with pytest.raises(SystemExit) as ended:

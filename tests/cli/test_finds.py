@@ -149,7 +149,6 @@ def test_a_find_is_one_line_and_a_documented_exit_code(surroundings, monkeypatch
 
 
 def run_as_process(folder, command, arguments):
-    """Run the installed command; its exit code and stderr."""
     program, *names = command.split()
     done = subprocess.run(
         [Path(sys.executable).with_name(program), *names, *map(os.fsencode, arguments)],

@@ -59,8 +59,6 @@ def starts_of(folder):
 
 
 class Started:
-    """A ping's trace: its labels and when its session began."""
-
     def __init__(self, path):
         trace = read_trace(path)
         self.labels = trace.runs[0].labels

@@ -18,7 +18,6 @@ EXAMPLES = sorted((ROOT / "docs/examples").glob("tables_*.py"))
 
 @pytest.fixture(scope="module")
 def analyzed(tmp_path_factory):
-    """A folder with both tables as Parquet and CSV, and the analysis."""
     folder = tmp_path_factory.mktemp("tables")
     analysis = analyze(ROOT / "sample_traces/losses", out=folder)
     export_tables(analysis, "csv", folder)

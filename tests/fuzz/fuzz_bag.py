@@ -81,18 +81,15 @@ class Target:
         return self._file("bag.mcap", data)
 
     def _changed_mcap(self, data: bytes) -> Path:
-        """The bytes are changes to the MCAP file of a rosbag2 folder."""
         return self._bag("bag.mcap", changed(self._good["bag.mcap"], data))
 
     def _changed_database(self, data: bytes) -> Path:
-        """The bytes are changes to the database of a rosbag2 folder."""
         return self._bag("bag.db3", changed(self._good["bag.db3"], data))
 
     def _ros1(self, data: bytes) -> Path:
         return self._file("bag.bag", data)
 
     def _changed_ros1(self, data: bytes) -> Path:
-        """The bytes are changes to a ROS 1 bag."""
         return self._file("bag.bag", changed(self._good["bag.bag"], data))
 
     def _metadata_text(self, data: bytes) -> Path:

@@ -64,8 +64,6 @@ MOST_SCHEDULED = 1000
 
 
 class Target:
-    """Plans as text, and a good one with hostile values."""
-
     def __init__(self, folder: Path) -> None:
         self._path = folder / "plan.toml"
         self._shapes = (self._text, self._changed)
@@ -95,7 +93,6 @@ class Target:
         str(estimate.remaining(plan.cells))
 
     def seeds(self) -> dict[str, bytes]:
-        """A plan with every table, as text and unchanged."""
         return shaped_seeds(self._shapes, {self._text: PLAN.encode(), self._changed: bytes(3)})
 
     def _text(self, data: bytes) -> None:

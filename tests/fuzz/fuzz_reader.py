@@ -68,8 +68,6 @@ def small_ring(folder: Path) -> bytes:
 
 
 class Target:
-    """Files, rings and bags of every shape, read in every way."""
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._path = folder / "t.mcap"
@@ -101,7 +99,6 @@ class Target:
         read_every_way(shaped(self._shapes, data))
 
     def seeds(self) -> dict[str, bytes]:
-        """One good input of each shape that has any."""
         plain = write_trace(
             self._folder / "plain.mcap",
             ping_session(),
@@ -135,7 +132,6 @@ class Target:
         return self._file(self._good[: int.from_bytes(data[:2], "little") % len(self._good)] + data[2:])
 
     def _changed_file(self, data: bytes) -> Path:
-        """Pairs of a place and a byte, put into a good file."""
         return self._file(changed(self._good, data))
 
     def _plain_chunk(self, data: bytes) -> Path:

@@ -58,7 +58,6 @@ RECORD = struct.Struct("<HB")
 
 
 def shaped(shapes: Sequence[Callable[[bytes], T]], data: bytes) -> T:
-    """Apply the shape that the first byte names to the others."""
     return shapes[data[0] % len(shapes)](data[1:]) if data else shapes[0](b"")
 
 

@@ -19,8 +19,6 @@ ANSWERS = {status.value for status in HTTPStatus}
 
 
 class Target:
-    """Requests as bytes, and good ones with hostile targets and header lines."""
-
     def __init__(self, folder: Path) -> None:
         (folder / "secret.txt").write_bytes(SECRET)
         watcher = Watcher(WatchOptions(folder))

@@ -109,7 +109,6 @@ def test_a_toy_backend_is_offered_and_explains_itself(toy_backend, tmp_path):
 
 
 def make_toy(size_bytes, seed, _stop=None, /):
-    """A header and as many random bytes as asked for."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.octets(random.Random(seed).randbytes(size_bytes or 92))

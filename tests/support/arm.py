@@ -43,7 +43,6 @@ class ArmPython:
         return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def run(self, *arguments: object) -> str:
-        """Run a script to its end; what it printed."""
         done = subprocess.run(
             [*self.words, *map(str, arguments)], env=self.environment, capture_output=True, text=True, check=False
         )

@@ -27,7 +27,6 @@ def header(store: Any = ROS2, frame_id: str = "lidar_link", stamp_ns: int = 1_70
 
 
 def points(count: int, store: Any = ROS2) -> Any:
-    """A PointCloud2 of `count` random points, 16 bytes each."""
     field = store.types["sensor_msgs/msg/PointField"]
     return store.types["sensor_msgs/msg/PointCloud2"](
         header=header(store),

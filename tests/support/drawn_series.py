@@ -8,7 +8,6 @@ import numpy as np
 
 
 def autoregressive(runs: int, messages: int, correlation: float, seed: int):
-    """Standard normal values whose neighbours correlate, shape (runs, messages)."""
     values = np.random.default_rng(seed).standard_normal((messages, runs))
     for place in range(1, messages):
         values[place] = correlation * values[place - 1] + math.sqrt(1 - correlation**2) * values[place]

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class JsonSink:
-    """What a tap records: events as tuples, and JSON objects."""
-
     events: list[tuple[int, ...]] = field(default_factory=list)
     texts: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     payloads: list[tuple[Any, ...]] = field(default_factory=list)

@@ -59,7 +59,6 @@ FAST, CYCLONE, ZENOH = (
 
 
 def bridged(way: Way, bridge: str, factor: float, bytes_per_s: float = 1e9) -> Way:
-    """A way through a bridge, so many times as slow."""
     return replace(
         way, bridge=bridge, base_ms=way.base_ms * factor, ms_per_mb=way.ms_per_mb * factor, bytes_per_s=bytes_per_s
     )

@@ -76,7 +76,6 @@ def json_values() -> st.SearchStrategy[object]:
 
 
 def to_toml(value: object) -> str:
-    """Return a value as TOML writes it; an integer of any length."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):

@@ -26,7 +26,6 @@ NEVER_S = 3600.0
 
 
 def limit_file_size(size: int) -> None:
-    """Set the largest size that a file may grow to, in bytes."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 

@@ -33,7 +33,6 @@ def missing_program() -> str | None:
 
 @contextmanager
 def sshd(folder: Path) -> Iterator[Sshd]:
-    """A server that lives as long as the block."""
     for name in ("host_key", "user_key"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)
     if os.geteuid() == 0:

@@ -42,7 +42,6 @@ class LossyLink:
     forwarder: subprocess.Popen[str]
 
     def start(self, side: int, *command: object) -> subprocess.Popen[str]:
-        """A command in one of the namespaces, 0 or 1."""
         return subprocess.Popen(
             [*self.sides[side].prefix, *map(str, command)],
             stdin=subprocess.DEVNULL,

@@ -66,7 +66,6 @@ class StallWatch:
 
 
 def record(folder: Path, domain: str, messages: int, options: list[str]) -> tuple[subprocess.Popen[str], ...]:
-    """Start a relay and a ping; return them once messages flow."""
     common = ("--domain", domain, "--backend", "socket", "--discovery", "localhost", *options)
     relay = subprocess.Popen(
         [DDS_RECORD, "--role", "relay", "--out", str(folder / "relay.mcap"), *common], stderr=subprocess.PIPE, text=True

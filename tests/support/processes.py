@@ -111,7 +111,6 @@ class RunningCommand:
 def running(
     *arguments: object, environment: dict[str, str] | None = None, prefix: Sequence[str] = ()
 ) -> Iterator[RunningCommand]:
-    """A command that runs within the block and not after it."""
     command = RunningCommand(*arguments, environment=environment, prefix=prefix)
     try:
         yield command
@@ -128,7 +127,6 @@ def relay(domain_id: int, out: Path, *more: object) -> Iterator[RunningCommand]:
 
 
 def wait_for_chunks(path: Path) -> None:
-    """Wait until messages are in the file: the run goes on."""
     wait_until(lambda: path.exists() and path.stat().st_size >= 4000)
 
 

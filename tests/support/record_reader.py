@@ -18,7 +18,6 @@ FIELDS = (
 
 
 def events_of(path: Path, stage: str) -> list[dict[str, int]]:
-    """The events of `t1` ... `t4`, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages([f"/dds_trace/{stage}"])
         return [dict(zip(FIELDS, unpack_event(message.data), strict=True)) for _, _, message in messages]

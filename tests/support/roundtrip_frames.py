@@ -115,7 +115,6 @@ def with_one_way(frame: pl.DataFrame) -> pl.DataFrame:
 
 
 def rows_by_group(frame: pl.DataFrame) -> RowStore:
-    """The rows of a frame by group, as an analysis has them."""
     keys = list(PARAMETER_NAMES)
     counts = frame.group_by(keys, maintain_order=True).agg(pl.len().alias("published"))
     groups = counts.sort(keys, nulls_last=True).with_row_index("group")

@@ -159,7 +159,6 @@ def ping_events(messages: Iterable[Message], **fields: int) -> dict[Stage, list[
 
 
 def relay_events(messages: Iterable[Message], **fields: int) -> dict[Stage, list[Event]]:
-    """What the relay records of `messages`; `fields` as for `ping_events`."""
     held = list(messages)
     stamp = {"relay_id": RELAY_ID, **fields}
     return {
@@ -339,5 +338,4 @@ def _in_time_order(events: Mapping[Stage, Sequence[Event]]) -> list[tuple[Stage,
 
 
 def copy_sample(name: str, folder: Path) -> None:
-    """Copy the traces of a sample, without what a person analyzed there."""
     shutil.copytree(SAMPLES / name, folder, ignore=shutil.ignore_patterns("analysis"), dirs_exist_ok=True)

@@ -144,7 +144,6 @@ def _folder() -> Path:
 
 
 def _template(program: str) -> Path:
-    """The place of the socket of this process's template for a command."""
     return _started(KINDS[program])
 
 

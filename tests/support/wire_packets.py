@@ -37,7 +37,6 @@ def udp(payload, source_port=40000, destination_port=7411):
 
 
 def tcp(sequence, payload=b"", source_port=7500, destination_port=50000, flags=0x10):
-    """A TCP segment with a header of 32 bytes."""
     return (
         struct.pack(">HHIIBBHHH", source_port, destination_port, sequence, 1, 8 << 4, flags, 1000, 0, 0)
         + bytes(12)

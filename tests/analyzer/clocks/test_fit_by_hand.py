@@ -11,7 +11,6 @@ S = 1_000_000_000
 
 
 def fitted(*messages, **names):
-    """The fit of messages given as T1, T3, T4, T2."""
     stamps = np.array(messages, np.int64).reshape(-1, 4).T
     ((fit, offsets),) = fit_clocks([RelayedMessages(*stamps, **names)])
     return fit, offsets

@@ -389,7 +389,6 @@ def test_labels_of_plain_repeats_are_no_finding(tmp_path):
 
 
 def write_second(folder, **session):
-    """A second ping's trace, whose session has these fields."""
     described_run = described(sound(), run_id=9, extra={})
     write_trace(
         folder / "second.mcap", ping_session(session_id=9, **session), [described_run], ping_events(sound(), run_id=9)

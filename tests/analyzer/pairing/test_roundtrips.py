@@ -21,7 +21,6 @@ def columns(*events):
 
 
 def exchange(run_id, **described):
-    """A run whose messages relay 7 may have answered."""
     session = relay_session(relay_id=RELAY)
     return Exchange(run(run_id=run_id, **described), ping_session(), RELAY, session, 0, 0, (1, 1, 1, 1))
 

@@ -24,7 +24,6 @@ from dds_trace.analyzer.statistics.power import smallest_shift
 
 
 def losing(messages: int, *lost: tuple[int, int]):
-    """A run that loses all messages from one number up to another."""
     received = np.ones(messages, np.bool_)
     for first, end in lost:
         received[first:end] = False

@@ -17,7 +17,6 @@ P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))
 
 
 def drawn(messages: int, mean_ns: float, seed: int):
-    """Latencies from 1 ms up with an exponential tail."""
     return (MS + np.random.default_rng(seed).exponential(mean_ns, messages)).astype(np.int64).tolist()
 
 

@@ -17,7 +17,6 @@ JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9, metric="latency")
 
 
 def noisy(centre_ns, messages=200, seed=0):
-    """Latencies within 10 % of a centre, in no order."""
     return (centre_ns * (1 + 0.1 * np.random.default_rng(seed).uniform(-1, 1, messages))).astype(int).tolist()
 
 

@@ -90,7 +90,6 @@ def test_the_block_leaves_a_profile_of_the_users_own_alone(monkeypatch):
 
 @pytest.fixture
 def run(domain_id):
-    """Runs a pair as the product opens its nodes."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
 
     def pair(transport, tuned, **more):

@@ -16,7 +16,6 @@ from dds_trace.recorder.host.load import loaded
 
 @pytest.fixture(autouse=True)
 def own_lock(monkeypatch, tmp_path):
-    """Loads of tests beside this one do not wait for each other."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(load_module, "ending_with_parent", list)
 

@@ -68,8 +68,6 @@ def test_a_ping_and_a_relay_of_message_objects_record_all_four_stages():
 
 
 class OneArrival:
-    """A feed of one message, which arrived at 77 ns."""
-
     skipped = 0
 
     def __init__(self, message):

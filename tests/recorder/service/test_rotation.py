@@ -128,7 +128,6 @@ def test_a_short_disk_is_an_error_once_an_event_found_no_room_in_the_ring(
 
 @pytest.fixture(params=["path", "abstract"])
 def listening(tmp_path, request):
-    """A socket, and its address as NOTIFY_SOCKET has it."""
     address = str(tmp_path / "notify") if request.param == "path" else f"@dds-trace-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(address.replace("@", "\0"))

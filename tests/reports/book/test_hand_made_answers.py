@@ -140,7 +140,6 @@ def test_who_is_fastest(answers, said, sentences):
 
 
 def lost_row(name, share, verdict=DO_NOT_USE, reason="", group=0):
-    """A setup that lost a share of 128 messages."""
     fields = {"verdict": verdict, "reason": reason, "group": group, "lost": round(128 * share), "messages": 128}
     return Judgement(Claim.LOSSY, name, "lost", value=share, **fields)
 

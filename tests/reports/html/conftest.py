@@ -42,7 +42,6 @@ def tab(chromium):
 
 @pytest.fixture
 def new_tab(chromium):
-    """A tab of the test's own, for what stays with a tab."""
     context = chromium.new_context()
     yield context.new_page()
     context.close()

@@ -11,7 +11,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 
 def command_for(tab, **fields):
-    """Fill in the form; the words of its command."""
     for name, value in fields.items():
         field = tab.locator(f"#job-form [name={name}]")
         if field.evaluate("e => e.tagName") == "SELECT":

@@ -21,7 +21,6 @@ SLOTS_AT = 4096
 
 
 def slot(ticket: int, stage: int, sequence: int | None = None) -> bytes:
-    """One slot by hand: eight fields and the mark."""
     sequence = ticket if sequence is None else sequence
     return struct.pack("<QQqqqqII", 9, sequence, 1000 + ticket, 0, 0, 0, 33, 0) + struct.pack(
         "<Q", ticket + (stage << 56)

@@ -70,7 +70,6 @@ def chunk_starts(path) -> list[int]:
 
 
 def write_number(path, offset: int, number: int) -> None:
-    """Put a number of eight bytes in place of what is there."""
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, offset, number)
     path.write_bytes(data)

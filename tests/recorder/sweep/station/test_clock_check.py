@@ -15,8 +15,6 @@ BEACON = (
 
 
 class Device:
-    """The other device; keeps what it is asked for."""
-
     def __init__(self, error=None):
         self.error, self.started, self.stopped, self.discarded = error, [], 0, []
 
@@ -79,8 +77,6 @@ def test_backends_that_need_an_address_have_no_check(tmp_path):
 
 def test_all_pairs_of_several_devices_are_compared(tmp_path):
     class Hosts(Device):
-        """Devices whose logs are here, as ssh leaves them."""
-
         def start(self, arguments, segment):
             name = arguments[arguments.index("--device") + 1]
             other = {"left": "right", "right": "left"}[name]

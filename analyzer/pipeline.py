@@ -15,11 +15,10 @@ from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Analysis
 from .details import collect_details, details_not_requested
-from .engines.batches import groups_in_parts, plan_batches
+from .engines.batches import BatchOutput, BatchResult, groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
 from .engines.local import Engine
 from .engines.merge import merge_results
-from .engines.process import BatchOutput, BatchResult
 from .findings.evidence import Evidence
 from .findings.runs import forged_groups
 from .findings.table import find_findings

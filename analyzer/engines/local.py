@@ -17,8 +17,7 @@ from ..groups.batch import Batch
 from ..loading.campaign import Campaign, Place, Progress, load_campaign
 from ..loading.event_index import EventIndex
 from ..loading.traces import LoadedTrace, TraceSpool, load, load_some
-from .batches import is_large, keep_freed_memory
-from .process import BatchOutput, process, process_elsewhere
+from .batches import BatchOutput, is_large, keep_freed_memory, process, process_elsewhere
 
 _MOST_THREADS = 2  # each has a batch in memory; the caller writes the rows
 

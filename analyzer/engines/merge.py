@@ -21,7 +21,7 @@ from ..groups.summary import Statistics, Summary, measure_groups, summarize_grou
 from ..loading.event_index import Copies, EventKey
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
-from .process import BatchResult
+from .batches import BatchResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
-from ..pairing.flows import Overlap, find_overlaps
+from ..pairing.exchanges import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
 from ..verdicts.judgements import Claim, Reason

@@ -19,11 +19,10 @@ from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
 from ..pairing.rows import RowStore
-from .device_clocks import DeviceClocks
+from .device_clocks import DeviceClocks, WallReadings, follow_wall_clocks
 from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
 from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, with_ages
 from .taps import has_taps, heard_by_taps
-from .wall_clocks import WallReadings, follow_wall_clocks
 
 TOPIC_MESSAGE_SCHEMA = {**schema_of(ROUNDTRIP_COLUMNS), **MESSAGE_COLUMNS}
 

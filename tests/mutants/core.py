@@ -17,7 +17,7 @@ CORE = {
     "pairing": Part(("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")),
     "spool": Part(("analyzer/loading/spool.py", "analyzer/loading/traces.py"), ("tests/analyzer/loading",)),
     "results": Part(
-        ("analyzer/engines/process.py",), ("tests/analyzer/loading/test_traces.py", "tests/analyzer/engines")
+        ("analyzer/engines/batches.py",), ("tests/analyzer/loading/test_traces.py", "tests/analyzer/engines")
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(

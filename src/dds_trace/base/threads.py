@@ -160,5 +160,6 @@ NEW_OBJECTS = 10_000
 
 
 def tune_gc() -> None:
+    """Tune an analysis, before any heavy import."""
     gc.set_threshold(NEW_OBJECTS)
     atexit.register(gc.freeze)

@@ -11,7 +11,6 @@ from polars.testing import assert_frame_equal
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
 import dds_trace.analyzer.engines.batches
-import dds_trace.analyzer.engines.process
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
 import dds_trace.tracefile.mcapfile.blocks
@@ -108,8 +107,8 @@ def test_a_large_batch_measured_side_by_side_says_the_same(tmp_path, monkeypatch
         threads.add(threading.current_thread().name.partition("_")[0])
         return measure(*of_batch)
 
-    measure = dds_trace.analyzer.engines.process.measure_batch
-    monkeypatch.setattr(dds_trace.analyzer.engines.process, "measure_batch", measure_batch)
+    measure = dds_trace.analyzer.engines.batches.measure_batch
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_batch", measure_batch)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)
     found = analyze(runs)
     assert threads == {"measure"}

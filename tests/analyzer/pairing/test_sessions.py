@@ -8,8 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.pairing.exchanges import Doubt, find_ping_session, find_relay_session
-from dds_trace.analyzer.pairing.flows import OVERLAP_NS, Overlap, RunSpan, count_flows, find_overlaps
+from dds_trace.analyzer.pairing.exchanges import (
+    OVERLAP_NS,
+    Doubt,
+    Overlap,
+    RunSpan,
+    count_flows,
+    find_overlaps,
+    find_ping_session,
+    find_relay_session,
+)
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA, pair_devices
 from dds_trace.tracefile.format.descriptions import Run, Session
 

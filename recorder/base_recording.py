@@ -175,7 +175,6 @@ class BaseRecording(ABC):
             self.look()
 
     def look(self) -> None:
-        """Note what is new, look at the disk, and report progress."""
         sink = self.upkeep.sink
         if sink.error is not None and not self._noted_disk:
             self._noted_disk = True

@@ -152,7 +152,6 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
 
 
 def process_elsewhere(batch: Batch, parts: Parts) -> BatchOutput:
-    """Pair and measure a batch for another process."""
     output = process(batch, parts)
     return BatchOutput(output.rows, _Done(output.result()))
 

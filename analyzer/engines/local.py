@@ -51,7 +51,6 @@ class Engine:
         self._stack.__exit__(kind, error, trace)
 
     def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Load every trace of a location; see `load_campaign`."""
         load_all = partial(self._spool.load_all, load_new=self._load_new)
         return load_campaign(location, load_all, skip=skip, progress=progress)
 

@@ -24,7 +24,6 @@ _LOST = {
     Outcome.LOST_RETURN.value: "on the way back",
     Outcome.LOST_UNKNOWN.value: "at an unknown point",
 }
-"""Outcome -> where the message was lost, in words."""
 
 
 def _outages(evidence: Evidence) -> pl.DataFrame:

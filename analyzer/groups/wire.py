@@ -67,8 +67,6 @@ class _Sums:
 
 
 class WireFrames(NamedTuple):
-    """The frames of `WIRE_FRAMES`, each by group."""
-
     wire: pl.DataFrame
     wire_classes: pl.DataFrame
     wire_repeats: pl.DataFrame

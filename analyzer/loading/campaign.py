@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 PathText: TypeAlias = str | os.PathLike[str]
 Paths: TypeAlias = PathText | Sequence[PathText]
-"""One path, or several."""
 
 
 OUTPUT_FOLDER = "analysis"

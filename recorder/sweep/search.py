@@ -46,8 +46,6 @@ class RateAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MaxRate:
-    """The answer of a search for one cell: its `rate`."""
-
     cell: Cell
     answer: RateAnswer
     failing_hz: float | None

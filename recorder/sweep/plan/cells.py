@@ -36,8 +36,6 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key of a plan."""
-
     meaning: str
     limit: Limit = limits.TEXT
     unit: str = ""

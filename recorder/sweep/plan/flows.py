@@ -31,8 +31,6 @@ FLOW_KEYS: Mapping[str, Key] = {
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """One flow: its name, and its message as axes of a cell."""
-
     name: str
     message: Mapping[str, object]
 

@@ -127,7 +127,6 @@ PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
     for name, table in TABLES.items()
     for further in [TABLES["devices.relay"].keys if name == "devices" else {}]
 }
-"""Table of a plan -> key -> validator."""
 
 
 def axis_choices(name: str) -> list[str]:

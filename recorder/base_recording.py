@@ -15,9 +15,9 @@ from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend, open_node
 from .choices import Security
-from .errors import NotAppliedError
+from .errors import NotAppliedError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
-from .host.process import StopEvent, apply_privileges, realtime_threads, tuned_gc
+from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
@@ -43,6 +43,10 @@ if TYPE_CHECKING:
     from .roles.progress import Progress, Watch
     from .roles.wire_record import WireRecord
 
+_SPUN = (
+    f"a thread under --realtime computed for {SPIN_S:g} s without a pause, and none has that priority any more: the recording ended "
+    "there; repeat it without --realtime, or on another transport"
+)
 LOOK_S = 0.5
 """Period of checks of a running role."""
 
@@ -155,6 +159,8 @@ class BaseRecording(ABC):
         trace = self.upkeep.close_trace(**described, **fields)
         self.read_back.report(trace.path)
         recorded = self.result(trace)
+        if getattr(self.stop, "is_spinning", False) and recorded.error is None:
+            recorded = replace(recorded, error=StoppedError(_SPUN))
         if recorded.trace is None:  # the next try may have the name
             discard(self.upkeep.destination)
         return recorded

@@ -25,6 +25,12 @@ _FORMULA = r"^([=+\-@\t\r]|::)"
 _HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
 
 
+def _without_hidden(rows: pl.LazyFrame) -> pl.LazyFrame:
+    from polars import selectors
+
+    return rows.with_columns(selectors.string().str.replace_all(_HIDDEN, "\ufffd"))
+
+
 def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Return rows whose texts a spreadsheet does not compute (an apostrophe precedes them) and that hide nothing."""
     from polars import selectors
@@ -35,7 +41,7 @@ def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
 
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: _inert(rows).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
-    "arrow": lambda rows, path: rows.sink_ipc(path),
+    "arrow": lambda rows, path: _without_hidden(rows).sink_ipc(path),
 }
 
 

@@ -12,9 +12,10 @@ from dds_trace.base.version import __version__
 from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.errors import NoEchoError
+from dds_trace.recorder.errors import NoEchoError, StoppedError
 from dds_trace.recorder.host.clock import read_adjtimex
 from dds_trace.recorder.host.fingerprint import read_boot_id
+from dds_trace.recorder.host.process import StopEvent
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import PAYLOADS
 from dds_trace.recorder.payloads.base import DataType, Form, Message, Payload, Source
@@ -136,3 +137,14 @@ def test_a_toy_payload_is_sent_relayed_and_analyzed(toy_backend, tmp_path, monke
     assert (run.data_type, run.payload_bytes, run.published) == ("toy", 96, MESSAGES + WARMUP)
     (group,) = analyze(tmp_path).summary.to_dicts()
     assert (group["data_type"], group["payload_bytes"], group["received"]) == ("toy", 96, MESSAGES)
+
+
+def test_a_recording_that_a_spinning_thread_ended_is_no_success(toy_backend, tmp_path):
+    stop = StopEvent()
+    stop.is_spinning = True
+    stop.set()
+    relay = RecordOptions(TraceDestination(tmp_path / "relay.mcap"), toy_backend, backend="toy", own_cost=False)
+    recorded = record(relay, stop, Notes())
+    assert recorded.error.exit_code == StoppedError.exit_code
+    assert "--realtime" in str(recorded.error)
+    assert read_trace(recorded.trace.path).sessions[0].state == "closed"

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
+import polars as pl
+import polars.selectors as cs
 import pytest
 from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
 from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 
 from dds_trace.analyzer.exports.hdr_log import encode_histogram, hdr_log
-from dds_trace.analyzer.exports.kinds import export
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, export
 from dds_trace.analyzer.exports.openmetrics import openmetrics_text
 from dds_trace.analyzer.exports.perfetto import timeline_slices, write_perfetto
 from dds_trace.analyzer.pipeline import analyze
@@ -142,3 +145,28 @@ def test_without_the_extra_the_command_names_it(tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModuleNotFoundError, match="perfetto"):
         export(one_message(), "perfetto", tmp_path)
+
+
+@pytest.mark.parametrize("kind", EXPORT_KINDS)
+def test_no_export_has_control_characters(kind, tmp_path, with_topics):
+    hides = "a\x1b[2J\r\u202e\x07"
+    topics = with_topics.topics.with_columns(data_type=pl.lit(hides), relay_device=pl.lit(hides), vendor=pl.lit(hides))
+    for number, analysis in enumerate((hostile(), replace(with_topics, topics=topics))):
+        try:
+            files = export(analysis, kind, tmp_path / str(number))
+        except ModuleNotFoundError:
+            pytest.skip(f"{kind} needs an extra that is not here")
+        assert files
+        for file in files:
+            if file.suffix == ".arrow":
+                frame = pl.read_ipc(file)
+                text = "".join(
+                    map(str, frame.select(cs.string(include_categorical=True)).to_dict(as_series=False).values())
+                )
+                assert "\\x1b" not in text
+                assert "\\u202e" not in text
+            else:
+                data = file.read_bytes()
+                assert b"\x1b[" not in data
+                assert "\u202e".encode() not in data
+                assert b"\r" not in data or file.suffix == ".pftrace"

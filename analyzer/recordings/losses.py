@@ -57,6 +57,8 @@ class TopicTimes:
     is_ros1: bool = False
     is_command: bool = False
     lost: tuple[int, int] | None = None
+    left_out: int = 0
+    """Messages with such stamps that were logged by another clock."""
 
     def find_losses(self, start_ns: int, end_ns: int) -> Losses:
         losses = self._by_rhythm(start_ns, end_ns)
@@ -78,7 +80,7 @@ class TopicTimes:
             if len(steps) > 1 and (steps == 1).mean() >= 0.5:
                 is_counter = True
                 missing += int((steps[(steps > 1) & (steps < _LARGEST_STEP)] - 1).sum())
-        return missing if is_counter else None
+        return max(missing - self.left_out, 0) if is_counter else None
 
     def _steps_at(self, hole: Hole) -> int:
         at = int(np.searchsorted(self.log_ns, hole.start_ns))
@@ -132,7 +134,7 @@ class TopicTimes:
         steps = float(stamps_ns[-1] - stamps_ns[0]) / grid.period_ns
         is_same_clock = abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
         period_ns = grid.period_ns if is_same_clock else float(log_ns[-1] - log_ns[0]) / steps
-        holes, jumped = [], 0
+        holes, jumped = [], self.left_out
         for hole in grid.holes:
             at = int(np.searchsorted(stamps_ns, hole.start_ns))
             if is_same_clock and hole.duration_ns > 10**9 and log_ns[at] < stamps_ns[at] - hole.duration_ns // 2:

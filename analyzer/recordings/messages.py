@@ -113,10 +113,13 @@ class TopicMessages:
         order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
         inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
         order = inside if len(inside) else order
+        stamps = self.column("stamp_ns")
+        stamped_within = (stamps >= stamps[order].min()) & (stamps <= stamps[order].max())
+        left_out = int(stamped_within.sum() - stamped_within[order].sum())
         log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
         is_ros1 = self.topic.encoding == "ros1"
         commands = is_command(self.topic.name, self.topic.message_type)
-        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost)
+        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, left_out)
 
 
 @lru_cache(maxsize=10_000)

@@ -20,7 +20,7 @@ from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, TornRecordError, read_summary
 from ..mcapfile.records import parse_record, record_name
-from .recorded import Budget, UnreadableError
+from .recorded import LATEST_NS, Budget, UnreadableError
 
 _LEAST_BYTES = {
     Opcode.HEADER: 8,
@@ -88,6 +88,7 @@ class McapWalk:
         self._is_in_damage = False
         self._range_ns: tuple[int, int] | None = None
         self._undeclared: dict[int, int] = {}
+        self._impossible = 0
         self.header: Header | None = None
         self.closed = False
         self.is_unpacked = True
@@ -126,6 +127,9 @@ class McapWalk:
                 at = header.end
         for channel_id, count in self._undeclared.items():
             self.damages.append(f"{counted(count, 'message')} of channel {channel_id}: its declaration is lost")
+        if self._impossible:
+            impossible = counted(self._impossible, "message has a time", "messages have times")
+            self.damages.append(f"{impossible} that no clock shows (after the year 2262)")
 
     def _chunk_within(self, chunk: PackedChunk) -> int | None:
         at = self._resume(self._file, chunk.offset, chunk.end) if chunk.compression else None
@@ -161,7 +165,8 @@ class McapWalk:
             return self._chunk_at(at)
         if header is None or not _has_shape(header):
             return None
-        if header.opcode == Opcode.FOOTER and source.read(header.end, len(MAGIC)) != MAGIC[: source.size - header.end]:
+        closing = MAGIC[: max(source.size - header.end, 0)]
+        if header.opcode == Opcode.FOOTER and source.read(header.end, len(closing)) != closing:
             return None
         if self._is_in_damage or source is not self._file or not self._fits_next(source, header.end):
             inside = self._resume(source, header.offset, header.end)
@@ -266,14 +271,16 @@ class McapWalk:
             at = start + length
             if opcode == Opcode.MESSAGE:
                 channel_id, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(data, start)
-                first_ns, last_ns, count = min(first_ns, log_ns), max(last_ns, log_ns), count + 1
+                first_ns, count = min(first_ns, log_ns), count + 1
+                last_ns = max(last_ns, log_ns if log_ns <= LATEST_NS else 0)
                 content = bytes(data[start + MESSAGE_HEADER.size : at])
                 yield from self._message(channel_id, sequence, log_ns, publish_ns, content)
             else:
                 self._declare(opcode, bytes(data[start:at]))
         if count:
-            self.chunks.append((first_ns, last_ns, count))
-            self._saw(first_ns, last_ns)
+            if first_ns <= last_ns:
+                self.chunks.append((first_ns, last_ns, count))
+                self._saw(first_ns, last_ns)
             self.unchecked += 0 if chunk.crc else count
         return True
 
@@ -325,6 +332,7 @@ class McapWalk:
 
     def _message(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> Iterator[Item]:
         self._budget.take()
+        self._impossible += max(log_ns, publish_ns) > LATEST_NS
         channel = self.channels.get(channel_id)
         if channel is None:
             self._undeclared[channel_id] = self._undeclared.get(channel_id, 0) + 1

@@ -18,7 +18,7 @@ from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from ..reading.source import ZSTD_MAGIC
 from .bag1 import BAG1_MAGIC, bag1_messages
 from .mcap_walk import McapWalk, WalkedMessage
-from .recorded import Condition, RawMessage, RecordedTopic, UnreadableError, checked_time
+from .recorded import LATEST_NS, Condition, RawMessage, RecordedTopic, UnreadableError
 from .recording_files import missing_messages, open_recording
 from .sqlite_rows import SQLITE_MAGIC, sqlite_messages
 
@@ -48,8 +48,9 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             try:
                 for message in _reader_of(file)(file, about_file):
                     counts[message.topic.name] += 1
-                    checked_time(message.publish_ns or 0)
-                    yield message._replace(log_ns=checked_time(message.log_ns), data=budget.unpacked(message))
+                    log_ns = max(min(message.log_ns, LATEST_NS), -LATEST_NS)
+                    publish_ns = message.publish_ns if abs(message.publish_ns or 0) <= LATEST_NS else None
+                    yield message._replace(log_ns=log_ns, publish_ns=publish_ns, data=budget.unpacked(message))
             except UnreadableError as err:
                 raise TraceFormatError(name, f"the recording cannot be read on: {err}") from err
             finally:

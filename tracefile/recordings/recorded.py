@@ -59,9 +59,3 @@ class Budget:
         self._messages -= 1
         if self._messages < 0:
             raise UnreadableError("it has more messages than so few bytes hold")
-
-
-def checked_time(time_ns: int) -> int:
-    if not -LATEST_NS <= time_ns <= LATEST_NS:
-        raise UnreadableError(f"{time_ns} ns is not a time")
-    return time_ns

@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.analyzer.recordings.periods import find_regularity
 from dds_trace.analyzer.recordings.rows import qos_words
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
+from dds_trace.tracefile.recovery.recordings import recover_recording
 
 
 def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
@@ -288,3 +289,19 @@ def test_bursts_and_units_of_stamps_are_said(tmp_path):
     page = render_markdown(report)
     assert "then 98.1 ms" in page
     assert "below 1 s" in page
+
+
+def test_three_impossible_times_cost_no_message_and_none_is_missing(tmp_path):
+    frames = timer(10, 30)
+    for number, log_ns in ((50, 2**64 - 5 * S), (51, 2**63 + 17), (200, 123_456_789)):
+        frames[number] = log_ns, frames[number][1]
+    _, health, rows = card(write(tmp_path / "x.mcap", {"/cam": frames}))
+    assert (rows["/cam"]["messages"], rows["/cam"]["missing"], health.duration_ns) == (300, 0, 29.9 * S)
+    assert ("2 messages" in health.damages[0], len(health.damages)) == (True, 1)
+
+
+@pytest.mark.parametrize("cut", range(1, 9))
+def test_a_file_without_its_last_bytes_is_recovered_whole(tmp_path, cut):
+    path = write(tmp_path / "x.mcap", {"/a": timer(10, 10)})
+    path.write_bytes(path.read_bytes()[:-cut])
+    assert card(path)[2]["/a"]["messages"] == recover_recording(path).messages == 100

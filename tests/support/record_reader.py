@@ -1,15 +1,23 @@
-"""A trace as the public `mcap` reader gives it."""
+"""A trace as the public `mcap` reader gives it, and our columns of events as rows."""
 
 from __future__ import annotations
 
 import json
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from event_cdr import unpack_event
 from mcap.reader import make_reader
 
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
+
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from trace_files import Event
+
+    from dds_trace.tracefile.format.events import Stage
+    from dds_trace.tracefile.reading.trace import Trace
 
 FIELDS = (
     *("run_id", "sequence", "monotonic_ns", "scheduled_ns", "source_ns", "received_ns"),
@@ -36,3 +44,16 @@ def last_json(path: Path, name: str) -> dict[str, Any]:
         *_, (_, _, message) = messages
     found: dict[str, Any] = json.loads(message.data[8:].rstrip(b"\0"))
     return found
+
+
+def rows(columns: EventColumns) -> list[tuple[int, ...]]:
+    """The events as tuples of Python integers, in the order of `EVENT_DTYPE`."""
+    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
+
+
+def all_rows(trace: Trace) -> dict[Stage, list[tuple[int, ...]]]:
+    return {stage: rows(columns) for stage, columns in trace.events.items()}
+
+
+def columns(*events: Event) -> EventColumns:
+    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))

@@ -6,17 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from record_reader import columns
 from trace_files import event, run
 
 from dds_trace.analyzer.model.runs import MOST_MESSAGES
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA, count_all, count_messages
 from dds_trace.analyzer.pairing.pair import MISSING, Published, pair_messages, published_messages
 from dds_trace.analyzer.pairing.roundtrips import count_unsent, settled
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
-
-
-def columns(*events):
-    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))
+from dds_trace.tracefile.format.events import EventColumns
 
 
 def count(t1, t2=(), t3=(), t4=(), *, warmup=0, scheduled=True):

@@ -2,14 +2,10 @@
 
 import numpy as np
 import pytest
+from record_reader import columns
 from trace_files import event
 
 from dds_trace.analyzer.pairing.pair import MISSING, OUTCOMES, Outcome, pair_messages, published_messages
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
-
-
-def columns(*events):
-    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))
 
 
 def pair(t1, t2=(), t3=(), t4=(), warmup=0):

@@ -5,19 +5,15 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 from polars.testing import assert_frame_equal
+from record_reader import columns
 from trace_files import event, ping_session, relay_session, run
 
 from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.pair import middleware_stamps, published_messages
 from dds_trace.analyzer.pairing.parquet import tables_of
 from dds_trace.analyzer.pairing.roundtrips import STAMP_NAMES, pair_exchanges
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
 RELAY = 7
-
-
-def columns(*events):
-    return EventColumns.from_records(np.array(list(events), EVENT_DTYPE))
 
 
 def exchange(run_id, **described):

@@ -11,6 +11,7 @@ import pytest
 from event_cdr import pack_event
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from record_reader import FIELDS, all_rows, rows
 from trace_files import (
     COMPRESSIONS,
     EVENT,
@@ -46,17 +47,6 @@ from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import mcap_source, reader
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.reading.storage import open_source
-
-FIELDS = EVENT_DTYPE.names
-
-
-def rows(columns: EventColumns) -> list[tuple[int, ...]]:
-    """The events as tuples of Python integers, in the order of `EVENT_DTYPE`."""
-    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
-
-
-def all_rows(trace) -> dict[Stage, list[tuple[int, ...]]]:
-    return {stage: rows(columns) for stage, columns in trace.events.items()}
 
 
 def padded(events) -> dict[Stage, list[tuple[int, ...]]]:

@@ -13,16 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import zstandard
 from event_cdr import pack_event
+from record_reader import all_rows, rows
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trace_files import EVENT, STRING, WALL_ANCHOR_NS, Message, ping_events, ping_session, run, string_cdr, write_trace
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, Stage
+from dds_trace.tracefile.format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, Stage
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace
 from dds_trace.tracefile.reading.storage import find_traces, open_source, storage_files
 
-FIELDS = EVENT_DTYPE.names
 EVENTS = ping_events([Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(50)])
 STORAGES = [
     pytest.param(plugin, mode, id=f"{plugin.name}-{mode.name}".lower())
@@ -30,14 +30,6 @@ STORAGES = [
         StoragePlugin, [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE]
     )
 ] + [pytest.param(StoragePlugin.MCAP, CompressionMode.STORAGE, id="mcap-storage")]
-
-
-def rows(columns):
-    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
-
-
-def all_rows(trace):
-    return {stage: rows(columns) for stage, columns in trace.events.items()}
 
 
 def write_bag(folder, events=EVENTS, plugin=StoragePlugin.SQLITE3, mode=CompressionMode.NONE, version=9):

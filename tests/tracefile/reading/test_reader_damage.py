@@ -8,6 +8,7 @@ import sys
 
 import pytest
 from mcap.opcode import Opcode
+from record_reader import rows
 from trace_files import (
     STRING,
     Message,
@@ -22,12 +23,11 @@ from trace_files import (
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.encoding import MAGIC
-from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.reader import read_trace
 
-FIELDS = EVENT_DTYPE.names
 MESSAGES = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in range(12)]
 EVENTS = ping_events(MESSAGES)
 SHAPES = [
@@ -42,10 +42,6 @@ shapes = pytest.mark.parametrize("options", SHAPES, ids=lambda options: "-".join
 def in_threads(monkeypatch):
     """Small as these files are, they are read as large ones: by several threads."""
     monkeypatch.setattr(mcap_source, "_SMALL_FILE_BYTES", -1)
-
-
-def rows(columns):
-    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
 
 
 def small_trace(folder, **options):

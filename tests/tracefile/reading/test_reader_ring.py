@@ -3,20 +3,16 @@ from __future__ import annotations
 import shutil
 
 import pytest
+from record_reader import rows
 from trace_files import Message, ping_events, ping_session, relay_session
 
-from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
+from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
-FIELDS = EVENT_DTYPE.names
 NUMBERS = {Stage.T1: 1, Stage.T2: 2}
-
-
-def rows(columns):
-    return list(zip(*(getattr(columns, name).tolist() for name in FIELDS), strict=True))
 
 
 def record(sink, events):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 from collections import Counter, defaultdict
+from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -35,9 +37,6 @@ def dry_run(
     from dds_trace.recorder.sweep.search import search_plan
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
-    described, lines = shown_sides(plan, other) if other is not None else _shown(plan, until)
-    if not as_json:
-        print("\n".join(lines))
     if other is not None:
         sides = side_folders(plan, other, out)
     else:
@@ -49,21 +48,29 @@ def dry_run(
             refused |= rehearse_plan(side, folder, check_arguments, note=say, command=command)
         else:
             refused |= check_plan(side, folder, check_arguments)
+    described, lines = shown_sides(plan, other) if other is not None else _shown(plan, until, refused)
+    if not as_json:
+        print("\n".join(lines))
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
     _print_reasons(refused)
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
+@cache
+def _record_command() -> Any:
+    from ..record.command import app
+
+    command: Any = typer.main.get_command(app)  # 30 ms, of each of a plan's cells
+    command.table = ""  # a plan says all that is measured: no file of defaults adds to it
+    return command
+
+
 def check_arguments(arguments: Sequence[str]) -> None:
     from dds_trace.recorder.rehearsal import check_options
 
-    from ..record.command import app
-
-    command: Any = typer.main.get_command(app)
-    command.table = ""  # a plan says all that is measured: no file of defaults adds to it
     try:
-        command.main(list(arguments), "dds-record", standalone_mode=False, obj=check_options)
+        _record_command().main(list(arguments), "dds-record", standalone_mode=False, obj=check_options)
     except Exception as err:  # the name of typer's errors differs between versions
         message = getattr(err, "format_message", None)
         if message is None:
@@ -80,12 +87,14 @@ def _print_reasons(refused: Mapping[str, str]) -> None:
         say(f"{cells[0]}{more} cannot start: {reason}")
 
 
-def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:
+def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:
     from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
 
     groups = schedule(plan)
     cells = [cell for group in groups for cell in group.cells]
-    seconds = plan_seconds(plan)
+    plan_here = replace(plan, cells=tuple(cell for cell in plan.cells if cell.name not in refused))
+    seconds = plan_seconds(plan_here)
+    of_these = f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
     described: dict[str, object] = {
         "plan": plan.name,
         "seconds": seconds.seconds,
@@ -103,10 +112,10 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
     lines += _remarks(plan)
     lines.append(
         f"plan {plan.name}: {counted(len(cells), 'recording')}, {len(plan.excluded)} left out, "
-        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}"
+        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{of_these}"
     )
     if until is not None:
-        most = plan_seconds(plan, passes=until.max_passes)
+        most = plan_seconds(plan_here, passes=until.max_passes)
         described["most_seconds"] = most.seconds
         lines.append(
             f"until {until.statistic} of every result is known to +-{until.percent:g} %: at most {until.max_passes} "

@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import tempfile
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceError
 
+from ..bridges.base import load_bridge
 from ..options import DEFAULT_WAIT_S
 from ..payloads import is_live
 from .plan.cells import DEFAULTS
 from .plan.commands import half_arguments, ping_arguments, relay_arguments
 from .plan.schedule import group_by_relay
+from .run.runner import middlewares_of, missing_here
 from .run.state import SweepState
 from .station.programs import rehearse_program
 from .station.station import open_station
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
     from .plan.cells import Cell
     from .plan.plan import Plan
     from .plan.schedule import CellGroup
+    from .run.runner import Middlewares
     from .station.station import Station
 
     CheckArguments = Callable[[Sequence[str]], None]
@@ -38,6 +42,7 @@ def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dic
     """Return the refused cells of all repeats, and why; nothing is run."""
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
+    not_here = cache(_not_here)  # of some middlewares, in thousands of cells
     for group in group_by_relay(plan, plan.cells):
         relay_reason = _refusal(check_arguments, relay_arguments(plan, group.need), folder)
         for cell in group.cells:
@@ -46,9 +51,21 @@ def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dic
             reason = _refusal(check_arguments, arguments, folder)
             if reason is None and relay_reason is not None:
                 reason = f"its relay: {relay_reason}"
+            if reason is None:
+                reason = not_here(middlewares_of(cell), cell.bridge, is_remote=plan.has_two_devices)
             if reason is not None:
                 refused[cell] = reason
     return _of_all_repeats(plan, refused)
+
+
+def _not_here(needed: Middlewares, bridge: str, *, is_remote: bool) -> str | None:
+    environment, backend, rmw, relay_backend, relay_rmw, _ = needed
+    if environment:
+        return None
+    reason = missing_here(backend, rmw) or (None if is_remote else missing_here(relay_backend, relay_rmw))
+    if reason is None and bridge != DEFAULTS["bridge"] and load_bridge(bridge).find() is None:
+        reason = f"{bridge} is not here: {load_bridge(bridge).install}"
+    return reason
 
 
 def _of_all_repeats(plan: Plan, refused: Mapping[Cell, str]) -> dict[str, str]:

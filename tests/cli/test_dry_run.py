@@ -114,6 +114,22 @@ def test_a_dry_run_checks_options(call, plan, tmp_path):
     assert (code, "--transport shm" in err) == (10, True)
 
 
+def test_a_dry_run_names_what_is_not_here_and_counts_the_rest(call, plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "dds_trace.recorder.sweep.rehearsal.missing_here",
+        lambda backend, _rmw: "zenoh is not here" if backend == "zenoh" else None,
+    )
+    text = plan("[axes]\nbackend = ['socket', 'zenoh']\nsize = [100, 200, 300]\n")
+    code, out, err = call(text, "--dry-run", "--json", "--out", tmp_path)
+    both, socket = json.loads(out), plan("[axes]\nbackend = 'socket'\nsize = [100, 200, 300]\n")
+    assert code == 10
+    assert {name.partition("_")[0] for name in both["cannot_start"]} == {"zenoh"}
+    assert len(both["cells"]) == 6
+    assert "2 more recordings cannot start: zenoh is not here" in err
+    alone = json.loads(call(socket, "--dry-run", "--json", "--out", tmp_path)[1])
+    assert both["seconds"] == alone["seconds"]
+
+
 @pytest.mark.parametrize("name", ["../elsewhere", "/etc/important", "a/b", "..", ".", "", "line\nbreak"])
 def test_names_cannot_leave_out(call, tmp_path, name):
     path = tmp_path / "plan.toml"

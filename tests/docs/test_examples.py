@@ -174,6 +174,7 @@ def small(plan, domain):
 
 
 @pytest.mark.middleware
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize(
     ("page", "made"),
     [

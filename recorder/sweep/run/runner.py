@@ -400,7 +400,7 @@ def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, st
     def reason_of(backend: str, rmw: str | None, middleware: str | None, *, is_remote: bool) -> str | None:
         key = backend, rmw, middleware, is_remote
         if key not in reasons:
-            reasons[key] = None if is_remote else _missing_here(backend, rmw)
+            reasons[key] = None if is_remote else missing_here(backend, rmw)
             # Only the middleware itself knows which keys it knows.
             if is_remote or (
                 not reasons[key] and (middleware is not None or load_backend(backend).environment.sources())
@@ -420,7 +420,7 @@ def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, st
     return missing
 
 
-def _missing_here(name: str, rmw: str | None) -> str | None:
+def missing_here(name: str, rmw: str | None) -> str | None:
     backend = load_backend(name)
     if not backend.find_installed():
         return f"{backend.label} is not here: {backend.install}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shlex
@@ -37,7 +38,7 @@ COMPARED: dict[str, Any] = {"metrics": ("response",), "statistics": ("p50", "p90
 
 _MESSAGE = ("data_type", "payload_bytes", "rate_hz")
 _PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high", "verdict")
-_RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "verdict")
+_RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference_high", "verdict")
 _INCOMPLETE = "not everything was recorded"
 
 
@@ -134,12 +135,14 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     sides = (outcome.base.folder, outcome.new.folder)
     comparison = compare(analyze(sides[0], details=False), analyze(sides[1], details=False), CompareOptions(**COMPARED))
     is_kept = pays(comparison)
+    proof = comparison.rows.select(_PROOF).rows(named=True)
+    received = comparison.delivery.select(_RECEIVED).rows(named=True)
     return {
         "kept": is_kept,
-        "reason": f"{path.stem} {'pays' if is_kept else 'looked best, and does not pay'}",
+        "reason": f"{path.stem} {'pays' if is_kept else f'looked best, and does not pay: {_why_not(proof, received)}'}",
         "folders": list(map(str, sides)),
-        "proof": comparison.rows.select(_PROOF).rows(named=True),
-        "received": comparison.delivery.select(_RECEIVED).rows(named=True),
+        "proof": proof,
+        "received": received,
         **({"configuration": str(path.absolute()), "variables": variables_of(vendor, path)} if is_kept else {}),
     }
 
@@ -152,21 +155,42 @@ def _shown(advice: Advice) -> list[str]:
         lines.append(
             f"  first look, times the default's response: {', '.join(f'{name} {ratio:.2f}' for name, ratio in looks)}"
         )
-    for row in advice.get("proof", ()):
-        before, after = (format_duration(row[name]) for name in ("base_ns", "new_ns"))
-        ratio, low, high = (
-            "?" if row[name] is None else f"{row[name]:.2f}" for name in ("ratio", "ratio_low", "ratio_high")
-        )
-        lines.append(
-            f"  {_result(row)}: response {row['statistic']} {before} -> {after}, {ratio} times ({low} to {high}): {row['verdict']}"
-        )
-    for row in advice.get("received", ()):
-        lines.append(
-            f"  {_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
-        )
+    proof, received = (advice.get(name, ()) for name in ("proof", "received"))
+    lost_most = any(row["base_received_ratio"] < 0.5 for row in received)
+    parts = [map(_response, proof), map(_delivery, received)]
+    for words in itertools.chain(*(reversed(parts) if lost_most else parts)):
+        lines.append(f"  {words}")
     if "folders" in advice:
         lines.append(f"  proof: dds-analyze compare {shlex.join(advice['folders'])} --paired")
     return lines
+
+
+def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
+    """Name what it was judged by, and what moved most where that is something else."""
+    fewer = [row for row in received if row["verdict"] == "worse" or (row["difference_high"] or 0.0) < 0]
+    slower = [row for row in proof if row["verdict"] == "worse" or (row["ratio_low"] or 0.0) > 1]
+    judged = [*map(_delivery, fewer), *map(_response, slower)]
+    if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:
+        return "a result is missing, or is not to be judged"
+    moved = min((row for row in proof if row["ratio"] is not None), key=lambda row: row["ratio"], default=None)
+    most = (
+        "" if moved is None or moved["verdict"] != "inconclusive" else f"; moved most, not proven: {_response(moved)}"
+    )
+    return (judged[0] if judged else "no time and no share received is proven better") + most
+
+
+def _response(row: Advice) -> str:
+    before, after = (
+        "lost" if time_ns == math.inf else format_duration(time_ns) for time_ns in (row["base_ns"], row["new_ns"])
+    )
+    ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
+    is_known = "lost" not in (before, after) and None not in ratios
+    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if is_known else ""
+    return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
+
+
+def _delivery(row: Advice) -> str:
+    return f"{_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
 
 
 def _result(row: Advice) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
 
 import polars as pl
@@ -74,6 +75,41 @@ def test_only_the_best_look_is_proved(looks, proved, tmp_path, monkeypatch, caps
 def test_the_variables_are_printed_as_a_shell_takes_them():
     advice = {"vendor": "zenoh", "kept": True, "reason": "it pays", "variables": {"ZENOH_CONFIG_OVERRIDE": "a=1;b=2"}}
     assert "  export ZENOH_CONFIG_OVERRIDE='a=1;b=2'" in module._shown(advice)
+
+
+MESSAGE = {"data_type": "binary", "payload_bytes": 145_000, "rate_hz": 8.0}
+
+
+def proof(statistic, base_ns, new_ns, verdict, ratio=None, low=None, high=None):
+    times = {"base_ns": base_ns, "new_ns": new_ns, "ratio": ratio, "ratio_low": low, "ratio_high": high}
+    return {**MESSAGE, "statistic": statistic, **times, "verdict": verdict}
+
+
+def received(base, new, verdict):
+    shares = {"base_received_ratio": base, "new_received_ratio": new, "difference_high": new - base + 0.01}
+    return {**MESSAGE, **shares, "verdict": verdict}
+
+
+def test_what_was_received_comes_first_where_the_default_lost_most(sentences):
+    rows = [proof("p50", math.inf, 82.4e6, "better", 0.0, 0.0, 0.0), proof("p99", None, None, "inconclusive")]
+    advice = {"vendor": "fastdds", "kept": True, "reason": "it pays", "proof": rows}
+    shown = module._shown({**advice, "received": [received(0.21, 1.0, "better")]})
+    assert [line.split()[6] for line in shown[1:]] == ["received", "response", "response"]
+    assert not [line for line in shown if "times" in line or "?" in line]
+    sentences(*shown)
+
+
+def test_what_does_not_pay_names_what_it_was_judged_by(sentences):
+    moved = proof("p99", 135e6, 58e6, "inconclusive", 0.43, 0.1, 1.2)
+    slower = proof("p50", 10e6, 12e6, "worse", 1.2, 1.1, 1.3)
+    alike = received(1.0, 1.0, "same")
+    said = [
+        module._why_not(rows, [alike]) for rows in ([moved], [moved, slower], [proof("p50", 2e6, 1e6, "better", 0.5)])
+    ]
+    assert ["p99" in text for text in said] == [True, True, False]
+    assert said[1].index("p50") < said[1].index("p99")
+    assert "received" in module._why_not([moved], [received(1.0, 0.9, "worse")])
+    sentences(*said)
 
 
 def test_a_first_look_is_the_mean_over_results_and_a_lost_message_is_late():

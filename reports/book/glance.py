@@ -11,7 +11,7 @@ from .facets import Facets
 from .numbers import Intervals
 from .sizes import PlaceRows, SizeCell, SizeRow, SizeTable
 
-MOST_BLOCKS, MOST_ROWS = 6, 18
+MOST_BLOCKS, MOST_ROWS, MOST_LINKS = 6, 18, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         if cell
         for ns in _ends(cell, intervals)
     ]
-    if not reached:
+    if not reached or len(columns) > MOST_LINKS:  # in more columns texts overlap
         return None
     low, high = math.log(min(reached)), math.log(max(reached))
 

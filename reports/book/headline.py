@@ -62,25 +62,31 @@ def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
             outage = _OUTAGES.get(by, by), length_s, planned
             outages.setdefault(outage, {}).setdefault(labels[group], []).append(None if never else back_ns)
     return [
-        printable(f"{by} for {planned}: {joined(_came_back(*setup) for setup in setups.items())}.")
+        printable(f"Back after {planned} {by}: {joined(_came_back(*setup) for setup in setups.items())}.")
         for (by, _, planned), setups in sorted(outages.items())
     ]
 
 
-_OUTAGES = {"link": "link down", "address": "address gone", "loss": "all messages dropped", "relay": "relay stopped"}
+_OUTAGES = {
+    "link": "with the link down",
+    "address": "with the link down and another address",
+    "loss": "with all packets lost",
+    "relay": "without the relay",
+}
 
 
 def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
     back_ns = sorted(time_ns for time_ns in times_ns if time_ns is not None)
     runs, never = counted(len(times_ns), "run"), len(times_ns) - len(back_ns)
     if not back_ns:
-        return f"{name} did not come back ({runs})"
+        return f"{name} never ({runs})"
     least, middle, most = (
         format_duration(ns) if ns else "at once" for ns in (back_ns[0], median(back_ns), back_ns[-1])
     )
     ends = f"{least} to {most}, " if least != most else ""
-    noted = f", never in {never}" if never else ""
-    return f"{name} {'' if middle == 'at once' else 'after '}{middle} ({ends}{runs}{noted})"
+    return (
+        f"{name} {'' if middle == 'at once' else 'in '}{middle} ({ends}{runs}{f', never in {never}' if never else ''})"
+    )
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
@@ -106,24 +112,22 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
         (lambda group: domain_label(groups.series_of(group)), "{}"),
         (lambda group: printable(groups.series_of(group).connectivity), "over {}"),
     )
-    ways = {domain_label(groups.series_of(group)) for group in lossy}
-    vendors = {series.vendor_label for series in groups.series if domain_label(series) in ways}
+    ways, messages = ({part(group) for group in lossy} for part in (sides[1][0], lambda group: group.cell))
+    same = [group for group in groups.groups if group.cell in messages]
+    vendors = {groups.series_of(group).vendor_label for group in same if sides[1][0](group) in ways}
     parts = []
     for value_of, words in sides if len(vendors) > 1 else sides[1:]:
-        values, all_values = ({value_of(group) for group in side} for side in (lossy, groups.groups))
+        values, all_values = ({value_of(group) for group in side} for side in (lossy, same))
         if values != all_values and len(values) <= MOST_NAMED:
             parts.append(words.format(joined(sorted(values), "or").replace(" or through ", " or ")))
     cells = [groups.cell_of(group) for group in lossy]
     if len({cell.data_type for cell in cells}) == 1:
-        least = min(cell.payload_bytes for cell in cells)
-        measured = [cell.payload_bytes for cell in groups.cells if cell.data_type == cells[0].data_type]
-        if least > min(measured):
-            parts.append(_from_size(least, max(measured)))
+        sizes = sorted({cell.payload_bytes for cell in cells})
+        measured = sorted({cell.payload_bytes for cell in groups.cells if cell.data_type == cells[0].data_type})
+        span = size_span(sizes, measured)
+        if sizes != measured:
+            parts.append(f"at {len(sizes)} of {len(measured)} sizes" if span.count(",") >= MOST_NAMED else span)
     return ", ".join(parts)
-
-
-def _from_size(least: int, largest: int) -> str:
-    return f"at {format_size(least)}" if least == largest else f"from {format_size(least)} on"
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:

@@ -1,4 +1,4 @@
-"""What was measured: the lines above all figures, in every report format."""
+"""What was measured, in lines above all figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table below the headline: size by setup for each device pair and link, with p50, p99 and losses."""
+"""The table of size by setup for each device pair and link."""
 
 from __future__ import annotations
 

@@ -6,10 +6,11 @@ from math import inf
 
 import polars as pl
 import pytest
-from analyses import MS, ZENOH, Measured, around, make_analysis
+from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
 from wording import numbers
 
 from dds_trace import Finding, Severity
+from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
@@ -238,12 +239,39 @@ HALF = [*FAST[10:], *["lost_return"] * 10]
             [37.5, 30, 80],
             id="over three of four links",
         ),
+        pytest.param(
+            [Measured(HALF if size == 2000 else FAST, payload_bytes=size) for size in (1000, 2000, 3000)]
+            + [Measured(FAST, payload_bytes=3000, **ZENOH)],
+            [12.5, 10, 80, 2],
+            id="at one of three sizes, which the other was not measured with",
+        ),
     ],
 )
 def test_where_messages_were_lost(measured, said, sentences):
     found = Book(make_analysis(*measured)).answer.headline
     sentences(found)
     assert numbers(found) == said
+
+
+def test_how_long_each_setup_took_to_come_back(sentences):
+    settings = [f"outage={length},outage_by=link" for length in ("2s", "12s")]
+    ways = [{}, {}, BRIDGED, BRIDGED]
+    analysis = make_analysis(*(Measured(FAST, setting=one, **way) for one, way in zip(settings * 2, ways, strict=True)))
+    backs = {0: [5 * MS, 0, None], 1: [None], 2: [0], 3: [MS, 3 * MS, 2 * MS, 4 * MS]}
+    rows = [
+        {"group": group, "run_id": run, "by": "link", "never": back is None, "back_ns": back}
+        for group, times in backs.items()
+        for run, back in enumerate(times)
+    ]
+    details = replace(analysis.details, recoveries=pl.DataFrame(rows, RECOVERY_SCHEMA))
+    answer = Book(replace(analysis, details=details)).answer
+    said = [text for kind, text in answer.sentences if kind is PointKind.RECOVERY]
+    assert said[0] == answer.headline
+    assert [["after 2s" in text, "never" in text, "at once" in text] for text in said] == [
+        [True, True, False],
+        [False, True, True],
+    ]
+    sentences(*said)
 
 
 @pytest.mark.parametrize(("recordings", "is_said"), [(4, True), (5, False)])

@@ -86,8 +86,8 @@ def proof(statistic, base_ns, new_ns, verdict, ratio=None, low=None, high=None):
 
 
 def received(base, new, verdict):
-    shares = {"base_received_ratio": base, "new_received_ratio": new, "difference_high": new - base + 0.01}
-    return {**MESSAGE, **shares, "verdict": verdict}
+    shares = {"base_received_ratio": base, "new_received_ratio": new}
+    return {**MESSAGE, **shares, "difference_high": new - base + 0.01, "verdict": verdict}
 
 
 def test_what_was_received_comes_first_where_the_default_lost_most(sentences):

@@ -68,12 +68,10 @@ def check(book):
     groups = report["groups"]
     known = {*named(groups), *judged(report), *frames(report), *(losses(groups) if groups else ())}
     for kind, sentence in book.answer.sentences:
-        without_labels = sentence.replace("1.01 times", "").replace("p99", "")
         cures = {token for finding in report["findings"] for token in TOKEN.findall(finding["cure"] + finding["what"])}
         if kind in JUDGED:
-            assert {*TOKEN.findall(without_labels)} <= known | cures, (kind, sentence)
-    said = " ".join(text for _, text in book.answer.sentences)
-    assert not ("Do not use" in said and "no choice" in said)
+            assert {*TOKEN.findall(sentence.replace("1.01 times", ""))} <= known | cures, (kind, sentence)
+    assert "no choice" not in " ".join(text for _, text in book.answer.sentences)
     kind, headline = book.answer.sentences[0]
     is_of_one_clause = ";" not in headline.replace("; 1 run", "")
     assert is_of_one_clause or kind is PointKind.TOPIC or any(";" in label for label in book.groups.labels)
@@ -119,15 +117,10 @@ def settings():
 
 def test_no_two_setups_of_any_axis_or_setting_have_one_name():
     every = dict(enumerate(settings()))
-    assert len(every) > 40
     labels = setup_labels(every, VendorLabels(VENDORS))
-    assert sorted(labels.values()) == sorted(set(labels.values()))
+    assert len({*labels.values()}) == len(every) > 40
     for key, setting in every.items():
         pair = setup_labels({0: every[0], key: setting}, VendorLabels(VENDORS)) if key else {}
         assert len({*pair.values()}) == len(pair), setting
-
-
-def test_a_configuration_file_is_named_by_its_file():
-    plain = next(settings())
-    labels = setup_labels({0: plain, 1: {**plain, "setting": "PROFILES=p.xml#0123abcd"}}, VendorLabels(VENDORS))
-    assert labels == {0: "Fast DDS", 1: "Fast DDS, p.xml"}
+    one_file = {0: every[0], 1: {**every[0], "setting": "PROFILES=p.xml#0123abcd"}}
+    assert [*setup_labels(one_file, VendorLabels(VENDORS)).values()] == ["Fast DDS", "Fast DDS, p.xml"]

@@ -4,12 +4,10 @@ from dataclasses import replace
 import polars as pl
 from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from paired_by_hand import paired
-from roundtrip_frames import rows_by_group
 from wording import numbers
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
-from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown
 from dds_trace.reports.book.overview import Fact
@@ -35,15 +33,6 @@ def test_a_clear_winner_is_named(sentences):
     assert "Zenoh (the next" in answer.headline
     assert 9.92 in numbers(answer.headline)
     sentences(answer.headline, *answer.points, answer.rule)
-
-
-def test_with_fewer_than_three_runs_nothing_is_faster(sentences):
-    analysis = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
-    one_run = find_answers(rows_by_group(analysis.load_roundtrips()))
-    answer = Book(replace(analysis, details=replace(analysis.details, answers=one_run))).answer
-    sentences(answer.headline, answer.rule)
-    assert answer.verdicts[0].within_one_run == 1
-    assert "fastest" not in answer.rule
 
 
 def test_lost_messages_are_infinitely_late(sentences):

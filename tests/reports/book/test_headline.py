@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
+from analyses import EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 from wording import numbers
 
@@ -34,30 +34,6 @@ def test_a_threshold_is_named_where_the_winner_begins(sentences):
     assert ";" not in first
     assert "33 KB" in rest
     sentences(first, rest)
-
-
-def test_losses_lead_and_what_lost_is_not_to_be_used(sentences):
-    groups = [
-        Measured(around(MS)),
-        Measured(with_losses(MS, 5), connectivity="wireless", payload_bytes=1_000_000),
-        Measured(around(MS), connectivity="wireless"),
-    ]
-    first, *rest = said(*groups)
-    sentences(first, *rest[:1])
-    assert "5 of 60" in first
-    assert numbers(rest[0]) == [1, 10, 25]
-
-
-def test_a_bridge_costs_a_factor_at_both_percentiles_and_the_lost_ones_are_counted(sentences):
-    groups = [
-        Measured(around(MS)),
-        Measured(around(3 * MS), **BRIDGED),
-        Measured(around(MS), rate_hz=20.0),
-        Measured(with_losses(3 * MS, 15), rate_hz=20.0, **BRIDGED),
-    ]
-    (cost,) = [one for one in said(*groups) if one.startswith("A message takes")]
-    sentences(cost)
-    assert numbers(cost) == [2.98, 1, 2]
 
 
 def test_the_study_is_described_by_size_and_device_pair_and_not_by_one_full_recording_of_many(sentences):

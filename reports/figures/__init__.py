@@ -5,27 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..book.book import Book
-from . import (
-    breakdown,
-    clocks,
-    costs,
-    distribution,
-    domain_difference,
-    fan_out,
-    heatmap,
-    host_load,
-    lines,
-    own_times,
-    timeline,
-    wire,
-)
+from . import breakdown, clocks, costs, distribution, fan_out, host_load, lines, own_times, timeline, wire
 from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
 
 FIGURES: list[FigureMaker | LineFigure] = [
     costs.DOTS,
     lines.LATENCY_BY_RATE,
     lines.LATENCY_BY_SIZE,
-    domain_difference.FIGURE,
+    costs.DOMAIN_DIFFERENCE,
     costs.BRIDGE_COST,
     costs.INTERFERENCE,
     fan_out.FIGURE,
@@ -33,7 +20,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
     breakdown.FIGURE,
     lines.VENDOR_COMPARISON,
     lines.BY_DEVICE,
-    heatmap.FIGURE,
+    distribution.HEATMAP,
     lines.RELAY_TIME,
     distribution.RUN_SPREAD,
     lines.SUSTAINABLE,

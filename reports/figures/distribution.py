@@ -1,4 +1,4 @@
-"""How the values of a group are spread: from run to run, in the tail, and as the share of messages in time."""
+"""How the values of a group are spread: from run to run, in the tail, and as the share of messages in time; latency over the plane of sizes and rates, a panel for each setup."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 from ..book.book import Book
-from ..book.groups import METRIC_LABELS
+from ..book.groups import METRIC_LABELS, data_type_label
 from ..book.numbers import any_curve
 from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
 
@@ -97,3 +97,43 @@ def ecdf_figure(info: DistributionCurves) -> Figure | LeftOut:
 
 PERCENTILE_CURVE = FigureMaker(distribution_info, percentile_curve_figure, Scope.CELL)
 ECDF = FigureMaker(distribution_info, ecdf_figure, Scope.CELL)
+
+
+@dataclass(frozen=True, slots=True)
+class HeatmapPanel:
+    """Plane of one setup and data type; `tiles` are (payload in bytes, rate in Hz, group) of what was measured."""
+
+    title: str
+    tiles: tuple[tuple[int, float, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Heatmap:
+    panels: tuple[HeatmapPanel, ...]
+
+
+def heatmap_info(book: Book) -> Heatmap:
+    groups = book.groups
+    planes: dict[tuple[str, int], list[tuple[int, float, int]]] = {}
+    for group in groups.in_order:
+        cell = groups.cell_of(group)
+        tile = (cell.payload_bytes, cell.rate_hz, group.index)
+        planes.setdefault((cell.data_type, group.series), []).append(tile)
+    return Heatmap(
+        tuple(
+            HeatmapPanel(f"{data_type_label(data_type)}: {groups.labels[series]}", tuple(tiles))
+            for (data_type, series), tiles in planes.items()
+            if len(tiles) > 1
+        )
+    )
+
+
+def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
+    name, title = "heatmap", "Size by rate, a panel for each setup"
+    how_to_read = "Each tile is one size (upwards) at one rate (to the right), all panels on one colour scale; an empty tile was not measured."
+    if not info.panels:
+        return LeftOut(name, title, "no data type was measured at two sizes or rates with one setup.")
+    return Figure(name, title, how_to_read, "heatmap", {"panels": info.panels})
+
+
+HEATMAP = FigureMaker(heatmap_info, heatmap_figure, opened=False, few=False)

@@ -10,11 +10,16 @@ from dds_trace.reports.book.numbers import curves_info, intervals_info, values_i
 from dds_trace.reports.figures import FIGURES, drawn_figures
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_info
 from dds_trace.reports.figures.clocks import ClockPair, clock_info, one_way_info
-from dds_trace.reports.figures.costs import bridge_cost_info, dots_info
-from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info, run_spread_info
-from dds_trace.reports.figures.domain_difference import domain_difference_info
+from dds_trace.reports.figures.costs import bridge_cost_info, domain_difference_info, dots_info
+from dds_trace.reports.figures.distribution import (
+    DistributionCurves,
+    Heatmap,
+    HeatmapPanel,
+    distribution_info,
+    heatmap_info,
+    run_spread_info,
+)
 from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Figure, LeftOut, Line, Panel
-from dds_trace.reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
 from dds_trace.reports.figures.host_load import DeviceLoad, host_load_info
 from dds_trace.reports.figures.lines import (
     BY_DEVICE,

@@ -2,7 +2,7 @@ import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.domain_difference import domain_difference_info
+from dds_trace.reports.figures.costs import domain_difference_info
 from dds_trace.reports.figures.figure import MOST_LINES
 from dds_trace.reports.figures.lines import LATENCY_BY_RATE, LATENCY_BY_SIZE
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 import pytest
+from trace_files import TWELVE, write_pair
 
 from dds_trace.cli.sweep import command
 
@@ -19,3 +20,9 @@ def call(monkeypatch, capsys):
         return ended.value.code or 0, said.out, said.err
 
     return calling
+
+
+@pytest.fixture
+def runs(tmp_path):
+    write_pair(tmp_path / "runs", TWELVE)
+    return tmp_path / "runs"

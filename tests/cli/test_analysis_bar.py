@@ -2,17 +2,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trace_files import Message, write_pair
+from trace_files import TWELVE, write_pair
 
 from dds_trace import analyze
 from dds_trace.analyzer.pipeline import STEPS
 from dds_trace.cli.analyze import SHARES, AnalysisBar
 
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
-
 
 def test_every_step_after_reading_moves_the_bar_on(tmp_path):
-    write_pair(tmp_path / "runs", TIMELINE)
+    write_pair(tmp_path / "runs", TWELVE)
     seen = []
     with AnalysisBar() as bar:
 

@@ -6,18 +6,10 @@ import pytest
 import typer
 from commands import run_main as analyze
 from mcap.writer import Writer
-from trace_files import Message, run, write_pair
+from trace_files import TWELVE, run, write_pair
 
 import dds_trace.cli.analyze
 from dds_trace.cli.analyze import COMMANDS, DESKTOP_VARIABLES, main
-
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
-
-
-@pytest.fixture
-def runs(tmp_path):
-    write_pair(tmp_path / "runs", TIMELINE)
-    return tmp_path / "runs"
 
 
 def test_a_folder_gives_a_table_and_two_files(runs, capsys):
@@ -74,7 +66,7 @@ def test_an_error_of_a_report_leaves_all_earlier_files(runs, monkeypatch, capsys
     every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap", "--card")
     assert analyze(runs, *every) == 0
     before = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
-    write_pair(runs / "more", TIMELINE, runs=[run(run_id=0xB2)])
+    write_pair(runs / "more", TWELVE, runs=[run(run_id=0xB2)])
     monkeypatch.setattr("dds_trace.analyzer.exports.foxglove.foxglove_layout", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         analyze(runs, *every)
@@ -92,13 +84,13 @@ def test_files_of_an_earlier_analysis_of_other_traces_are_named(runs, capsys):
     assert analyze(runs, "--report", "md") == 0
     assert analyze(runs) == 0
     assert "earlier analysis" not in capsys.readouterr().err
-    write_pair(runs / "more", TIMELINE, runs=[run(run_id=0xB2)])
+    write_pair(runs / "more", TWELVE, runs=[run(run_id=0xB2)])
     assert analyze(runs) == 0
     assert "report.md: of an earlier analysis" in capsys.readouterr().err
 
 
 def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
-    write_pair(tmp_path, TIMELINE, runs=[run(published=99)])
+    write_pair(tmp_path, TWELVE, runs=[run(published=99)])
     assert analyze(tmp_path) == 0
     assert "87 of 99 published messages" in capsys.readouterr().err
 
@@ -135,7 +127,7 @@ def test_an_unknown_report_is_refused_before_anything_is_read(runs, capsys, sent
 def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, monkeypatch):
     """Of what they have in common: its name, its analysis/ for the results; each trace counts once."""
     others = tmp_path / "others"
-    write_pair(others / "deep", TIMELINE, runs=[run(run_id=99, planned_messages=12, published=12)])
+    write_pair(others / "deep", TWELVE, runs=[run(run_id=99, planned_messages=12, published=12)])
     monkeypatch.chdir(tmp_path)
     for given in (["runs", others / "deep"], ["runs/*.mcap", "others/**/*.mcap"], ["runs", "r*s", "others"]):
         assert analyze(*given) == 0
@@ -143,7 +135,7 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
         assert shown.out.startswith(f"{tmp_path.name}: 24 messages in 2 runs")
         rows = pl.read_parquet(tmp_path / "analysis" / "roundtrips.parquet")
         assert rows["run_id"].unique().len() == 2
-        assert len(rows) == 2 * len(TIMELINE)
+        assert len(rows) == 2 * len(TWELVE)
         assert shown.err == ""
     assert analyze("nothing/*.mcap", "runs") == 4
     assert "nothing/*.mcap: no file or folder matches" in capsys.readouterr().err

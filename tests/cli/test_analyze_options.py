@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 from commands import run_main
-from trace_files import Message, run, write_pair
+from trace_files import evenly, run, write_pair
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, write_file
 from dds_trace.analyzer.model.metrics import METRICS
@@ -14,10 +14,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
 ROOT = Path(__file__).parents[2]
-TIMELINE = [
-    Message(s, t0=s * 100 * MS, t1=s * 100 * MS, t3=s * 100 * MS + MS, t4=s * 100 * MS + MS, t2=s * 100 * MS + 2 * MS)
-    for s in range(120)
-]
+TIMELINE = evenly([MS] * 120)
 
 
 @pytest.fixture

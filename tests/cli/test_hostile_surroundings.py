@@ -1,19 +1,11 @@
 import pytest
 from commands import run_main
-from trace_files import Message, write_pair
 
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 OUTPUTS = (
     *("roundtrips.parquet", "summary.parquet", "report.html", "report.md", "report.json"),
     *("roundtrips.csv", "summary.csv", "roundtrips.arrow", "summary.arrow"),
     *("latency.derived.mcap", "latency.derived.foxglove.json"),
 )
-
-
-@pytest.fixture
-def runs(tmp_path):
-    write_pair(tmp_path / "runs", TIMELINE)
-    return tmp_path / "runs"
 
 
 @pytest.fixture

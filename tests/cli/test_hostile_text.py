@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from commands import run_main
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from trace_files import TWELVE, ping_session, relay_session, run, write_pair
 
 from dds_trace.base.printable import is_hidden
 from dds_trace.base.streams import plain_streams
@@ -22,7 +22,6 @@ HOSTILE = (
     "=HYPERLINK(1)\x1b]0;p\x07\x1b[2J\u202e\x9b31m\u2028\n::set-output name=a::b\r\n ::stop-commands::c\n##[error]d"
     "<script>alert(1)</script>[e](http://evil/f)![g](http://evil/h)\n- @i\x7f\ufeff"
 )
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 KEPT = {"role", "state", "session_id", "run_id"}
 
 
@@ -52,7 +51,7 @@ def hostile(tmp_path):
         described = made_hostile(run(planned_messages=12, published=published))
         write_pair(
             tmp_path / side,
-            TIMELINE,
+            TWELVE,
             ping=made_hostile(ping_session(extra=extra)),
             relay=made_hostile(relay_session(extra=extra)),
             runs=[replace(described, extra={**described.extra, "bridge": HOSTILE, "labels": {HOSTILE: HOSTILE}})],

@@ -129,6 +129,10 @@ class Message:
     t2: int | None = None
 
 
+TWELVE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
+"""The messages of a recording where only their number counts."""
+
+
 def evenly(
     ways_ns: Iterable[int], *, start_ns: int = 0, period_ns: int = 100_000_000, relay_ns: int = 0
 ) -> list[Message]:

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from trace_files import (
+    TWELVE,
     WALL_ANCHOR_NS,
     Message,
     event,
@@ -26,8 +27,6 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OutputError
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.events import Stage
-
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
 # As docs/trace-format.md has them, by hand.
 TYPES = {
@@ -54,7 +53,7 @@ TYPES = {
 
 
 def test_files_tell_types_units_and_meanings(tmp_path):
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     outputs = analyze(tmp_path, out=tmp_path / "out").outputs
     schema = pq.read_schema(outputs["roundtrips"])
     assert schema.names == [column.name for column in ROUNDTRIP_COLUMNS]
@@ -75,7 +74,7 @@ def test_files_tell_types_units_and_meanings(tmp_path):
 
 
 def test_times_and_sequence_numbers_are_stored_as_deltas(tmp_path):
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     outputs = analyze(tmp_path, out=tmp_path / "out").outputs
     group = pq.read_metadata(outputs["roundtrips"]).row_group(0)
     columns = [group.column(number) for number in range(group.num_columns)]
@@ -88,7 +87,7 @@ def test_times_and_sequence_numbers_are_stored_as_deltas(tmp_path):
 
 
 def test_folders_above_are_made_and_may_be_there(tmp_path):
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     analysis = analyze(tmp_path)
     folder = tmp_path / "runs" / "today"
     for _ in range(2):
@@ -101,7 +100,7 @@ def test_folders_above_are_made_and_may_be_there(tmp_path):
 
 def test_files_tell_who_wrote_them_by_which_contract_of_what_and_when(tmp_path):
     clock = {"begin": {"frequency_ppb": 0, "tick_us": 10000, "status": 0x2041}}
-    write_pair(tmp_path, TIMELINE, ping=ping_session(extra={"clock": clock}))
+    write_pair(tmp_path, TWELVE, ping=ping_session(extra={"clock": clock}))
     outputs = analyze(tmp_path, out=tmp_path / "out").outputs
     for path in outputs.values():
         told = {key.decode(): value.decode() for key, value in pq.read_metadata(path).metadata.items()}
@@ -157,7 +156,7 @@ def test_utc_is_told_of_each_clock_by_its_own_anchor_and_only_after_it(tmp_path)
 def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
     """Also over several row groups, with relays and texts that some rows lack."""
     monkeypatch.setattr(roundtrips, "ROWS_PER_FRAME", 7)
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     write_trace(
         tmp_path / "other.mcap",
         ping_session(session_id=5, rmw=None, vendor="zenoh", backend="zenoh"),
@@ -177,7 +176,7 @@ def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
 
 
 def test_a_file_without_rows_has_its_columns(tmp_path):
-    write_pair(tmp_path, TIMELINE, runs=[run(warmup_messages=100)])
+    write_pair(tmp_path, TWELVE, runs=[run(warmup_messages=100)])
     analysis = analyze(tmp_path, out=tmp_path / "out")
     read = pl.read_parquet(analysis.outputs["roundtrips"])
     assert read.height == 0
@@ -197,7 +196,7 @@ def test_absurd_numbers_survive(tmp_path):
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     out = tmp_path / "out"
     analyze(tmp_path, out=out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
@@ -214,14 +213,14 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_may_not_be_written_is_an_error(tmp_path):
-    write_pair(tmp_path, TIMELINE)
+    write_pair(tmp_path, TWELVE)
     (tmp_path / "out").mkdir(mode=0o500)
     with pytest.raises(OutputError):
         analyze(tmp_path, out=tmp_path / "out")
 
 
 def test_equal_input_gives_equal_bytes(tmp_path):
-    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TIMELINE))
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TWELVE))
     first = analyze(tmp_path, out=tmp_path / "first").outputs
     second = analyze(tmp_path, out=tmp_path / "second").outputs
     for kind, path in first.items():

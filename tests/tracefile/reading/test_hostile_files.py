@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 import zstandard
-from trace_files import Message, write_pair
+from trace_files import TWELVE, write_pair
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceFormatError
@@ -21,7 +21,6 @@ from dds_trace.tracefile.reading import mcap_source, sqlite_source
 from dds_trace.tracefile.reading.reader import read_trace
 
 MAGIC = b"\x89MCAP0\r\n"
-TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 
 
 def record(opcode, content=b""):
@@ -41,7 +40,7 @@ MESSAGE = record(5, struct.pack("<HIQQ", 9, 0, 0, 0))
 @pytest.fixture
 def whole(tmp_path):
     """A trace of ours; hostile records are put between its last one and its end."""
-    return write_pair(tmp_path / "whole", TIMELINE)[0]
+    return write_pair(tmp_path / "whole", TWELVE)[0]
 
 
 @pytest.fixture

@@ -77,14 +77,14 @@ def _complete_commands(incomplete: str) -> list[str]:
 app = command_app(completes=True)
 
 
-_NOT_OF_TOPICS = (
+NOT_OF_TOPICS = (
     *("cluster", "sketch", "deadline", "recommend", "margin", "trust_order"),
     *("derived_mcap", "card", "shows_all"),
 )
 
 
 def _refuse_with_topics(values: Mapping[str, Any]) -> None:
-    refused = [name for name in _NOT_OF_TOPICS if values[name]]
+    refused = [name for name in NOT_OF_TOPICS if values[name]]
     if refused:
         spelled = {"shows_all": "all"}
         options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in refused)
@@ -94,7 +94,7 @@ def _refuse_with_topics(values: Mapping[str, Any]) -> None:
 @declare_command(
     app,
     "analyze",
-    lambda values: dict.fromkeys(_NOT_OF_TOPICS if values.get("topics") else (), "default: not of --topics"),
+    lambda values: dict.fromkeys(NOT_OF_TOPICS if values.get("topics") else (), "default: not of --topics"),
 )
 def main_command(
     paths: Annotated[

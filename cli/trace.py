@@ -26,10 +26,17 @@ _COMMANDS = {
     "sweep": "Record all runs of a plan; `sweep new` writes a plan.",
     "bridge": "Run a bridge between two domains, or list the installed ones.",
     "analyze": "Make tables and reports of a folder of traces.",
+    "bag": "Say whether a recording of other tools is whole, topic by topic.",
     "compare": "Compare two folders of traces; fail in CI where one is slower.",
     "watch": "Show a page that follows a running sweep.",
 }
-_MODULES = {"record": ".record.command", "sweep": ".sweep.command", "bridge": ".bridge", "analyze": ".analyze"}
+_MODULES = {
+    "record": ".record.command",
+    "sweep": ".sweep.command",
+    "bridge": ".bridge",
+    "analyze": ".analyze",
+    "bag": ".analyze",
+}
 _OF_ANALYZE = ("compare", "watch")
 _RECORDINGS = ("ping", "relay", "tap", "beacon", "status")
 
@@ -87,7 +94,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif word == "record":
         _record(words[1:], is_completed=completed is not None)
     else:
-        _main_of(word)(words[1:], name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt)
+        is_bag = word == "bag" and not completed
+        given = ["--topics", *words[1:]] if is_bag else words[1:]
+        _main_of(word)(
+            given, name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt_bag if is_bag else _adapt
+        )
 
 
 def _record(given: list[str], *, is_completed: bool) -> None:
@@ -132,6 +143,18 @@ def _adapt(command: Any, role: Role | None = None) -> None:
             parameter.hidden = parameter.name == "role" or (bool(row.roles) and role not in row.roles)
         if "--config" in getattr(parameter, "opts", ()):  # --print-config shows the values in force, as everywhere
             parameter.opts = ["--config"]
+
+
+def _adapt_bag(command: Any) -> None:
+    from .analyze import NOT_OF_TOPICS
+
+    _adapt(command)
+    command.help = (
+        "Say whether a recording of other tools is whole: what is missing of each topic, when, its rate, jitter and age. Exit code 30 "
+        "with holes, 31 if it is damaged.\n\n    dds-trace bag drive/ --report html --fail-if 'missing(/camera) > 1%'"
+    )
+    for parameter in command.params:
+        parameter.hidden = parameter.name == "topics" or parameter.name in NOT_OF_TOPICS
 
 
 def _renamed(text: str) -> str:

@@ -9,6 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.analyzer.recordings.periods import find_regularity
 from dds_trace.analyzer.recordings.rows import qos_words
+from dds_trace.cli import trace
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.tracefile.recovery.recordings import recover_recording
 
@@ -305,3 +306,12 @@ def test_a_file_without_its_last_bytes_is_recovered_whole(tmp_path, cut):
     path = write(tmp_path / "x.mcap", {"/a": timer(10, 10)})
     path.write_bytes(path.read_bytes()[:-cut])
     assert card(path)[2]["/a"]["messages"] == recover_recording(path).messages == 100
+
+
+def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path, capsys):
+    write(tmp_path / "x.mcap", {"/a": timer(20, 30, without=[(10, 12)])})
+    with pytest.raises(SystemExit) as ended:
+        trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / "health"), "--report", "html"])
+    assert ended.value.code == 30
+    assert "40 messages" in capsys.readouterr().out
+    assert "/a" in (tmp_path / "health" / "topics.html").read_text()

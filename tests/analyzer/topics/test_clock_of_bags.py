@@ -15,7 +15,6 @@ AGE_NS = FAR_NS * 4 // 3 + 5 * MS
 
 
 def write_bag(path, *, stamped=ROBOT, recorded=LAPTOP, topic="/camera/info", also=()):
-    """What the robot publishes as the laptop recorded it."""
     types = STORE.types
     published = camera(seconds=20)
     arrived = arrivals(published, FAR_NS)

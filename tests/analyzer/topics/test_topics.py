@@ -29,7 +29,6 @@ LOST = (100, 101, 500, 1700)
 
 
 def both_taps(folder, published, *, lost=LOST, far_ns=FAR_NS, **hearing):
-    """The taps of both devices hear what the robot publishes; return the true receptions on the laptop."""
     near, far = arrivals(published, NEAR_NS), arrivals(published, far_ns, lost=lost)
     write_tap(folder / "robot.mcap", published.clock, [Hearing(published, near, **hearing)], session_id=0x51)
     write_tap(folder / "laptop.mcap", LAPTOP, [Hearing(published, far, **hearing)], session_id=0x52)

@@ -34,7 +34,6 @@ TEXTS = 6  # session, run, four host samples
 
 
 def killed(folder: Path, *, name: str = "a.mcap", ring_slots: int = LARGE_RING) -> Path:
-    """What a kill leaves: five times 30 events, each with a text behind it, in the file; 30 more in the ring."""
     recording = folder / "recording" / name
     destination = TraceDestination(recording, chunk_seconds=3600.0, ring_slots=ring_slots)
     sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
@@ -105,7 +104,6 @@ def test_the_killed_pair_is_still_a_trace(tmp_path):
 
 
 def test_a_file_cut_anywhere_gives_every_event_once(tmp_path):
-    """The ring is larger than all events, so that it makes good whatever the file lost."""
     whole = killed(tmp_path)
     data, ring = whole.read_bytes(), ring_path(whole).read_bytes()
     at_records = boundaries(whole)

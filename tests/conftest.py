@@ -74,7 +74,6 @@ def own_base_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pyte
 
 @pytest.fixture
 def domains() -> Iterator[DomainLease]:
-    """As many own domain ids as the test takes."""
     lease = DomainLease()
     yield lease
     lease.release()

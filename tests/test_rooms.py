@@ -10,7 +10,6 @@ MOST_LINES = 450
 
 
 def modules():
-    """Every module that holds code; contents pages hold names alone."""
     return [path for room in ROOMS for path in (ROOT / room).rglob("*.py") if path.name != "__init__.py"]
 
 

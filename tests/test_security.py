@@ -26,3 +26,8 @@ def test_every_line_of_a_table_that_forbids_something_names_a_test():
     rows = [line.split("|")[1:-1] for line in PAGE.splitlines() if line.startswith("| ") and "may not" not in line]
     for _, forbidden, test in rows:
         assert "::" in test or ".py" in test or not forbidden.strip()
+
+
+@pytest.mark.parametrize("surface", ["tap", "beacon", "calls", "live page", "`watch`"])
+def test_each_surface_on_the_network_has_a_row(surface):
+    assert re.search(rf"^\| [^|]*\*\*{surface}\*\*", PAGE, re.MULTILINE)

@@ -207,7 +207,7 @@ class Tap:
 
     def _join(self, name: str, type_name: str, publications: list[Publication]) -> None:
         try:
-            if type_name:
+            if type_name or name not in self._patterns.texts:  # a key of zenoh that the user names has no type
                 _check_names(name, type_name)
             read_stamp = reader_of(type_name, self._node.members)
             live = None if self._live is None else self._live.topic(name)

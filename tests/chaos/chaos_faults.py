@@ -136,8 +136,6 @@ class Interrupt(Kill):
 
 
 class FullDisk(Happening):
-    """A file that takes all room of the disk, for a while."""
-
     def begin(self) -> bool:
         with (self.world.disk / "ballast").open("wb", buffering=0) as file, suppress(OSError):
             while True:
@@ -202,7 +200,6 @@ class Timetable:
         self.happened: list[Fault] = []
 
     def start(self) -> None:
-        """Let the time of the faults begin, if it has not."""
         self._began = min(self._began, time.monotonic())
 
     def advance(self) -> None:

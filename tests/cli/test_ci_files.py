@@ -258,7 +258,6 @@ def environment(folder, delay):
 
 
 def workflows():
-    """The workflows of the page: each indented block that has jobs."""
     page = (ROOT / "docs/how-to/ci.md").read_text()
     blocks = re.findall(r"(?m)(?:^ {4,}\S.*\n|^ *\n(?= {4,}\S))+", page)
     return [yaml.safe_load(dedent(block)) for block in blocks if re.search(r"(?m)^ +jobs:", block)]

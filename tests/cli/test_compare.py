@@ -12,13 +12,11 @@ PERIOD = 100 * MS
 
 
 def drawn(slower=1, count=600, number=0):
-    """Latency 1 to 1.06 ms, times `slower`; runs follow each other."""
     ways = [int(slower * (MS + (s * 7 % 60) * 1000)) for s in range(count)]
     return evenly(ways, start_ns=number * 1000 * PERIOD)
 
 
 def printed(capsys):
-    """What was printed, as if no line were broken."""
     return " ".join(capsys.readouterr().out.split())
 
 

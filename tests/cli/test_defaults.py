@@ -46,8 +46,6 @@ def run(monkeypatch, capsys):
 
 @pytest.fixture
 def in_force(run):
-    """Return what `dds-record --print-config` says: option -> (value, source)."""
-
     def call(*arguments):
         code, out, err = run(record.app, "--print-config", *arguments)
         assert (code, err) == (0, "")

@@ -25,16 +25,20 @@ TARGETS = {
     "ring": "fuzz_ring",
     "watch": "fuzz_watch",
     "peers": "fuzz_peers",
+    "strangers": "fuzz_strangers",
 }
 """Name of a target -> its module, whose class `Target` is a `FuzzTarget`."""
 
 INSTRUMENTED = [
     "dds_trace.tracefile",
     "dds_trace.analyzer",
+    "dds_trace.cli.defaults",
     "dds_trace.recorder.backends.socket",
+    "dds_trace.recorder.beacon",
     "dds_trace.recorder.payloads",
     "dds_trace.recorder.roles",
     "dds_trace.recorder.sweep.plan",
+    "dds_trace.recorder.tap",
     "dds_trace.reports",
 ]
 """Modules whose branches libFuzzer sees."""
@@ -51,7 +55,6 @@ class FuzzTarget(Protocol):
 
 
 def open_target(name: str, folder: Path) -> FuzzTarget:
-    """Return the target of this name, which keeps its files below `folder`."""
     target: FuzzTarget = import_module(TARGETS[name]).Target(folder)
     return target
 

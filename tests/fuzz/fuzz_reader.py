@@ -45,7 +45,6 @@ def finished(data_section: bytes) -> bytes:
 
 
 def small_database(path: Path) -> bytes:
-    """A rosbag2 database of twenty events in pages of 512 bytes."""
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("PRAGMA page_size = 512")
         connection.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")

@@ -7,7 +7,16 @@ import random
 import pytest
 from fuzz import TARGETS, open_target
 
-INPUTS = {"reader": 250, "descriptions": 16, "plan": 300, "bag": 60, "ring": 500, "watch": 3000, "peers": 400}
+INPUTS = {
+    "reader": 250,
+    "descriptions": 16,
+    "plan": 300,
+    "bag": 60,
+    "ring": 500,
+    "watch": 3000,
+    "peers": 400,
+    "strangers": 400,
+}
 """Inputs of each target."""
 
 BYTES = (0, 1, 2, 3, 4, 8, 0x7F, 0x80, 0xFF)

@@ -72,7 +72,6 @@ class Module:
 
     @property
     def file(self) -> str:
-        """The path that the imported code knows, through the link in `src`."""
         return str(ROOT / "src/dds_trace" / self.path)
 
     def place(self, number: int) -> tuple[str, str]:

@@ -604,7 +604,6 @@ def five_hundred_groups() -> Analysis:
 
 
 def small_campaign() -> Analysis:
-    """Two middlewares with and without a bridge, all data types: 32 groups."""
     return Campaign(
         vendors=("fastdds", "zenoh"), sizes=(33_000, 1_000_000), rates=(10.0, 20.0), strings=(1405,)
     ).analysis(_campaign_findings())

@@ -36,8 +36,6 @@ PAYLOAD_BYTES, MESSAGES = 502_000, 30
 
 @dataclass(frozen=True)
 class Report:
-    """What one side read back: differences as (setting, words)."""
-
     asked: Asked
     applied: Applied
     traffic: Traffic

@@ -97,7 +97,6 @@ def write_bag1(
     compression: Writer1.CompressionFormat | None = None,
     times_ns: Sequence[int] | None = None,
 ) -> Path:
-    """Likewise as a ROS 1 bag, from messages of `ROS1`."""
     bag = Writer1(path)
     if compression is not None:
         bag.set_compression(compression)

@@ -33,8 +33,6 @@ class JsonSink:
 
 
 class FakeTapNode(FakeNode):
-    """A `TapNode`; types in `unknown` have no package."""
-
     def __init__(self) -> None:
         super().__init__()
         self.graph: list[Publication] = []

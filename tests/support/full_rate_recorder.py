@@ -34,8 +34,6 @@ CHUNK_SECONDS = 0.005  # the draining thread is writing most of the time
 
 @dataclass(frozen=True)
 class Progress:
-    """How far one thread was when its process died."""
-
     begun: int
     stamped: int
     state: int

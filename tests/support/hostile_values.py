@@ -62,7 +62,6 @@ def texts() -> st.SearchStrategy[str]:
 
 
 def toml_values() -> st.SearchStrategy[object]:
-    """Values that TOML can hold: a lone surrogate is none."""
     drawn = st.text(st.characters(exclude_categories=("Cs",)), max_size=40)
     held = st.sampled_from([text for text in HOSTILE_TEXTS if not re.search("[\ud800-\udfff]", text)])
     one = st.sampled_from(HOSTILE_NUMBERS) | held | drawn | st.integers() | st.floats() | st.booleans()

@@ -131,7 +131,6 @@ def record_watched(
 
 
 def session_of(options: WireOptions, out: Path) -> tuple[object, ...]:
-    """What stands before a command that is to run under a capture."""
     return (sys.executable, SUPPORT / "wire_session.py", json.dumps(to_json(options)), out)
 
 

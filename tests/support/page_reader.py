@@ -70,7 +70,6 @@ class Reader:
             tab.on(event, note)
 
     def leave(self):
-        """Leave the tab as it was found: an empty page, nothing remembered."""
         for event, note in self._notes.items():
             self.tab.remove_listener(event, note)
         self.tab.evaluate("try { localStorage.clear(); } catch { /* an empty page has none */ }")

@@ -67,7 +67,6 @@ def metric_summary(values: list[int]) -> dict[str, float | None]:
 
 
 def analyze_plain(folder: Path) -> dict[str, Any]:
-    """Per run of `folder`: parameters, outcomes and the four metrics' summaries."""
     files = [read_plain(path) for path in sorted(folder.rglob("*.mcap"))]
     packed = {stage: [event for held in files for event in held["events"][stage]] for stage in STAGES}
     runs: dict[str, Any] = {}

@@ -32,7 +32,6 @@ def events_of(path: Path, stage: str) -> list[dict[str, int]]:
 
 
 def records_of(path: Path) -> list[tuple[str, bytes]]:
-    """Topic and bytes of every message, in the order of the file."""
     with path.open("rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
         return [(channel.topic, message.data) for _, channel, message in messages]

@@ -67,7 +67,6 @@ def wait_for(condition):
 
 
 def begin(cell):
-    """Notes the start; gives the behaviour and the trace to copy."""
     with (FOLDER / "script.json").open("r+") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         script = json.load(file)

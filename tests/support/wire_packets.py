@@ -15,7 +15,6 @@ ETHERNET = bytes(12) + b"\x08\x00"
 
 
 def ipv4(payload, source=PING, destination=RELAY, *, protocol=17, ip_id=7, offset=0, more=False):
-    """An Ethernet frame with an IPv4 packet; `offset` in bytes."""
     header = struct.pack(
         ">BBHHHBBH4s4s",
         0x45,

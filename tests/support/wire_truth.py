@@ -90,7 +90,6 @@ class Truth:
 
 
 def read_frames(path: Path) -> Iterator[Frame]:
-    """The forwarder's list; a record that it did not finish ends it."""
     data, at = path.read_bytes(), 0
     while at + _RECORD.size <= len(data):
         side, dropped, length = _RECORD.unpack_from(data, at)

@@ -76,7 +76,6 @@ def test_a_histogram_is_read_by_hdrhistogram(seed):
 
 
 def read_log(path, text):
-    """Tag -> histogram, as the reader of HdrHistogram has it."""
     log, histogram = pytest.importorskip("hdrh.log"), pytest.importorskip("hdrh.histogram").HdrHistogram
     path.write_text(text, encoding="utf-8")
     reader, read = log.HistogramLogReader(str(path), histogram(1, 2**62, 3)), {}

@@ -88,7 +88,6 @@ def test_a_restarted_relay_is_not_a_suspend(tmp_path, sentences):
 
 
 def write_restarted_relay(folder, first, second):
-    """One run whose relay is another one for the second messages."""
     ping = merged_events([ping_events(first), ping_events(second, relay_id=2)])
     write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
     write_trace(folder / "one.mcap", relay_session(), (), relay_events(first))
@@ -446,7 +445,6 @@ def test_a_relays_reboot_between_two_runs_is_no_step(tmp_path, boot_ids, codes):
 
 
 def thresholds():
-    """Every number that a check compares with, and the string behind it."""
     room = Path(dds_trace.analyzer.findings.__file__).parent
     others = [room.parent / name for name in ("clocks/slews.py", "groups/sending.py", "groups/shapes.py")]
     for path in [*room.glob("*.py"), *others, room.parent / "pairing" / "flows.py"]:

@@ -122,7 +122,6 @@ def messages(number):
 
 
 def record(folder, number, *, size=33_000, ping=None, relay=None):
-    """One run; `ping` and `relay` are the fingerprints of the devices."""
     hosts = {"ping": {"host": ping or {"kernel": "6.1"}}, "relay": {"host": relay or {"kernel": "6.1"}}}
     write_run(folder / str(number), number, messages(number), payload_bytes=size, **hosts)
 

@@ -135,7 +135,6 @@ def messages(lost, in_time=""):
 
 
 def outages(lost, in_time):
-    """Of each: first number, messages, start, end, recovery."""
     found = find_outages(messages(lost, in_time)).collect()
     return found.select("first_sequence", "messages", "start_ns", "end_ns", "recovery_ns").rows()
 

@@ -184,7 +184,6 @@ def test_the_last_message_of_a_killed_ping_may_never_have_left():
 
 
 def late(count, *, by_ns):
-    """`published`, so much later on the clock."""
     whole = published(count)
     return replace(whole, scheduled_ns=whole.scheduled_ns + by_ns, publish_ns=whole.publish_ns + by_ns)
 

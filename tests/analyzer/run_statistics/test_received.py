@@ -243,7 +243,6 @@ MS = 1e6
 
 
 def runs_at(levels, messages=300, seed=0):
-    """Runs whose messages spread by 10 % around a level in ms."""
     draws = np.random.default_rng(seed)
     return Runs(tuple(Run(level * MS * np.exp(0.1 * draws.standard_normal(messages))) for level in levels))
 

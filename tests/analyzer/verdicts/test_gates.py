@@ -224,7 +224,6 @@ def test_many_groups_are_adjusted_by_holm():
 
 
 def normal_beyond(errors):
-    """The share of a normal distribution beyond so many standard errors."""
     return math.erfc(errors / math.sqrt(2)) / 2
 
 

@@ -138,7 +138,6 @@ def test_a_relay_stops_writing_and_not_itself_while_the_disk_is_short(domain_id,
 
 
 def short_of_disk(domain_id, disk):
-    """A relay and pings whose disk is filled and made free again."""
     keep_free = disk.free_bytes - ROOM
     of_disk = ("--backend", "socket", "--discovery", "localhost", "--keep-free", keep_free)
     traces = disk.outside

@@ -24,7 +24,6 @@ needs_zenoh = pytest.mark.skipif(find_spec("zenoh") is None, reason="zenoh is no
 
 
 def localhost(value):
-    """The old way: the variable that the LOCALHOST range ignores."""
     return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": value}
 
 

@@ -46,7 +46,6 @@ class Mailbox:
             self._some.notify_all()
 
     def wait_for(self, count, prompt=lambda: None):
-        """The first `count` messages; `prompt` is called until they are there."""
         deadline = time.monotonic() + PATIENCE_S
         with self._some:
             while len(self.messages) < count:

@@ -18,8 +18,6 @@ PIECE = 1 << 20
 
 
 class StopAtThird(threading.Event):
-    """A signal that comes while the third piece is made."""
-
     looks = 0
 
     def is_set(self):

@@ -27,7 +27,6 @@ TEXT = b"dt1:0123456789abcdef:0000000000000102:deadbeef"
 
 
 def header_message(frame_id: bytes) -> bytes:
-    """std_msgs/Header and a byte, as another program would write it."""
     return b"\0\1\0\0" + struct.pack("<iII", 7, 8, len(frame_id) + 1) + frame_id + b"\0" + b"\x2a"
 
 

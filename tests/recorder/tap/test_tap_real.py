@@ -83,7 +83,6 @@ def image(number):
 
 
 def publish_until(publisher, watches, enough=5):
-    """Publish until every watch has heard enough; return all contents."""
     contents = []
 
     def heard():

@@ -161,7 +161,6 @@ COST = {"record_median_ns": 900, "record_p99_ns": 2000}
 
 
 def analysis_of(extras, *measured):
-    """One session's `extra` after the other, in the order of the sessions."""
     analysis = make_analysis(*(measured or (Measured([MS]),)))
     held = [replace(session, extra=extra) for session, extra in zip(analysis.sessions, extras, strict=False)]
     return replace(analysis, sessions=(*held, *(replace(one, extra={}) for one in analysis.sessions[len(held) :])))

@@ -178,7 +178,6 @@ def lossy_page(show, lossy_report):
 
 
 def drawn(reader, name):
-    """Columns and rows of the table of a figure, as dictionaries."""
     return reader.tab.evaluate(
         "n => { const d = blocks.find(b => b.name === n).drawn;"
         " return d.rows.map(row => Object.fromEntries(d.columns.map((c, place) => [c.label, row[place]]))); }",

@@ -15,7 +15,6 @@ MESSAGES = 3_000
 
 @pytest.fixture
 def made(monkeypatch):
-    """List the memories that are made, with none at hand at first."""
     memories = []
 
     class Counted(UnpackMemory):

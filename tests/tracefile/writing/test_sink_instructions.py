@@ -72,7 +72,6 @@ def open_pairs(folder, slots=64):
 
 
 def pairs_of(sink):
-    """Sequence, time and source time of each arrival, then of each departure."""
     closed = sink.close()
     assert closed.dropped_events == 0
     stages = read_trace(closed.path).events

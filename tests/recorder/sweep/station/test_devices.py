@@ -50,7 +50,6 @@ def server(tmp_path_factory):
 
 @pytest.fixture
 def remote(server, tmp_path):
-    """Makes an `SshDevice` whose remote home is a folder of the test."""
     (tmp_path / "home").mkdir()
     (tmp_path / "bin").mkdir()
     (tmp_path / "parts").mkdir()

@@ -45,7 +45,6 @@ def echo(pair, *words):
 
 
 def ask(pair, size_bytes, count, timeout_s=20, prefix=()):
-    """Round-trip times in ms of the datagrams that came back."""
     words = [UDP_ECHO, "ask", pair.relay.address, size_bytes, count, timeout_s]
     done = subprocess.run(
         [*pair.ping.prefix, *prefix, sys.executable, *map(str, words)], capture_output=True, text=True, check=True

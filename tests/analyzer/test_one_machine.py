@@ -15,7 +15,6 @@ LOCAL = ("--discovery", "localhost")
 
 
 def record(folder, domain_id, *, relay_device):
-    """200 messages at 50 Hz to a relay on this machine and back."""
     folder.mkdir()
     with relay(domain_id, folder / "relay.mcap", *LOCAL, "--device", relay_device) as process:
         more = ("--rate", 50, "--messages", 200, "--size", "1KB", "--label", "why=clock test")

@@ -58,7 +58,6 @@ def relabelled(analysis):
 
 @pytest.fixture(scope="module")
 def sides(tmp_path_factory):
-    """The same vendor: the base sends all, the new side half."""
     folder = tmp_path_factory.mktemp("sides")
     record(folder / "base", "whole", vendor="fastdds")
     record(folder / "new", "half", first=10)

@@ -90,7 +90,6 @@ def installed_combinations() -> list[tuple[str, str]]:
 
 
 def draw_round(seed: int, combinations: list[tuple[str, str]]) -> Round:
-    """Return the round of a seed; equal seeds and combinations give equal rounds."""
     draw = random.Random(f"chaos {seed}")
     # One after the other, so that a short time reaches all of them.
     combination = combinations[seed % len(combinations)]

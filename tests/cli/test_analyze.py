@@ -191,7 +191,6 @@ def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """100 messages at 100 Hz of which 2 are missing, and 3 events."""
     path = tmp_path_factory.mktemp("bag") / "x.mcap"
     with path.open("wb") as file:
         writer = Writer(file)

@@ -98,7 +98,6 @@ class Job:
         return done
 
     def event(self, number, head):
-        """A pull request of a repository; a push has neither."""
         self._values |= {"github.event.pull_request.number": number}
         self._values |= {"github.event.pull_request.head.repo.full_name": head}
         terms = (EXPRESSION.sub(lambda found: self._values.get(found[1], ""), STEPS["comment"]["if"]), number)

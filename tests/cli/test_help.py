@@ -108,7 +108,6 @@ def test_help_loads_no_heavy_library_and_reads_well_at_80_columns(command, monke
 
 
 def check_usage(line, command):
-    """Optional arguments in brackets, others as they are named."""
     assert re.fullmatch(rf"Usage: {command} \[OPTIONS\]( \[?[A-Z]+(\.toml)?\]?(\.\.\.)?)*", line)
 
 

@@ -27,7 +27,6 @@ EXTRA = {
 
 
 def write_cell(folder, number, cell, repeat, latency_us, extra, lost=0):
-    """Ping and relay of one run of ten messages, each with this latency."""
     messages = evenly([latency_us * US] * 10, period_ns=1_000_000_000, relay_ns=50)
     write_run(
         folder / str(number),

@@ -93,7 +93,6 @@ class Target:
         return self._file("bag.bag", changed(self._good["bag.bag"], data))
 
     def _metadata_text(self, data: bytes) -> Path:
-        """The bytes are the metadata of a rosbag2 folder whose file is good."""
         self._metadata_of_bag(data)
         self._file("bag.mcap", self._good["bag.mcap"])
         return self._folder

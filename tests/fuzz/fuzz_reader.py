@@ -157,7 +157,6 @@ class Target:
         return self._file(finished(declared + record(Opcode.MESSAGE, message)))
 
     def _ring(self, data: bytes) -> Path:
-        """The bytes are a ring beside a good file that was cut off."""
         ring_path(self._path).write_bytes(data)
         return self._file(self._good[:-500])
 

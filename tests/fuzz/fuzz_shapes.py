@@ -90,7 +90,6 @@ def changed_fields(good: Any, data: bytes) -> Any:
 
 
 def _places(value: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Return the path of every value within nested dicts and lists, depth first."""
     keys = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
     return [path for key in keys for path in [(*above, key), *_places(value[key], (*above, key))]]
 

@@ -139,7 +139,6 @@ class LinesRun:
 
 
 def passes(items: Sequence[pytest.Item]) -> Iterator[tuple[int, bool]]:
-    """Run tests; yield the number of each and whether it did not fail."""
     from _pytest.runner import runtestprotocol
 
     for number, item in enumerate(items):
@@ -277,7 +276,6 @@ class Trials:
 
 
 def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:
-    """Words of pytest for tests that end within seconds and start no middleware."""
     return [
         *("-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--timeout=0", f"--rootdir={ROOT}"),
         *("-m", "not slow and not middleware and not browser", "--hypothesis-profile=mutants"),

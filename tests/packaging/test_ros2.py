@@ -90,8 +90,6 @@ def test_the_files_of_its_share_are_there(told):
 
 
 class Entity:
-    """A stand-in for any class of launch: keeps what it was made of."""
-
     def __init__(self, *args, **kwargs):
         self.args, self.kwargs = args, kwargs
 

@@ -112,7 +112,6 @@ def test_all_containers_share_one_network_and_one_shared_memory():
 
 @pytest.fixture
 def start(tmp_path):
-    """Start a command of the compose file as a process of this machine."""
     running = []
 
     def started(name, domains):

@@ -19,7 +19,6 @@ LABELS = {65_400: "87 KB", 151_875: "33 KB", 2_330_025: "1 MB"}
 
 
 def rows_of(summary):
-    """The rows of the page's table: by the text's size, rate and depth."""
     for label in ("33 KB", "87 KB", "1 MB"):
         for rate in (4.0, 20.0):
             for depth in (10, 1):

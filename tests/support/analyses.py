@@ -114,7 +114,6 @@ class Measured:
         }
 
     def rows(self, run_id: int) -> list[dict[str, Any]]:
-        """The round trips, the first planned at 1 s of the ping's clock."""
         return [self._row(run_id, sequence, message) for sequence, message in enumerate(self.messages)]
 
     def _row(self, run_id: int, sequence: int, message: int | str) -> dict[str, Any]:
@@ -336,7 +335,6 @@ def _clock_knots(ordered: Sequence[Measured], knot_s: Sequence[float]) -> pl.Dat
 
 
 def _host_samples(ordered: Sequence[Measured], sample_s: Sequence[float]) -> pl.DataFrame:
-    """Samples of each session, the relay about twice as busy as the ping."""
     rows = [
         {
             "session_id": session.session_id,

@@ -96,7 +96,6 @@ def write_run(
 
 
 def _stamped(message: Message, stage: Stage, **fields: int) -> Event:
-    """Return the event T2 or T3 of a message with the middleware's stamps."""
     sent, came = (message.t4, message.t2) if stage is Stage.T2 else (message.t1, message.t3)
     assert sent is not None
     assert came is not None

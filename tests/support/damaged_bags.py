@@ -174,7 +174,6 @@ def damage(good: Good, rng: random.Random) -> tuple[bytes, set[Key]]:
 
 
 def read_recovered(path: Path) -> set[Key]:
-    """Read a file with the official reader and with rosbags, which must agree."""
     with AnyReader([path], default_typestore=ROS2) as reader:
         by_rosbags = [(connection.topic, log_ns, data) for connection, log_ns, data in reader.messages()]
     if path.suffix == ".db3":

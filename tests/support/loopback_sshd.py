@@ -27,7 +27,6 @@ class Sshd:
 
 
 def missing_program() -> str | None:
-    """The program that a test of ours needs and this machine has not."""
     return next((name for name in ("sshd", "ssh", "ssh-keygen") if shutil.which(name, path=PATH) is None), None)
 
 

@@ -91,7 +91,6 @@ def _groups() -> list[list[Run]]:
 
 
 def tails() -> list[Any]:
-    """Episodes, inflations and bursts beyond several quantiles, and what they are worth together."""
     found: list[Any] = []
     for runs in _groups():
         for quantile in (0.02, 0.4, 0.5, 0.9, 0.97, 0.99):

@@ -31,7 +31,6 @@ def _string(data: bytes) -> str:
 
 
 def read_plain(path: Path) -> dict[str, Any]:
-    """Sessions, runs and packed events of one file, read with the public reader."""
     held: dict[str, Any] = {"sessions": {}, "runs": {}, "events": {stage: [] for stage in STAGES}}
     with path.open("rb") as stream:
         for _schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():

@@ -40,8 +40,6 @@ class Truth:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Stamps T1..T4 of drawn messages, with the one-way times that nobody can see."""
-
     t1: np.ndarray
     t3: np.ndarray
     t4: np.ndarray

@@ -22,7 +22,6 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # vendors' own, at their star
 
 
 def start(module, *arguments, env=None):
-    """A process of Dask on loopback, and what it says line by line."""
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments], stderr=subprocess.PIPE, text=True, env={**os.environ, **(env or {})}
     )

@@ -66,7 +66,6 @@ def is_alive(process):
 
 @pytest.fixture
 def runs(runs):
-    """Beside the runs a file that is no trace."""
     (runs / "ping1a.mcap").write_bytes(b"no trace")
     return runs
 

@@ -17,7 +17,6 @@ from dds_trace.tracefile.format.events import EventColumns
 
 
 def count(t1, t2=(), t3=(), t4=(), *, warmup=0, scheduled=True):
-    """Counts of events given as (sequence, ns) pairs; T0 is T1 less 1."""
     published = published_messages(
         columns(*(event(s, t, scheduled_ns=t - 1 if scheduled else 0) for s, t in t1)), warmup
     )
@@ -129,7 +128,6 @@ MS = 1_000_000
 
 
 def published(count):
-    """Messages 0, 1, 2 ... sent on time, one each 100 ms."""
     at_ns = np.arange(count, dtype=np.int64) * 100 * MS
     return Published(np.arange(count, dtype=np.uint64), at_ns, at_ns, 0, count, 0, (1, 1))
 

@@ -146,7 +146,6 @@ def session(wall_ns, monotonic_ns, **extra):
 
 
 def utc_of(*of_exchanges):
-    """The UTC of T1 and T3 from (ping, relay, instants) of each exchange."""
     exchanges = [SimpleNamespace(ping=ping, relay=relay) for ping, relay, _ in of_exchanges]
     instants_ns = np.concatenate([np.array(each, np.int64) for *_, each in of_exchanges])
     bounds = np.cumsum([0, *(len(each) for *_, each in of_exchanges)])

@@ -14,7 +14,6 @@ P50 = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=True)
 
 
 def side(first_run, rtts_ms):
-    """One run a pass, of ten messages that all take the run's time."""
     return roundtrips(
         {
             "run_id": first_run + place,

@@ -32,7 +32,6 @@ from dds_trace.tracefile.writing.sink import TraceSink
 
 @pytest.fixture
 def parsed(monkeypatch, tmp_path):
-    """Calls the command and answers with the options that it would record with."""
     for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     seen = []

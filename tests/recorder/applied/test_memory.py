@@ -74,7 +74,6 @@ def test_a_short_version_of_a_file_stays_where_no_distribution_tells_more(monkey
 
 @pytest.fixture
 def segment():
-    """A file in /dev/shm that looks like Fast DDS's, mapped by this process."""
     path = SHM / f"fastrtps_{os.getpid():016x}"
     path.write_bytes(bytes(12_000))
     try:

@@ -26,7 +26,6 @@ signal.sigwait([signal.SIGTERM])
 
 @pytest.fixture
 def port(monkeypatch):
-    """A free port, at which nodes of this process look for the router."""
     with socket.create_server(("localhost", 0)) as free:
         number = free.getsockname()[1]
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'connect/endpoints=["tcp/localhost:{number}"]')

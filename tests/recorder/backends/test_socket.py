@@ -239,7 +239,6 @@ def test_a_frame_that_is_none_ends_its_connection_and_nothing_else(domain_id, se
 
 
 def memory_bytes():
-    """Address space of this process: what a frame claims would be here."""
     return int(Path("/proc/self/statm").read_text().split()[0]) * 4096
 
 

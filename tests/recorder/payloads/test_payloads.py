@@ -21,7 +21,6 @@ SIZES = [
 
 
 def padding_of(data_type):
-    """Bytes that CDR skips to align what follows; their value is anything."""
     return {"binary": (63, 83), "imu": (63, 64, 65, 66, 67), "string": ()}[data_type.name]
 
 

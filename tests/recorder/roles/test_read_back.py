@@ -42,8 +42,6 @@ def test_before_it_is_read_the_session_holds_the_wish_alone(bench):
 
 
 class Stop:
-    """An event that is never set, and what happens at its third wait."""
-
     def __init__(self, third=lambda: None):
         self.waits, self.third = [], third
 

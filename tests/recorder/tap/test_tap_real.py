@@ -55,7 +55,6 @@ class Watch:
 
 @contextmanager
 def tapping(path, backend, domain_id, *topics, **more):
-    """A running tap: yields its watch; its result is there after the block."""
     options = RecordOptions(
         TraceDestination(path),
         NodeOptions(domain_id=domain_id, discovery=Discovery.LOCALHOST),

@@ -189,7 +189,6 @@ COST = {
 
 
 def costs(*rows):
-    """Costs of bridges: bridge, vendor, vendor of the relay, statistic, verdict, ratio."""
     return pl.DataFrame([(*row[:3], "latency", *row[3:]) for row in rows], COST, orient="row")
 
 

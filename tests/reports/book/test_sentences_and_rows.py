@@ -29,7 +29,6 @@ JUDGED = {kind for kind in PointKind if kind not in (PointKind.PLACE, PointKind.
 
 
 def named(groups):
-    """The numbers of names, sizes and rates of the groups."""
     for group in groups:
         yield format_size(group["payload_bytes"])
         yield format_rate(group["rate_hz"])

@@ -49,7 +49,6 @@ def new_tab(chromium):
 
 @pytest.fixture
 def read_with(tab):
-    """Makes the reader of the test: with what window, and with which colours."""
     readers = []
 
     def begin(**options):

@@ -65,7 +65,6 @@ def test_axes_have_validators_of_their_own():
 
 
 def read_or_refuse(path):
-    """Make the commands of a plan; None, or the line that refuses it."""
     try:
         plan = read_plan(path)
     except OptionError as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from coverage_intervals import SCENARIOS
-from simulated import LOSSES, Table, estimate_of, percent, round_trips
+from simulated import LOSSES, SEED, Table, estimate_of, percent, round_trips
 
 from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
     Draw = Callable[[np.random.Generator, tuple[int, int, int]], Float64]
 
-SEED = 20_261_126
 SPREAD = 0.2
 MOST_FALSE_LEADERS, MOST_FALSE_LOSERS, MOST_FALSE_MEETS = 0.05, 0.07, 0.05
 PERCENTILES = {"p50": Statistic(0.5), "p99": Statistic(0.99)}

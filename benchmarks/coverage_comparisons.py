@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from simulated import (
     LOSSES,
+    SEED,
     Table,
     draw_values,
     estimate_of,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     import polars as pl
     from simulated import DrawLosses
 
-SEED = 20_261_126
 MOST_FALSE_LOSSES, MOST_FALSE_SENTENCES, MOST_FALSE_GATES, MOST_FALSE_LOOKS = 0.07, 0.05, 0.05, 0.025
 LOOKS, RUNS_A_LOOK = 5, 5
 RATE_HZ, PAUSE_SECONDS = 100, 2

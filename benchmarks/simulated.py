@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     DrawLosses = Callable[[np.random.Generator, int, int, float], Bools]
 
 
+SEED = 20_261_128
+"""Of every table."""
+
+
 @dataclass(slots=True)
 class Table:
     """Rows of percents, and the bars that they miss by more than two standard errors of the simulation."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from dds_trace.analyzer.statistics.intervals import messages_to_end
 from dds_trace.base.files import replacing
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
@@ -128,7 +129,7 @@ OWN_SHARE_NOTE = (
 )
 _INTERVAL_NOTE = (
     "In brackets: 95 % confidence intervals, of a typical run where there are three or more, else within one run; a dash is "
-    "an end that the sample does not support. A tail of fewer than ten bursts has no end."
+    f"an end that the sample does not support, as of p99 in one or two runs below {messages_to_end(0.99)} messages."
 )
 
 _MESSAGE_COLUMNS = ("Data", "Size", "Rate", "Setup")

@@ -13,7 +13,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, MIN_RUNS
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
 from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
@@ -30,7 +30,7 @@ _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
 _COLUMNS = (*(("Size", 7), ("Rate", 7), ("Runs", 4), ("Recv", 9)), *(("p50", 7), ("p99", 7), ("Bur.", 4), ("max", 7)))
 _NOTES = (
     f"Runs: with a *, numbers hold within one run; a verdict needs {MIN_RUNS}. Bur.: the bursts that p99 rests on; "
-    f"with fewer than {MIN_EPISODES} it has no upper bound."
+    f"one or two runs give it an upper bound from {messages_to_end(0.99)} messages on."
 )
 
 

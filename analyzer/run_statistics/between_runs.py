@@ -54,15 +54,15 @@ def estimates_of_runs(
     """Return the estimate of each statistic: from the runs, in the order of time, if there are three or more, else within one run.
 
     From three runs on the value is the geometric mean of the runs' statistics; their mean if one is not above zero, their median if
-    one is infinite. An end beyond a tail is None if it rests on fewer than `MIN_EPISODES` episodes. Together, statistics share
-    the sorting.
+    one is infinite. Of one or two runs, an end beyond a tail is None below `LEAST_BEYOND` expected messages. Together,
+    statistics share the sorting.
     """
     group = Runs.of(runs)
     units = units_of_runs(group, statistics)
     open_ = [statistic for statistic, unit in zip(statistics, units, strict=True) if unit is None]
     within = iter(_intervals_within(group, open_, confidence))
     return [
-        Estimate(next(within) if unit is None else _interval_of_units(unit, statistic, confidence), unit)
+        Estimate(next(within) if unit is None else _interval_of_units(unit, confidence), unit)
         for statistic, unit in zip(statistics, units, strict=True)
     ]
 
@@ -133,10 +133,8 @@ def _independent_for_mean(run: Run) -> float:
     return len(run) if long_run <= variance else len(run) * variance / long_run
 
 
-def _interval_of_units(units: Units, statistic: Statistic, confidence: float) -> Interval:
+def _interval_of_units(units: Units, confidence: float) -> Interval:
     value, lower, upper, unit_spread = ends_of_units(units.values, confidence)
-    if statistic.quantile is not None:
-        lower, upper = without_open_end(lower, upper, statistic.quantile, units.episodes)
     return Interval(
         value=value,
         lower=lower,
@@ -230,7 +228,7 @@ def _quantile_within(ordered: Float64, quantile: float, tail: Tail, confidence: 
     stretch = n / independent
     lower = None if lowest is None else float(ordered[math.floor((lowest - 1) * stretch)])
     upper = None if highest is None else float(ordered[math.ceil(round(highest * stretch, 6)) - 1])
-    lower, upper = without_open_end(lower, upper, quantile, episodes)
+    lower, upper = without_open_end(lower, upper, quantile, n)
     value = quantile_at(ordered, 1 + (n - 1) * quantile)
     return Interval(value, lower, upper, confidence, n, independent, Basis.WITHIN_RUN, runs, 0, episodes)
 

@@ -30,7 +30,7 @@ Key = tuple[Hashable, str]
 """Kind of message and setup."""
 
 
-ALIKE_FROM = 0.2
+ALIKE_FROM = 0.25
 """P value from which on spreads are pooled: high, as few repeats hide unlike spreads."""
 
 MORE_UP_TO = 0.05
@@ -44,8 +44,11 @@ DEPENDENT_UP_TO, DEPENDENT_UP_TO_OF_ONE = 0.05, 0.01
 """P value up to which passes are taken to depend on each other, of several kinds of message and of one, where only long campaigns show it;
 it costs as many campaigns of independent passes their leader."""
 
-TOGETHER_FROM = 3.0
-"""Squared length of the sum of independent series, over the expected one, that one in twenty exceeds."""
+CORRELATION = 0.8
+"""Of neighbouring passes of a setup, that a campaign of several kinds either excludes or carries in its variances."""
+
+EXCLUDED_FROM = 1.6
+"""Standard deviations below what `CORRELATION` makes likely: 3 % of campaigns with it are lower."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,34 +62,41 @@ class SetupMean:
     mean: float
     variance: float
     degrees: float
+    inflation: float = 1.0
 
     def against(self, other: SetupMean) -> StudentTest:
         total = self.variance + other.variance
         weights = self.variance**2 / self.degrees + other.variance**2 / other.degrees
         degrees = total**2 / weights if weights else self.degrees + other.degrees
-        errors = float(np.sqrt(self.variance)), float(np.sqrt(other.variance))
+        errors = math.sqrt(self.inflation * self.variance), math.sqrt(other.inflation * other.variance)
         return StudentTest(other.mean - self.mean, *errors, degrees, 0)
 
 
-def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
-    pools: dict[Hashable, list[Key]] = defaultdict(list)
+def residuals_by_setup(runs: Mapping[Key, RunLogarithms]) -> dict[tuple[Hashable, ...], tuple[list[Key], Float64]]:
+    """Return for each setup, and for each choice of its repeats, the kinds and their residuals, shape (kinds, repeats)."""
+    pools: dict[tuple[Hashable, ...], list[Key]] = defaultdict(list)
     for (kind, setup), values in runs.items():
         pools[setup, values.repeats].append((kind, setup))
-    residuals = {
-        pool: np.array([runs[key].values - runs[key].values.mean() for key in keys]) for pool, keys in pools.items()
+    return {
+        pool: (keys, np.array([runs[key].values - runs[key].values.mean() for key in keys]))
+        for pool, keys in pools.items()
     }
-    is_pooled = spreads_are_alike(residuals.values())
-    least = 0.0 if is_pooled else campaign_variance(residuals.values())
+
+
+def setup_means(runs: Mapping[Key, RunLogarithms], inflation: float = 1.0) -> dict[Key, SetupMean]:
+    pools = residuals_by_setup(runs)
+    residuals = [rows for _, rows in pools.values()]
+    is_pooled = spreads_are_alike(residuals)
+    least = 0.0 if is_pooled else campaign_variance(residuals)
     means: dict[Key, SetupMean] = {}
-    for pool, keys in pools.items():
-        rows = residuals[pool]
+    for keys, rows in pools.values():
         pooled = pooled_variance(rows)
         for index, (key, row) in enumerate(zip(keys, rows, strict=True)):
             has_own = not is_pooled or spreads_more(rows, index)
             variance, degrees = pooled_variance(row[np.newaxis]) if has_own else pooled
             if len(row) < ENOUGH_RUNS:
                 variance = max(variance, least)
-            means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees)
+            means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees, inflation)
     return means
 
 
@@ -96,29 +106,61 @@ def campaign_variance(residuals: Iterable[Float64]) -> float:
     return float(np.concatenate(variances).mean())
 
 
-def passes_depend(runs: Iterable[RunLogarithms], kinds: int) -> bool:
-    """Return whether neighbouring repeats are more alike than distant ones, over all kinds and setups together.
+def inflation_of_passes(runs: Mapping[Key, RunLogarithms]) -> float:
+    """Return how many times the variance of a mean is what independent passes have: infinite where neighbouring passes are more alike
+    than distant ones, 1 where several kinds exclude a `CORRELATION` or there is one kind, else what that correlation makes of it.
 
     J. von Neumann's ratio (Annals of Mathematical Statistics 12, 1941) of the squared steps to the squared residuals is 2 on average for
     independent normal repeats, whatever their spread, with the variance `4 (n - 2) / ((n - 1) (n + 1))` for n of them. Series that move
     together, as the sizes of one relay, count as fewer.
     """
-    by_repeats: dict[int, list[Float64]] = defaultdict(list)
-    for own in runs:
-        residual = own.values - own.values.mean()
-        if len(residual) >= MIN_RUNS and residual.any():
-            by_repeats[len(residual)].append(residual)
-    deficit = variance = 0.0
-    for repeats, rows in by_repeats.items():
-        series = np.array(rows)
-        weights = np.square(series).sum(axis=1)
-        together = np.square((np.sqrt(weights)[:, None] * series).sum(axis=0)).sum() / np.square(weights).sum()
-        deficit += float((2 * weights - np.square(np.diff(series, axis=1)).sum(axis=1)).sum())
-        of_ratio = 4 * (repeats - 2) / ((repeats - 1) * (repeats + 1))
-        is_together = together > min(TOGETHER_FROM, 0.75 * len(series))
-        variance += of_ratio * float(np.square(weights).sum()) * (float(together) if is_together else 1.0)
+    pools = [
+        (len(keys), rows[rows.any(axis=1)])
+        for keys, rows in residuals_by_setup(runs).values()
+        if rows.shape[1] >= MIN_RUNS and rows.any()
+    ]
+    if not pools:
+        return 1.0
+    deficit = expected = variance = 0.0
+    inflations = []
+    for _, rows in pools:
+        repeats = rows.shape[1]
+        weights = np.square(rows).sum(axis=1)
+        deficit += float((2 * weights - np.square(np.diff(rows, axis=1)).sum(axis=1)).sum())
+        variance += 4 * (repeats - 2) / ((repeats - 1) * (repeats + 1)) * float(np.square(weights).sum())
+        ratio, inflation = _correlated_passes(repeats)
+        expected += (2 - ratio) * float(weights.sum())
+        inflations.append(inflation)
+    deviation = math.sqrt(variance * _series_as_one([rows for _, rows in pools]))
+    kinds = max(kinds for kinds, _ in pools)
     level = DEPENDENT_UP_TO if kinds > 1 else DEPENDENT_UP_TO_OF_ONE
-    return deficit > 0 and student_cdf(-deficit / math.sqrt(variance), math.inf) <= level
+    if student_cdf(-deficit / deviation, math.inf) <= level:
+        return math.inf
+    is_excluded = expected >= deviation and deficit < expected - EXCLUDED_FROM * deviation
+    return 1.0 if kinds == 1 or is_excluded else max(inflations)
+
+
+def _correlated_passes(repeats: int) -> tuple[float, float]:
+    """Return, for passes of `CORRELATION`, von Neumann's ratio of expectations and the variance of the mean over the one it seems to have."""
+    apart = np.abs(np.subtract.outer(np.arange(repeats), np.arange(repeats)))
+    of_mean = float((CORRELATION**apart).mean())
+    ratio = 2 * (repeats - 1) * (1 - CORRELATION) / (repeats * (1 - of_mean))
+    return ratio, of_mean * (repeats - 1) / (1 - of_mean)
+
+
+def _series_as_one(pools: Sequence[Float64]) -> float:
+    """Return how many times the variance of a sum of squares is the one of independent series, from how much the series move together."""
+    units = [rows / np.sqrt(np.square(rows).sum(axis=1, keepdims=True)) for rows in pools]
+    groups = [units]
+    if len({rows.shape[1] for rows in pools}) == 1:
+        groups.append([np.concatenate(units)])
+    most = 1.0
+    for group in groups:
+        series = sum(map(len, group))
+        others = sum(len(rows) ** 2 for rows in group) / series - 1
+        alike = sum(float(np.square(rows.sum(axis=0)).sum()) for rows in group) / series - 1
+        most = max(most, 1 + max(0.0, alike) ** 2 / others if others else 1.0)
+    return most
 
 
 def pooled_variance(residuals: Float64) -> tuple[float, float]:

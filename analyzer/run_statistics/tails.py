@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, mean_and_variance
+from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, WIDEST_TAIL, mean_and_variance
 from .bursts import (
     EPISODE_GAP_SHARE,
     LEAST_GAP,
@@ -39,9 +39,6 @@ TAIL_GAP_SHARE = 0.5
 
 LEVEL_BELOW = 10
 """The level below a tail leaves this many times as many messages beyond: p90 for p99, p99 for p99.9."""
-
-WIDEST_TAIL = 0.1
-"""Wider tails have no level below: chance makes streaks there."""
 
 CHANCE = 0.01
 """Probability that independent messages have a streak taken for a burst."""

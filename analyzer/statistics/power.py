@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .distributions import shift_for_power
-from .intervals import MIN_EPISODES, MIN_RUNS, Interval
+from .intervals import MIN_RUNS, Interval, messages_to_end
 from .percentiles import planned_messages
 
 Float64 = NDArray[np.float64]
@@ -110,13 +110,11 @@ def _fewest(is_enough: Callable[[int], bool]) -> int | None:
 
 
 def messages_to_close(interval: Interval, quantile: float) -> int | None:
-    """Return the further messages until a quantile's interval has both ends; None without an episode to go by."""
+    """Return the further messages until a quantile's interval has both ends; None without a message."""
     if interval.is_two_sided:
         return 0
-    if not interval.samples or interval.episodes == 0:
+    if not interval.samples:
         return None
     independent = planned_messages(quantile, interval.confidence)
-    times = [independent / max(1, interval.independent)]
-    if interval.episodes is not None:
-        times.append(MIN_EPISODES / interval.episodes)
+    times = independent / max(1, interval.independent), messages_to_end(quantile) / interval.samples
     return max(1, math.ceil(round(interval.samples * (max(times) - 1), 6)))

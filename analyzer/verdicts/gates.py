@@ -270,7 +270,7 @@ def _advice(gate: Gate, change: Change) -> _Advice:
         more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
         if any(more):
             messages = format_number(max(m or 0 for m in more))
-            return _Advice(f"the tail rests on too few bursts; record about {messages} more messages a side")
+            return _Advice(f"too few messages beyond the percentile; record about {messages} more a side")
     runs = None
     if gate.against is Against.RATIO and gate.limit > 0:
         runs = runs_to_settle_ratio(change, gate.limit)

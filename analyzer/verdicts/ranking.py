@@ -8,7 +8,7 @@ of all kinds. Both also need an estimated lead of the margin. Setups recorded on
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 from ..run_statistics.between_runs import Estimate, Scale, scale_of
 from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
-from ..run_statistics.setups import RunLogarithms, SetupMean, overlap_in_time, passes_depend, setup_means, tier_letters
+from ..run_statistics.setups import (
+    Key,
+    RunLogarithms,
+    SetupMean,
+    inflation_of_passes,
+    overlap_in_time,
+    setup_means,
+    tier_letters,
+)
 from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
 from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
@@ -140,9 +148,10 @@ def rank_setups(
     kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
-    dependent = _dependent_families(kinds)
+    inflations = _inflations(kinds)
+    dependent = {family for family, inflation in inflations.items() if math.isinf(inflation)}
     for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
-        pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
+        pairs_of = _pairs(kinds, percentile, inflations, trust_order=options.trust_order)
         for index, pairs in pairs_of.items():
             if kinds[index].family in dependent:
                 pairs_of[index] = [replace(pair, p_value=1.0) for pair in pairs]
@@ -166,13 +175,20 @@ def rank_setups(
     return rankings
 
 
-def _dependent_families(kinds: Sequence[Kind]) -> set[Hashable]:
-    families: dict[Hashable, list[RunLogarithms]] = defaultdict(list)
-    for kind in kinds:
-        if "p50" in kind.percentiles:
-            families[kind.family] += filter(None, (setup.logarithms("p50") for setup in kind.setups.values()))
-    counts = Counter(kind.family for kind in kinds)
-    return {family for family, runs in families.items() if passes_depend(runs, counts[family])}
+def _inflations(kinds: Sequence[Kind]) -> dict[Hashable, float]:
+    return {family: inflation_of_passes(runs) for family, runs in _logarithms_by_family(kinds, "p50").items()}
+
+
+def _logarithms_by_family(kinds: Sequence[Kind], percentile: str) -> dict[Hashable, dict[Key, RunLogarithms]]:
+    families: dict[Hashable, dict[Key, RunLogarithms]] = defaultdict(dict)
+    for index, kind in enumerate(kinds):
+        if percentile not in kind.percentiles:
+            continue
+        for name, setup in kind.setups.items():
+            logarithms = setup.logarithms(percentile)
+            if logarithms is not None:
+                families[kind.family][index, name] = logarithms
+    return families
 
 
 def judge_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[list[Judgement]]:
@@ -263,15 +279,15 @@ def _reason(
     return Reason.BELOW_MARGIN if is_near else Reason.LOSSES
 
 
-def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
-    families: dict[Hashable, dict[tuple[Hashable, str], RunLogarithms]] = defaultdict(dict)
+def _pairs(
+    kinds: Sequence[Kind], percentile: str, inflations: Mapping[Hashable, float], *, trust_order: bool
+) -> dict[int, list[SetupPair]]:
+    means = {
+        key: mean
+        for family, runs in _logarithms_by_family(kinds, percentile).items()
+        for key, mean in setup_means(runs, _finite(inflations.get(family, 1.0))).items()
+    }
     compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
-    for index, kind in compared.items():
-        for name, setup in kind.setups.items():
-            logarithms = setup.logarithms(percentile)
-            if logarithms is not None:
-                families[kind.family][index, name] = logarithms
-    means = {key: mean for runs in families.values() for key, mean in setup_means(runs).items()}
     pairs: dict[int, list[SetupPair]] = {}
     for index, kind in compared.items():
         order = sorted(kind.setups, key=lambda name: (_value(kind.setups[name], percentile), name))
@@ -286,6 +302,10 @@ def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict
             for fast, slow in combinations(order, 2)
         ]
     return pairs
+
+
+def _finite(inflation: float) -> float:
+    return 1.0 if math.isinf(inflation) else inflation
 
 
 def _value(setup: SetupRuns, percentile: str) -> float:

@@ -131,16 +131,16 @@ def test_units_hold_as_many_episodes_as_there_are_units():
     assert (units.episodes, len(units)) == (48, 7)
 
 
-def test_a_tail_of_few_episodes_has_no_end():
-    runs = []
-    for draw in np.random.default_rng(2).random((5, 1000)):
-        draw[400:420] += 10
-        runs.append(Run(draw))
-    found = interval_of_runs(runs, Statistic(0.98))
-    assert found.episodes == 5
-    assert found.upper is None
-    assert found.lower is not None
-    assert interval_of_runs(runs, P50).is_two_sided
+@pytest.mark.parametrize(
+    ("runs", "messages", "has_end"), [(5, 200, True), (1, 2499, False), (1, 2500, True), (2, 1250, True)]
+)
+def test_counts_decide_whether_a_tail_has_an_end_and_not_its_bursts(runs, messages, has_end):
+    for together in (1, 4):
+        drawn = np.random.default_rng(2).random((runs, messages))
+        drawn[:, messages // 2 : messages // 2 + together] += 10
+        found = interval_of_runs([Run(draw) for draw in drawn], Statistic(0.98))
+        assert (found.upper is not None) is has_end
+        assert found.lower is not None
 
 
 def test_runs_do_not_overlap_if_they_differ():
@@ -239,8 +239,8 @@ def test_a_missed_bar_is_named(coverage):
     [
         ("independent", 1000, 51, True),  # one sample in twenty has both ends
         ("independent", 1000, 49, False),
-        ("bursts of 20, 2 %", 5000, 1000, True),  # five bursts on average: one sample in 150 has none
-        ("bursts of 20, 2 %", 4000, 1000, False),
+        ("bursts of 20, 2 %, runs +-5 %", 5000, 1000, True),  # five bursts on average: one sample in 150 has none
+        ("bursts of 20, 2 %, runs +-5 %", 4000, 1000, False),
     ],
 )
 def test_what_cannot_be_known_is_not_asked(coverage, name, messages, printed, is_missed):

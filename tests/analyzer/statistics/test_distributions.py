@@ -16,7 +16,7 @@ from dds_trace.analyzer.statistics.distributions import (
     student_quantile,
 )
 from dds_trace.analyzer.statistics.histogram import RELATIVE_ERROR, histogram_of
-from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, ranges_overlap, without_open_end
+from dds_trace.analyzer.statistics.intervals import messages_to_end, ranges_overlap, without_open_end
 
 
 @pytest.mark.parametrize("probability", [0.6, 0.9, 0.975, 0.9995])
@@ -145,15 +145,13 @@ def test_ranges_overlap_where_they_have_a_value_in_common(one, other, do_overlap
     assert ranges_overlap(other, one) is do_overlap
 
 
-def test_the_end_beyond_a_tail_of_few_episodes_is_open():
-    few = MIN_EPISODES - 1
-    assert MIN_EPISODES == 10
-    assert without_open_end(1.0, 2.0, 0.99, few) == (1.0, None)
-    assert without_open_end(1.0, 2.0, 0.5, few) == (1.0, None)  # the median's tail lies above
-    assert without_open_end(1.0, 2.0, 0.49, few) == (None, 2.0)
-    assert without_open_end(1.0, 2.0, 0.99, few + 1) == (1.0, 2.0)
-    assert without_open_end(1.0, 2.0, 0.99, None) == (1.0, 2.0)
-    assert without_open_end(math.inf, math.inf, 0.99, few) == (math.inf, math.inf)
+def test_the_end_beyond_a_tail_of_few_messages_is_open():
+    ends = [messages_to_end(quantile) for quantile in (0.5, 0.89, 0.9, 0.99, 0.999, 0.01)]
+    assert ends == [1, 1, 500, 5000, 50_000, 5000]
+    assert without_open_end(1.0, 2.0, 0.99, 4999) == (1.0, None)
+    assert without_open_end(1.0, 2.0, 0.01, 4999) == (None, 2.0)
+    assert without_open_end(1.0, 2.0, 0.99, 5000) == without_open_end(1.0, 2.0, 0.5, 5) == (1.0, 2.0)
+    assert without_open_end(math.inf, math.inf, 0.99, 4999) == (math.inf, math.inf)
 
 
 def test_histogram_by_hand():

@@ -163,11 +163,10 @@ def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
 _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Setup:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Setup(SetupRuns):
     setting: Setting
-    runs: SetupRuns
-    received: Interval
+    received_ratio: Interval
     survivors_ns: Mapping[str, float | None]
     outside: tuple[Bools, ...]
     group: int
@@ -183,13 +182,13 @@ class _Case:
 
     @property
     def has_tails(self) -> bool:
-        intervals = (setup.runs.estimates["p99"].interval for setup in self.setups.values())
+        intervals = (setup.estimates["p99"].interval for setup in self.setups.values())
         return all(interval.is_two_sided for interval in intervals)
 
     def kind(self) -> Kind:
         family = tuple(self.columns[name] for name in FAMILY)
         percentiles = tuple(_STATISTICS) if self.has_tails else ("p50",)
-        return Kind(family, {name: setup.runs for name, setup in self.setups.items()}, percentiles)
+        return Kind(family, self.setups, percentiles)
 
     def group_of(self, name: str) -> int:
         return (self.setups.get(name) or next(iter(self.setups.values()))).group
@@ -202,7 +201,7 @@ class _Case:
 
     def with_losers(self, losers: Collection[str]) -> _Case:
         setups = {
-            name: replace(setup, runs=replace(setup.runs, may_lead=False), loses_more=True) if name in losers else setup
+            name: replace(setup, may_lead=False, loses_more=True) if name in losers else setup
             for name, setup in self.setups.items()
         }
         return replace(self, setups=setups)
@@ -233,18 +232,16 @@ def _measure_case(
     for name, (setting, group) in groups.items():
         estimates = group.estimates("latency", list(_STATISTICS.values()), confidence)
         setups[name] = _Setup(
-            setting,
-            SetupRuns(
-                estimates=dict(zip(_STATISTICS, estimates, strict=True)),
-                repeats=_repeats(group.runs, passes),
-                starts_ns=_starts_ns(group.runs, wall_offsets_ns),
-                may_lead=name in usable,
-                received=group.received,
-            ),
-            received[name],
-            {key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
-            tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
-            first_groups[name],
+            estimates=dict(zip(_STATISTICS, estimates, strict=True)),
+            repeats=_repeats(group.runs, passes),
+            starts_ns=_starts_ns(group.runs, wall_offsets_ns),
+            may_lead=name in usable,
+            received=group.received,
+            setting=setting,
+            received_ratio=received[name],
+            survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
+            outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
+            group=first_groups[name],
         )
     return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
 
@@ -315,12 +312,12 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
 
 
 def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str, Ranking]) -> Contender:
-    intervals = {key: estimate.interval for key, estimate in setup.runs.estimates.items()}
+    intervals = {key: estimate.interval for key, estimate in setup.estimates.items()}
     return Contender(
         name=name,
         setting=setup.setting,
         latency=intervals[percentile],
-        received=setup.received,
+        received=setup.received_ratio,
         survivors_ns=setup.survivors_ns[percentile],
         loses_more=setup.loses_more,
         p50_ns=intervals["p50"].value,

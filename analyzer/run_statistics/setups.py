@@ -41,14 +41,13 @@ ENOUGH_RUNS = 5
 """Runs from which on a spread may be smaller than the campaign's: three runs of two modes are of one in a quarter of all cases."""
 
 DEPENDENT_UP_TO, DEPENDENT_UP_TO_OF_ONE = 0.05, 0.01
-"""P value up to which passes are taken to depend on each other, of several kinds of message and of one, where only long campaigns show it;
-it costs as many campaigns of independent passes their leader."""
+"""P value up to which passes are taken to depend on each other, of several kinds of message and of one."""
 
 CORRELATION = 0.8
-"""Of neighbouring passes of a setup, that a campaign of several kinds either excludes or carries in its variances."""
+"""Of neighbouring passes, which a campaign either excludes or carries in its variances."""
 
 EXCLUDED_FROM = 1.6
-"""Standard deviations below what `CORRELATION` makes likely: 3 % of campaigns with it are lower."""
+"""Standard deviations below what `CORRELATION` makes likely."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +72,6 @@ class SetupMean:
 
 
 def residuals_by_setup(runs: Mapping[Key, RunLogarithms]) -> dict[tuple[Hashable, ...], tuple[list[Key], Float64]]:
-    """Return for each setup, and for each choice of its repeats, the kinds and their residuals, shape (kinds, repeats)."""
     pools: dict[tuple[Hashable, ...], list[Key]] = defaultdict(list)
     for (kind, setup), values in runs.items():
         pools[setup, values.repeats].append((kind, setup))
@@ -107,12 +105,12 @@ def campaign_variance(residuals: Iterable[Float64]) -> float:
 
 
 def inflation_of_passes(runs: Mapping[Key, RunLogarithms]) -> float:
-    """Return how many times the variance of a mean is what independent passes have: infinite where neighbouring passes are more alike
-    than distant ones, 1 where several kinds exclude a `CORRELATION` or there is one kind, else what that correlation makes of it.
+    """Return the variance of a mean over the one that its runs show: infinite where neighbouring passes are more alike than distant ones,
+    1 of one kind and where several kinds exclude `CORRELATION`, else what that makes of it.
 
     J. von Neumann's ratio (Annals of Mathematical Statistics 12, 1941) of the squared steps to the squared residuals is 2 on average for
-    independent normal repeats, whatever their spread, with the variance `4 (n - 2) / ((n - 1) (n + 1))` for n of them. Series that move
-    together, as the sizes of one relay, count as fewer.
+    independent normal repeats, with the variance `4 (n - 2) / ((n - 1) (n + 1))` for n of them. Series that move
+    together count as fewer.
     """
     pools = [
         (len(keys), rows[rows.any(axis=1)])
@@ -141,7 +139,7 @@ def inflation_of_passes(runs: Mapping[Key, RunLogarithms]) -> float:
 
 
 def _correlated_passes(repeats: int) -> tuple[float, float]:
-    """Return, for passes of `CORRELATION`, von Neumann's ratio of expectations and the variance of the mean over the one it seems to have."""
+    """Return von Neumann's ratio of expectations at `CORRELATION`, and the variance of a mean over the one that its runs show."""
     apart = np.abs(np.subtract.outer(np.arange(repeats), np.arange(repeats)))
     of_mean = float((CORRELATION**apart).mean())
     ratio = 2 * (repeats - 1) * (1 - CORRELATION) / (repeats * (1 - of_mean))
@@ -149,7 +147,7 @@ def _correlated_passes(repeats: int) -> tuple[float, float]:
 
 
 def _series_as_one(pools: Sequence[Float64]) -> float:
-    """Return how many times the variance of a sum of squares is the one of independent series, from how much the series move together."""
+    """Return the variance of a sum of squares of series that move together over the one of independent series."""
     units = [rows / np.sqrt(np.square(rows).sum(axis=1, keepdims=True)) for rows in pools]
     groups = [units]
     if len({rows.shape[1] for rows in pools}) == 1:

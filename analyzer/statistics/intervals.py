@@ -29,7 +29,7 @@ LEAST_BEYOND = 50
 
 
 WIDEST_TAIL = 0.1
-"""Share of the messages beyond a quantile up to which they are a tail."""
+"""Share of the messages beyond a quantile below which they are a tail."""
 
 Range = tuple[float | None, float | None]
 """Lower and upper end; None excludes nothing."""
@@ -83,10 +83,7 @@ def ranges_overlap(first: Range, other: Range) -> bool:
 
 
 def without_open_end(lower: float | None, upper: float | None, quantile: float, messages: int) -> Range:
-    """Leave out the end beyond a tail of a tenth or less, of fewer than `LEAST_BEYOND` expected messages.
-
-    Counts decide, not what the tail turned out to be: of the ends of samples with many bursts only the lucky ones hold few.
-    """
+    """Leave out the end beyond a tail of fewer than `LEAST_BEYOND` expected messages, whatever bursts are in it."""
     if messages >= messages_to_end(quantile) or lower == math.inf:
         return lower, upper
     return (lower, None) if quantile >= 0.5 else (None, upper)
@@ -94,4 +91,4 @@ def without_open_end(lower: float | None, upper: float | None, quantile: float, 
 
 def messages_to_end(quantile: float) -> int:
     tail = round(min(quantile, 1 - quantile), 9)
-    return math.ceil(round(LEAST_BEYOND / tail, 6)) if tail <= WIDEST_TAIL else 1
+    return math.ceil(round(LEAST_BEYOND / tail, 6)) if tail < WIDEST_TAIL else 1

@@ -146,8 +146,8 @@ def test_ranges_overlap_where_they_have_a_value_in_common(one, other, do_overlap
 
 
 def test_the_end_beyond_a_tail_of_few_messages_is_open():
-    ends = [messages_to_end(quantile) for quantile in (0.5, 0.89, 0.9, 0.99, 0.999, 0.01)]
-    assert ends == [1, 1, 500, 5000, 50_000, 5000]
+    ends = [messages_to_end(quantile) for quantile in (0.5, 0.9, 0.95, 0.99, 0.999, 0.01)]
+    assert ends == [1, 1, 1000, 5000, 50_000, 5000]
     assert without_open_end(1.0, 2.0, 0.99, 4999) == (1.0, None)
     assert without_open_end(1.0, 2.0, 0.01, 4999) == (None, 2.0)
     assert without_open_end(1.0, 2.0, 0.99, 5000) == without_open_end(1.0, 2.0, 0.5, 5) == (1.0, 2.0)

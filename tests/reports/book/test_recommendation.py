@@ -43,7 +43,7 @@ def test_the_job_has_its_deadline_and_what_meets_it(sentences):
 
 
 def test_one_run_is_not_said_to_meet_it():
-    advice = advised(steady(MIXED))
+    advice = advised(steady(4 * MIXED))
     assert advice.sentence.endswith("likely to meet it: Fast DDS.")
     assert "within one run" in advice.rows[0][6]
 

@@ -5,8 +5,7 @@ is known with P - 1 degrees of freedom. Where the spreads of the kinds are alike
 one spread, the mean of the kinds' variances, with `(P - 1) (tr S)^2 / tr(S^2)` degrees (S the covariance of the kinds
 over the repeats; F. E. Satterthwaite, Biometrics Bulletin 2, 1946): with one relay for all sizes these move together
 and count as one. A kind that spreads more than the others by an F test keeps its own. Few runs of two modes agree by
-chance, so where spreads are unlike, none of fewer than `ENOUGH_RUNS` is below the campaign's. Rates, true and false:
-docs/explanation/statistics.md.
+chance, so where spreads are unlike, none of fewer than `ENOUGH_RUNS` is below the campaign's.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ MORE_UP_TO = 0.05
 
 
 ENOUGH_RUNS = 5
-"""Runs from which on a spread may be smaller than the campaign's: three runs of two modes are of one in a quarter of all cases."""
+"""Runs from which on a spread may be smaller than the campaign's."""
 
 DEPENDENT_UP_TO, DEPENDENT_UP_TO_OF_ONE = 0.05, 0.01
 """P value up to which passes are taken to depend on each other, of several kinds of message and of one."""

@@ -19,7 +19,7 @@ def student_cdf(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def student_quantile(probability: float, degrees: float) -> float:
-    """Return the inverse of `student_cdf`, from the beta quantile: `stdtrit` of scipy 1.8 has eight digits."""
+    """Return the inverse of `student_cdf`; `stdtrit` of scipy 1.8 has eight digits."""
     from scipy.special import betaincinv, ndtri
 
     if not 0 < probability < 1:

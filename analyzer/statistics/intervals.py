@@ -25,7 +25,7 @@ MIN_EPISODES = 10
 """Episodes from which on their spread is estimated: of fewer it is uncertain by a factor of two."""
 
 LEAST_BEYOND = 50
-"""Expected messages beyond a quantile from which on one or two runs give it an end there: with 20, 79 to 86 % of these hold."""
+"""Expected messages beyond a quantile from which on one or two runs give it an end there."""
 
 
 WIDEST_TAIL = 0.1

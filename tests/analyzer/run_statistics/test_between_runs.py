@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +203,13 @@ def coverage():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(BENCHMARKS)
         yield importlib.import_module("coverage_intervals")
+
+
+@pytest.mark.usefixtures("coverage")
+def test_the_page_of_figures_is_made_of_its_data():
+    tables = importlib.import_module("coverage")
+    page = BENCHMARKS.parent / "docs" / "results" / "coverage.md"
+    assert tables.MARK.sub(partial(tables._table, folder=page.parent), page.read_text()) == page.read_text()
 
 
 @pytest.mark.parametrize(

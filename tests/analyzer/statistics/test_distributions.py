@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.statistics.distributions import (
-    incomplete_beta,
     poisson_cdf,
     poisson_limits,
     shift_for_power,
@@ -17,16 +16,6 @@ from dds_trace.analyzer.statistics.distributions import (
 )
 from dds_trace.analyzer.statistics.histogram import RELATIVE_ERROR, histogram_of
 from dds_trace.analyzer.statistics.intervals import messages_to_end, ranges_overlap, without_open_end
-
-
-@pytest.mark.parametrize("probability", [0.6, 0.9, 0.975, 0.9995])
-def test_quantiles_with_one_two_and_four_degrees_have_closed_forms(probability):
-    # W. T. Shaw, "Sampling Student's T distribution", 2006: 1 is Cauchy's; 2 and 4 are roots of polynomials.
-    alpha = 4 * probability * (1 - probability)
-    assert student_quantile(probability, 1) == pytest.approx(math.tan(math.pi * (probability - 0.5)), rel=1e-9)
-    assert student_quantile(probability, 2) == pytest.approx(2 * (probability - 0.5) * math.sqrt(2 / alpha), rel=1e-9)
-    root = math.cos(math.acos(math.sqrt(alpha)) / 3) / math.sqrt(alpha)
-    assert student_quantile(probability, 4) == pytest.approx(2 * math.sqrt(root - 1), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -58,14 +47,6 @@ def test_infinite_degrees_are_the_normal_distribution():
     assert student_quantile(0.975, math.inf) == pytest.approx(1.959963984540054, rel=1e-12)
     assert student_cdf(math.inf, 3) == 1.0
     assert student_cdf(-math.inf, 3) == 0.0
-
-
-def test_incomplete_beta_of_whole_numbers_is_a_binomial_sum():
-    # I_x(a, b) = P(binomial(a + b - 1, x) >= a)
-    tail = sum(math.comb(9, k) * 0.3**k * 0.7 ** (9 - k) for k in range(4, 10))
-    assert incomplete_beta(0.3, 4, 6) == pytest.approx(tail, rel=1e-13)
-    assert incomplete_beta(0.0, 4, 6) == 0.0
-    assert incomplete_beta(1.0, 4, 6) == 1.0
 
 
 @pytest.mark.parametrize(

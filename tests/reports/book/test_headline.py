@@ -12,13 +12,9 @@ from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
 
 
-def said(*measured, findings=()):
-    answer = Book(make_analysis(*measured, findings=findings)).answer
+def said(*measured):
+    answer = Book(make_analysis(*measured)).answer
     return [answer.headline, *answer.points]
-
-
-def with_losses(typical_ns, lost):
-    return [*around(typical_ns)[lost:], *["lost_return"] * lost]
 
 
 def test_a_threshold_is_named_where_the_winner_begins(sentences):

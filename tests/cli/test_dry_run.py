@@ -125,7 +125,8 @@ def test_a_dry_run_names_what_is_not_here_and_counts_the_rest(call, plan, tmp_pa
     assert code == 10
     assert {name.partition("_")[0] for name in both["cannot_start"]} == {"zenoh"}
     assert len(both["cells"]) == 6
-    assert "2 more recordings cannot start: zenoh is not here" in err
+    assert "2 more recordings" in err
+    assert "zenoh is not here" in err
     alone = json.loads(call(socket, "--dry-run", "--json", "--out", tmp_path)[1])
     assert both["seconds"] == alone["seconds"]
 

@@ -100,6 +100,14 @@ EXPORT_KINDS: Mapping[str, Callable[[Analysis, Path], list[Path]]] = {
     "openmetrics": lambda analysis, folder: [
         write_text_file(folder / "openmetrics.txt", _module("openmetrics").openmetrics_text(analysis))
     ],
+    "bencher": lambda analysis, folder: [
+        write_text_file(folder / "bencher.json", _module("history").bencher_json(analysis))
+    ],
+    "github-benchmark": lambda analysis, folder: [
+        write_text_file(folder / name, text)
+        for name, text in _module("history").github_benchmark_files(analysis).items()
+    ],
+    "otava": lambda analysis, folder: [write_text_file(folder / "otava.csv", _module("history").otava_csv(analysis))],
     "hdr": lambda analysis, folder: [write_text_file(folder / "latency.hlog", _module("hdr_log").hdr_log(analysis))],
     "perfetto": lambda analysis, folder: [
         write_file(folder / "timeline.pftrace", partial(_module("perfetto").write_perfetto, analysis))

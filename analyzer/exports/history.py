@@ -1,0 +1,104 @@
+"""Results for tools that keep a history over commits: Bencher, github-action-benchmark and Apache Otava; times in ns."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from typing import Any, NamedTuple
+
+import polars as pl
+
+from dds_trace.base.streams import plain
+
+from ..analysis import Analysis
+from ..model.names import group_words
+from ..model.parameters import PARAMETER_NAMES
+
+_OF_A_MACHINE = ("ping_device", "relay_device", "ping_domain_id", "relay_domain_id")
+"""Parameters that may differ from job to job, so names leave them out where results differ in others."""
+
+_MOST_NAME, _MOST_MEASURE = 1024, 64
+"""Characters of names of benchmarks and measures that Bencher takes."""
+
+COMMIT_VARIABLES = ("GITHUB_SHA", "CI_COMMIT_SHA")
+
+
+class Measure(NamedTuple):
+    result: str
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+
+
+def _measures(analysis: Analysis) -> Iterator[Measure]:
+    """Yield median and p99 of the latency in ns and the share received of each result; what is lost or unknown is left out."""
+    rows = [{**row, "rate_hz": row["rate_hz"] or "max"} for row in analysis.summary.to_dicts()]
+    short = [name for name in PARAMETER_NAMES if name not in _OF_A_MACHINE]
+    words = [_words(row, short) for row in rows]
+    counts = Counter(words)
+    names = [word if counts[word] == 1 else _words(row, PARAMETER_NAMES) for word, row in zip(words, rows, strict=True)]
+    is_shown = (pl.col("metric") == "latency") & pl.col("percentile").is_in(["p50", "p99"])
+    for row in analysis.details.intervals.filter(is_shown).iter_rows(named=True):
+        value, low, high = (_finite(row[f"{name}_ns"]) for name in ("estimate", "low", "high"))
+        if value is not None:
+            yield Measure(names[row["group"]], f"latency_{row['percentile']}", value, low, high)
+    for name, row in zip(names, rows, strict=True):
+        if row["received_ratio"] is not None:
+            yield Measure(name, "received_ratio", row["received_ratio"], None, None)
+
+
+def _words(row: dict[str, Any], columns: Sequence[str]) -> str:
+    return plain(group_words(row, [name for name in columns if row[name] not in (None, "")]))[:_MOST_NAME]
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
+
+
+def bencher_json(analysis: Analysis) -> str:
+    """Return Bencher Metric Format: benchmark -> measure -> value with its interval."""
+    benchmarks: dict[str, dict[str, dict[str, float]]] = {}
+    for measure in _measures(analysis):
+        ends = {"value": measure.value, "lower_value": measure.low, "upper_value": measure.high}
+        metric = {name: end for name, end in ends.items() if end is not None}
+        benchmarks.setdefault(measure.result, {})[measure.name[:_MOST_MEASURE]] = metric
+    return json.dumps(benchmarks, indent=1, allow_nan=False) + "\n"
+
+
+def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
+    """Return file -> `customSmallerIsBetter` of the times, and `customBiggerIsBetter` of the shares received."""
+    files: dict[str, list[dict[str, object]]] = {"smaller": [], "bigger": []}
+    for measure in _measures(analysis):
+        is_time = measure.name.startswith("latency")
+        entry: dict[str, object] = {"name": f"{measure.result} {measure.name}", "unit": "ns" if is_time else "%"}
+        entry["value"] = measure.value if is_time else 100 * measure.value
+        if measure.low is not None and measure.high is not None:
+            entry["range"] = f"± {(measure.high - measure.low) / 2:.0f}"
+        files["smaller" if is_time else "bigger"].append(entry)
+    return {
+        f"github-benchmark-{better}.json": json.dumps(entries, indent=1, allow_nan=False) + "\n"
+        for better, entries in files.items()
+        if entries  # the action refuses an empty list
+    }
+
+
+def otava_csv(analysis: Analysis) -> str:
+    """Return a header and a row: time, commit, then a column for each result and measure."""
+    started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
+    time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+    commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")
+    values = {re.sub(r"\W+", "_", f"{one.result} {one.name}"): one.value for one in _measures(analysis)}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows(
+        [["time", "commit", *values], [time, plain(commit), *(f"{value:.6g}" for value in values.values())]]
+    )
+    return text.getvalue()

@@ -136,7 +136,6 @@ def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
 
 
 def write_limits(comparison: Comparison, path: Path) -> None:
-    """Write `limits_text` into a file that is not there yet."""
     from dds_trace.base.errors import OutputError
 
     try:

@@ -1,4 +1,4 @@
-"""Results for tools that keep a history over commits: Bencher, github-action-benchmark and Apache Otava; times in ns."""
+"""Results for tools that keep a history over commits; times in ns."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ..model.names import group_words
 from ..model.parameters import PARAMETER_NAMES
 
 _OF_A_MACHINE = ("ping_device", "relay_device", "ping_domain_id", "relay_domain_id")
-"""Parameters that may differ from job to job, so names leave them out where results differ in others."""
+"""Left out of names where results differ in others: they change from job to job."""
 
 _MOST_NAME, _MOST_MEASURE = 1024, 64
-"""Characters of names of benchmarks and measures that Bencher takes."""
+"""Of Bencher."""
 
 COMMIT_VARIABLES = ("GITHUB_SHA", "CI_COMMIT_SHA")
 
@@ -39,7 +39,7 @@ class Measure(NamedTuple):
 
 
 def _measures(analysis: Analysis) -> Iterator[Measure]:
-    """Yield median and p99 of the latency in ns and the share received of each result; what is lost or unknown is left out."""
+    """Yield times in ns and shares; what is lost or unknown is left out."""
     rows = [{**row, "rate_hz": row["rate_hz"] or "max"} for row in analysis.summary.to_dicts()]
     short = [name for name in PARAMETER_NAMES if name not in _OF_A_MACHINE]
     words = [_words(row, short) for row in rows]
@@ -64,7 +64,6 @@ def _finite(value: float | None) -> float | None:
 
 
 def bencher_json(analysis: Analysis) -> str:
-    """Return Bencher Metric Format: benchmark -> measure -> value with its interval."""
     benchmarks: dict[str, dict[str, dict[str, float]]] = {}
     for measure in _measures(analysis):
         ends = {"value": measure.value, "lower_value": measure.low, "upper_value": measure.high}

@@ -9,7 +9,6 @@ import loopback_sshd
 import pytest
 from namespaces import needs_namespaces
 from processes import run
-from warm_start import stand_ins
 
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -37,15 +36,6 @@ def plan(tmp_path, domain_id):
         return path
 
     return write
-
-
-@pytest.fixture
-def environment(tmp_path):
-    program = tmp_path / "venv/bin/dds-record"
-    program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nexec "{stand_ins() / "dds-record"}" "$@"\n')
-    program.chmod(0o755)
-    return tmp_path / "venv"
 
 
 def starts_of(folder):
@@ -84,15 +74,6 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
         sentences(row.split("|")[1], asked)
 
 
-def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path, sentences):
-    two = plan("q", "2KB", 'reliability = ["reliable", "best_effort"]\n')
-    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
-    assert (done.status, done.stdout) == (2, "")
-    sentences(done.stderr.rpartition(": ")[2])
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "runs").exists()
-
-
 @needs_namespaces("tc", "iproute2")
 def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
     network = "[network]\nnamespaces = true\n"
@@ -108,16 +89,6 @@ def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
         for path in Path(result[side]).glob("*.ping.mcap")
     }
     assert links == "wired"
-
-
-def test_another_environment_and_another_device_are_refused_in_one_line(plan, environment, tmp_path):
-    robot = '[devices.relay]\nssh = "pi@192.0.2.1"\n'  # reserved for documentation: nothing is asked there
-    base = plan("p", "1KB", robot)
-    done = run("dds-sweep", base, "--out", tmp_path / "runs", "--against", environment)
-    assert (done.status, done.stdout) == (2, "")
-    assert "--against ENVIRONMENT" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "runs").exists()
 
 
 def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):

@@ -59,18 +59,12 @@ def test_it_is_compared_pass_by_pass_without_being_told(tmp_path):
     assert row["p_value"] < 0.01
 
 
-def test_sides_that_were_not_measured_in_turns_are_matched_by_what_was_asked_for(tmp_path):
+@pytest.mark.parametrize(("cell", "against"), [("a", None), ("d", "b")])
+def test_a_result_without_a_recorded_partner_is_matched_by_what_was_asked_for(tmp_path, cell, against):
     record(tmp_path / "base", 100, [1000, 1100, 900], "a")
-    record(tmp_path / "new", 300, [1200, 1320, 1080], "a", reliability="best_effort")
+    record(tmp_path / "new", 300, [1200, 1320, 1080], cell, against, reliability="best_effort")
     found = compare(*sides(tmp_path))
-    assert rows_of(found) == []
-    assert found.interleaved == ()
-
-
-def test_a_partner_that_was_not_recorded_leaves_the_cell_alone(tmp_path):
-    record(tmp_path / "base", 100, [1000, 1100, 900], "a")
-    record(tmp_path / "new", 300, [1200, 1320, 1080], "d", "b", reliability="best_effort")
-    found = compare(*sides(tmp_path))
+    assert (rows_of(found), found.interleaved) == ([], ())
     assert (found.only_base.height, found.only_new.height) == (1, 1)
 
 

@@ -90,7 +90,7 @@ def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
 
 
 def otava_csv(analysis: Analysis) -> str:
-    """Return a header and a row: time, commit, then a column for each result and measure."""
+    """Return a header and a row."""
     started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")

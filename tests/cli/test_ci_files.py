@@ -38,11 +38,16 @@ backend = "socket"
 size = "1KB"
 rate = 200
 """
-STAND_IN = """#!/bin/bash
-printf '%s\\n' "$0 $*" >> calls.log
+STAND_IN = """printf '%s\\n' "$0 $*" >> calls.log
 case "$*" in *"api user"*) [ -n "$LOGIN" ] && echo "$LOGIN" || exit 1 ;; *--jq*) printf '%s' "$COMMENTS" ;; esac
 case "$*" in */user) echo '{"id": 5}' ;; */notes?per*) printf '%s' "$NOTES" ;; esac
 """
+
+
+def stub(folder, name, script):
+    path = folder / "bin" / name
+    path.write_text(f"#!/bin/bash\n{script}")
+    path.chmod(0o755)
 
 
 @pytest.fixture
@@ -55,9 +60,7 @@ def desk(tmp_path, domain_id):
             path.write_text(PLAN.format(repeats=repeats, domain=domain_id))
         (tmp_path / "bin").mkdir()
         for name in ("gh", "git", "curl"):
-            program = tmp_path / "bin" / name
-            program.write_text(STAND_IN)
-            program.chmod(0o755)
+            stub(tmp_path, name, STAND_IN)
         return tmp_path
 
     return prepare
@@ -120,14 +123,11 @@ def test_every_expression_of_the_action_names_something_that_is_there():
 @pytest.mark.parametrize(("has_ros", "extras"), [(False, "analyze,ros2"), (True, "analyze")])
 def test_a_stock_runner_gets_ros_2_and_one_that_has_it_does_not(desk, has_ros, extras):
     folder = desk(repeats=1)
-    python = folder / "bin/python3"
-    python.write_text(
-        f'#!/bin/bash\n[ "$1" = -c ] && exit {int(not has_ros)}\n'
-        'mkdir -p "$4/bin" && ln -sf "$(readlink -f bin/gh)" "$4/bin/python"\n'
+    python = (
+        f'[ "$1" = -c ] && exit {int(not has_ros)}\nmkdir -p "$4/bin" && ln -sf "$(readlink -f bin/gh)" "$4/bin/python"'
     )
-    python.chmod(0o755)
-    (folder / "bin/uname").write_text("#!/bin/bash\necho x86_64\n")
-    (folder / "bin/uname").chmod(0o755)
+    stub(folder, "python3", python)
+    stub(folder, "uname", "echo x86_64")
     job = Job(folder)
     job._values |= {"github.action_path": "/action"}
     done = job.run("install", RUNNER_TEMP=str(folder), GITHUB_PATH=str(folder / "path"))
@@ -255,9 +255,7 @@ def workflows():
 
 def test_the_first_workflow_of_the_page_installs_both_sides_and_gives_them_to_the_action(desk):
     folder = desk(repeats=1)
-    python = folder / "bin/python3"
-    python.write_text('#!/bin/bash\nmkdir -p "$3/bin"; ln -s "$PWD/bin/gh" "$3/bin/python"\n')
-    python.chmod(0o755)
+    stub(folder, "python3", 'mkdir -p "$3/bin"; ln -s "$PWD/bin/gh" "$3/bin/python"')
     first = workflows()[0]["jobs"]["latency"]["steps"]
     (script,) = (step["run"] for step in first if "run" in step)
     done = bash(script, folder, {"RUNNER_TEMP": str(folder / "temp"), "GITHUB_PATH": str(folder / "path")})
@@ -271,6 +269,26 @@ def test_the_first_workflow_of_the_page_installs_both_sides_and_gives_them_to_th
     assert (given["base"], given["new"]) == ("main/plan.toml", "${{ runner.temp }}/new")
 
 
+def test_the_workflow_with_a_history_feeds_each_tool(desk):
+    """The traces of the stand-in for the sweep are the samples."""
+    folder = desk(repeats=1)
+    stub(folder, "dds-sweep", f'cp -r "{ROOT / "sample_traces/same_domain"}" runs')
+    for name in ("bencher", "otava"):
+        stub(folder, name, "echo $* >> tools.log")
+    (folder / "history").mkdir()
+    steps = workflows()[1]["jobs"]["history"]["steps"]
+    for script in [step["run"].replace("/srv/history", "history") for step in steps if "run" in step]:
+        done = bash(script, folder, {"PROJECT": "my-robot", "GITHUB_SHA": "1a2b"})
+        assert done.returncode == 0, done.stderr
+    assert [row.split(",")[1] for row in (folder / "history/latency.csv").read_text().splitlines()] == [
+        "commit",
+        "1a2b",
+    ]
+    (uses,) = (step["with"] for step in steps if "benchmark" in step.get("uses", ""))
+    assert (folder / uses["output-file-path"]).is_file()
+    assert "--adapter json --file analysis/bencher.json" in (folder / "tools.log").read_text()
+
+
 @pytest.mark.parametrize(
     ("answers", "looks", "status"), [([21, 21, 20], 3, 20), ([0], 1, 0), ([21], 2, 21), ([6], 1, 6)]
 )
@@ -282,9 +300,8 @@ def test_the_action_ends_with_the_first_decision(desk, answers, looks, status):
     analyze = 'for a; do out=$a; done; case "$*" in *--out*) ;; *) exit 4 ;; esac\n'
     analyze += f'case "$*" in *json*) echo . >> asked; echo \'{{"changed": false}}\' > "$out"; answers=({" ".join(map(str, answers))})\n'
     analyze += f'n=$(wc -l < asked); exit "${{answers[n-1]:-{answers[-1]}}}" ;; *) echo > "$out" ;; esac\n'
-    for name, script in (("dds-sweep", sweep), ("dds-analyze", analyze)):
-        (folder / "bin" / name).write_text(f"#!/bin/bash\n{script}")
-        (folder / "bin" / name).chmod(0o755)
+    stub(folder, "dds-sweep", sweep)
+    stub(folder, "dds-analyze", analyze)
     job = Job(folder, base="main/plan.toml", new="plan.toml", strict="true", looks="2" if looks == 2 else "5")
     done = job.run("compare")
     assert done.returncode == (0 if status != 6 else 6), done.stderr

@@ -100,7 +100,7 @@ def _patterns(result: str, where: str) -> Patterns:
 
 
 def limits_text(comparison: Comparison) -> str:
-    """Return limits that further runs like the ones of the new side meet, by result: beyond 95 % of single runs, and 10 % at least."""
+    """Return limits by result, beyond 95 % of single runs of the new side."""
     from dds_trace.analyzer.model.names import group_words
     from dds_trace.analyzer.verdicts.gates import varying_columns
 

@@ -289,27 +289,6 @@ def test_the_workflow_with_a_history_feeds_each_tool(desk):
     assert "--adapter json --file analysis/bencher.json" in (folder / "tools.log").read_text()
 
 
-@pytest.mark.parametrize(
-    ("answers", "looks", "status"), [([21, 21, 20], 3, 20), ([0], 1, 0), ([21], 2, 21), ([6], 1, 6)]
-)
-def test_the_action_ends_with_the_first_decision(desk, answers, looks, status):
-    """Stand-ins for both programs; asked for JSON, the comparison ends with the next answer."""
-    folder = desk(repeats=1)
-    sweep = 'for a; do [ "$last" = --out ] && out=$a; last=$a; done; mkdir -p "$out/base" "$out/new"\n'
-    sweep += 'echo "{\\"base\\": \\"$out/base\\", \\"new\\": \\"$out/new\\"}"\n'
-    analyze = 'for a; do out=$a; done; case "$*" in *--out*) ;; *) exit 4 ;; esac\n'
-    analyze += f'case "$*" in *json*) echo . >> asked; echo \'{{"changed": false}}\' > "$out"; answers=({" ".join(map(str, answers))})\n'
-    analyze += f'n=$(wc -l < asked); exit "${{answers[n-1]:-{answers[-1]}}}" ;; *) echo > "$out" ;; esac\n'
-    stub(folder, "dds-sweep", sweep)
-    stub(folder, "dds-analyze", analyze)
-    job = Job(folder, base="main/plan.toml", new="plan.toml", strict="true", looks="2" if looks == 2 else "5")
-    done = job.run("compare")
-    assert done.returncode == (0 if status != 6 else 6), done.stderr
-    sides = [sorted(path.name for path in (folder / "dds-trace" / side).iterdir()) for side in ("base", "new")]
-    assert sides == [[str(look) for look in range(1, looks + 1)]] * 2
-    assert status == 6 or job.run("verdict").returncode == status
-
-
 @pytest.mark.middleware
 @pytest.mark.parametrize(("delay", "status"), [(0.0, 0), (0.004, 20)])
 def test_a_slower_package_in_the_environment_of_the_pull_request_fails_the_gate(desk, tmp_path, delay, status):

@@ -1,4 +1,4 @@
-"""Exports for tools that keep a history, checked against what these publish about their formats; Otava itself finds a made change."""
+"""Exports for tools that keep a history, checked against what these publish about their formats."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import io
 import json
 import math
 import re
-import shutil
-import subprocess
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
 
@@ -83,32 +80,3 @@ def test_names_do_not_follow_the_machine_or_what_else_was_measured(tmp_path):
     names = list(json.loads((tmp_path / "bencher.json").read_text()))
     assert names
     assert all("payload_bytes=" in name and "_device=" not in name for name in names)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_otava_finds_a_change_of_a_fifth_in_sixty_commits(tmp_path):
-    """In an environment of its own: it pins a numpy that is not ours. Seeded; the spread of commits is 5 %."""
-    if shutil.which("uv") is None:
-        pytest.skip("uv is not installed")
-    subprocess.run(["uv", "venv", "-q", "--python", "3.11", tmp_path / "venv"], check=True)
-    install = ["uv", "pip", "install", "-q", "--python", tmp_path / "venv/bin/python", "apache-otava==0.8.0"]
-    subprocess.run(install, check=True)
-    rows = list(csv.reader(io.StringIO(otava_csv(sample()))))
-    column = next(index for index, name in enumerate(rows[0]) if name.endswith("latency_p50"))
-    factors = np.random.default_rng(20_261_127).normal(1, 0.05, 60) * np.where(np.arange(60) < 40, 1, 1.2)
-    lines = [[f"2026-{1 + day // 28:02}-{1 + day % 28:02}T00:00:00Z", f"c{day:02}", *rows[1][2:]] for day in range(60)]
-    for line, factor in zip(lines, factors, strict=True):
-        line[column] = f"{float(rows[1][column]) * factor:.6g}"
-    with (tmp_path / "history.csv").open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([rows[0], *lines])
-    (tmp_path / "otava.yaml").write_text(
-        f"tests:\n  latency:\n    type: csv\n    file: {tmp_path}/history.csv\n    time_column: time\n    attributes: [commit]\n"
-        f"    metrics:\n      p50: {{column: {rows[0][column]}, direction: -1}}\n    csv_options: {{delimiter: ','}}\n"
-    )
-    otava = [tmp_path / "venv/bin/otava", "--config-file", "otava.yaml", "analyze", "latency", "--since", "2025-01-01"]
-    done = subprocess.run(otava, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    found = re.findall(r"\+(\d+\.\d)%", done.stdout)
-    assert len(found) == 1, done.stdout
-    assert 12 < float(found[0]) < 28

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _MOST_BYTES = 1 << 20
 LEAST_ROOM = 0.1
-"""Of a limit of time over the good runs; `LEAST_LOSS` likewise of a share received."""
 LEAST_LOSS = 0.005
 
 

@@ -39,7 +39,6 @@ class Measure(NamedTuple):
 
 
 def _measures(analysis: Analysis) -> Iterator[Measure]:
-    """Yield times in ns and shares; what is lost or unknown is left out."""
     rows = [{**row, "rate_hz": row["rate_hz"] or "max"} for row in analysis.summary.to_dicts()]
     short = [name for name in PARAMETER_NAMES if name not in _OF_A_MACHINE]
     words = [_words(row, short) for row in rows]
@@ -73,7 +72,6 @@ def bencher_json(analysis: Analysis) -> str:
 
 
 def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
-    """Return file -> `customSmallerIsBetter` of the times, and `customBiggerIsBetter` of the shares received."""
     files: dict[str, list[dict[str, object]]] = {"smaller": [], "bigger": []}
     for measure in _measures(analysis):
         is_time = measure.name.startswith("latency")
@@ -90,7 +88,6 @@ def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
 
 
 def otava_csv(analysis: Analysis) -> str:
-    """Return a header and a row."""
     started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")

@@ -129,7 +129,6 @@ def gate_interval_words(result: GateResult) -> str:
 
 
 def ends_words(low: str, high: str) -> str:
-    """Return `-3 to +5 %` of two ends with the same unit."""
     _, space, unit = high.rpartition(" ")
     return f"{low.removesuffix(space + unit)} to {high}"
 

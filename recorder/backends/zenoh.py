@@ -381,9 +381,14 @@ def _added_to_own(configuration: Mapping[str, Any]) -> Any:
     try:
         configured = zenoh.Config.from_file(path) if path else zenoh.Config()
     except zenoh.ZError as err:
-        words = re.search(r'msg: "(.+)", location.* line: (\d+)', str(err))
-        reason = f"{words[1]} (line {words[2]})" if words else str(err).partition(" at /")[0]
-        raise OptionError(f"zenoh does not accept {path}: {reason}; correct it there") from err
+        # Its own words quote the file, which may be none of the user's.
+        reason = re.search(r"unknown field `\w{1,40}`", str(err))
+        line = re.search(r"(?:-->|line:?) (\d+)", str(err))
+        where = f" (line {line[1]})" if line else ""
+        raise OptionError(
+            f"zenoh does not accept {path}: {reason[0] if reason else 'not a configuration in .json, .json5 or .yaml'}{where}; "
+            "correct it there"
+        ) from None
     for name, value in configuration.items():
         configured.insert_json5(name, json.dumps(_joined(json.loads(configured.get_json(name)), value)))
     return configured

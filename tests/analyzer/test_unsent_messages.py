@@ -52,7 +52,6 @@ def record(folder, kind, *, first=0, vendor=None, domain_id=5, bridge="none"):
 
 
 def relabelled(analysis):
-    """The runs of an analysis by pass, as an A/A sweep would label them."""
     return {run.run_id: number for number, run in enumerate(analysis.runs)}
 
 

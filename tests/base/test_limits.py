@@ -57,7 +57,6 @@ def test_a_path_of_others_may_have_bytes_that_are_no_text(sentences):
 
 
 def refusal(action):
-    """The text of the error that an action ends with, None if it ends well."""
     try:
         action()
     except (OptionError, TraceFormatError) as error:

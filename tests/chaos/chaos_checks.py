@@ -84,7 +84,6 @@ def left_namespaces() -> Iterator[str]:
 
 
 def left_memory(killed: bool) -> Iterator[str]:
-    """Yield the shared-memory files that are left; a killed process cannot remove its own."""
     excused = {path for pattern in (*KEPT_MEMORY, *(PATTERNS if killed else ())) for path in SHM.glob(pattern)}
     yield from (f"shared memory {path}" for path in sorted(SHM.rglob("*")) if path not in excused)
 

@@ -112,7 +112,6 @@ def draw_round(seed: int, combinations: list[tuple[str, str]]) -> Round:
 
 
 def _draw_faults(draw: random.Random, bridge: str) -> tuple[Fault, ...]:
-    """Return one to three faults of a call, in the order of their moments."""
     targets = [target for target in TARGETS if target != "bridge" or bridge != "none"]
     faults = []
     for _ in range(draw.randint(1, 3)):

@@ -56,7 +56,6 @@ class Process:
 
 
 def running_processes() -> dict[int, Process]:
-    """Return every process of the namespace by id, except the first, which is this one."""
     processes = {}
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it ended meanwhile

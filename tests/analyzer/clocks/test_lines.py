@@ -120,7 +120,6 @@ def test_messages_that_only_a_steeper_line_joins_have_that_one(way):
 
 
 def drawn(seed, lengths=(1, 2, 3, 40, 70, 7, 150), fast=40.0):
-    """Messages of several stretches with gaps between, of a clock that bends in the longest."""
     draw, stretches, time, first = np.random.default_rng(seed), [], [], 0
     begin = 0.0
     for length in lengths:

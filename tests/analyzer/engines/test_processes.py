@@ -44,7 +44,6 @@ main()
 
 @pytest.fixture
 def started(monkeypatch):
-    """From here on, each analysis starts two worker processes; the ones that were started."""
     begun = []
 
     class Noting(ProcessPoolExecutor):

@@ -16,7 +16,6 @@ CODES = {"short_warm_up", "latency_rises", "two_modes"}
 
 
 def found(folder, *series_ms, warmup=0):
-    """Findings of runs with these latencies, one run of 100 Hz after the other."""
     recorded, start = [], 0
     for number, latencies_ms in enumerate(series_ms, 1):
         messages = evenly((round(MS * each) for each in latencies_ms), start_ns=start, period_ns=PERIOD)

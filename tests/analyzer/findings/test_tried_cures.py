@@ -65,7 +65,6 @@ def received(folder):
 
 
 def quoted(pattern, finding):
-    """What the cure of a finding says to give, as its own words have it."""
     match = re.search(pattern, finding.action)
     assert match, finding.action
     return match

@@ -23,7 +23,6 @@ def ways(centre_ns, seed, messages=300):
 
 @pytest.fixture(scope="module")
 def measured():
-    """Three runs between two devices whose clocks are 7 s apart, with their true ways."""
     runs, out, back = [], [], []
     for number in range(3):
         out.append(ways(OUT_NS, number))

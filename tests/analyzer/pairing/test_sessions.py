@@ -27,7 +27,6 @@ def session(number, role, start_ns, relay_id=None):
 
 
 def campaign_of(*traces):
-    """A campaign of traces, each given as its sessions; run 1 is in the first."""
     sessions = {each.session_id: each for trace in traces for each in trace}
     return SimpleNamespace(
         sessions=sessions, traces=[SimpleNamespace(sessions=trace) for trace in traces], run_traces={1: {0}}

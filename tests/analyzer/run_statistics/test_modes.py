@@ -60,7 +60,6 @@ def test_few_messages_do_not_tell():
 
 
 def two_of(values: int, messages: int = 200):
-    """Two modes of values that are all different within so many steps, in rising order."""
     steps = np.arange(messages) % (values // 2) / 1000
     return np.sort(np.where(np.arange(messages) % 2, 1 + steps, 3 + steps))
 

@@ -99,3 +99,15 @@ def test_zenoh_adds_its_part_to_the_users_file(tmp_path, monkeypatch):
     assert added.get_json("transport/unicast/max_links") == "3"
     assert "tcp/127.0.0.1" in added.get_json("listen/endpoints")
     assert zenoh.Config().get_json("transport/link/tx/batch_size") != "1400"
+
+
+@pytest.mark.skipif(not has_package("zenoh"), reason="no zenoh here")
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.json5", "root:SECRET:x\n"), ("a.json5", '{"mode": "SECRET"}'), ("a.yaml", 'a: "SECRET\n')]
+)
+def test_zenoh_prints_nothing_of_a_file_that_is_no_configuration(tmp_path, name, text, monkeypatch):
+    (tmp_path / name).write_text(text)
+    monkeypatch.setenv("ZENOH_CONFIG", str(tmp_path / name))
+    with pytest.raises(OptionError, match=name) as caught:
+        load_backend("zenoh").open_node(NodeOptions(domain_id=3, discovery=Discovery.LOCALHOST))
+    assert "SECRET" not in str(caught.value)

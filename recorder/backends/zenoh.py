@@ -381,7 +381,7 @@ def _added_to_own(configuration: Mapping[str, Any]) -> Any:
     try:
         configured = zenoh.Config.from_file(path) if path else zenoh.Config()
     except zenoh.ZError as err:
-        # Its own words quote the file, which may be none of the user's.
+        # Its own words quote the file.
         reason = re.search(r"unknown field `\w{1,40}`", str(err))
         line = re.search(r"(?:-->|line:?) (\d+)", str(err))
         where = f" (line {line[1]})" if line else ""

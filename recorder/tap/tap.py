@@ -186,7 +186,7 @@ class Tap:
             self._describe(stream, State.CLOSED)
 
     def _look_at_graph(self) -> None:
-        """Take what the graph has; what is new and was not joined within one look is joined by the next one."""
+        """Take what the graph has; the next look goes on with what this one did not join."""
         by_topic: dict[tuple[str, str], list[Publication]] = {}
         for publication in self._node.list_publications(self._patterns):
             by_topic.setdefault((publication.topic, publication.type_name), []).append(publication)

@@ -173,7 +173,7 @@ _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-
 
 @lru_cache(256)
 def message_class(type_name: str) -> Any:
-    """Return the class of an interface of an installed package; the name of a type, which may be a stranger's, imports nothing else.
+    """Return the class of an installed interface; a stranger's type name imports nothing else.
 
     Raises:
         BackendUnavailableError: it is not installed, or not the name of an interface.

@@ -40,13 +40,7 @@ ENOUGH_RUNS = 5
 """Runs from which on a spread may be smaller than the campaign's."""
 
 DEPENDENT_UP_TO, DEPENDENT_UP_TO_OF_ONE = 0.05, 0.01
-"""P value up to which passes are taken to depend on each other, of several kinds of message and of one."""
-
-CORRELATION = 0.8
-"""Of neighbouring passes, which a campaign either excludes or carries in its variances."""
-
-EXCLUDED_FROM = 1.6
-"""Standard deviations below what `CORRELATION` makes likely."""
+"""P value up to which passes are taken to depend on each other, of several kinds of message and of one, where only long campaigns show it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +54,12 @@ class SetupMean:
     mean: float
     variance: float
     degrees: float
-    inflation: float = 1.0
 
     def against(self, other: SetupMean) -> StudentTest:
         total = self.variance + other.variance
         weights = self.variance**2 / self.degrees + other.variance**2 / other.degrees
         degrees = total**2 / weights if weights else self.degrees + other.degrees
-        errors = math.sqrt(self.inflation * self.variance), math.sqrt(other.inflation * other.variance)
+        errors = math.sqrt(self.variance), math.sqrt(other.variance)
         return StudentTest(other.mean - self.mean, *errors, degrees, 0)
 
 
@@ -80,7 +73,7 @@ def residuals_by_setup(runs: Mapping[Key, RunLogarithms]) -> dict[tuple[Hashable
     }
 
 
-def setup_means(runs: Mapping[Key, RunLogarithms], inflation: float = 1.0) -> dict[Key, SetupMean]:
+def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
     pools = residuals_by_setup(runs)
     residuals = [rows for _, rows in pools.values()]
     is_pooled = spreads_are_alike(residuals)
@@ -93,7 +86,7 @@ def setup_means(runs: Mapping[Key, RunLogarithms], inflation: float = 1.0) -> di
             variance, degrees = pooled_variance(row[np.newaxis]) if has_own else pooled
             if len(row) < ENOUGH_RUNS:
                 variance = max(variance, least)
-            means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees, inflation)
+            means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees)
     return means
 
 
@@ -103,9 +96,8 @@ def campaign_variance(residuals: Iterable[Float64]) -> float:
     return float(np.concatenate(variances).mean())
 
 
-def inflation_of_passes(runs: Mapping[Key, RunLogarithms]) -> float:
-    """Return the variance of a mean over the one that its runs show: infinite where neighbouring passes are more alike than distant ones,
-    1 of one kind and where several kinds exclude `CORRELATION`, else what that makes of it.
+def passes_depend(runs: Mapping[Key, RunLogarithms]) -> bool:
+    """Return whether neighbouring passes are more alike than distant ones, over all kinds and setups together.
 
     J. von Neumann's ratio (Annals of Mathematical Statistics 12, 1941) of the squared steps to the squared residuals is 2 on average for
     independent normal repeats, with the variance `4 (n - 2) / ((n - 1) (n + 1))` for n of them. Series that move
@@ -117,32 +109,16 @@ def inflation_of_passes(runs: Mapping[Key, RunLogarithms]) -> float:
         if rows.shape[1] >= MIN_RUNS and rows.any()
     ]
     if not pools:
-        return 1.0
-    deficit = expected = variance = 0.0
-    inflations = []
+        return False
+    deficit = variance = 0.0
     for _, rows in pools:
         repeats = rows.shape[1]
         weights = np.square(rows).sum(axis=1)
         deficit += float((2 * weights - np.square(np.diff(rows, axis=1)).sum(axis=1)).sum())
         variance += 4 * (repeats - 2) / ((repeats - 1) * (repeats + 1)) * float(np.square(weights).sum())
-        ratio, inflation = _correlated_passes(repeats)
-        expected += (2 - ratio) * float(weights.sum())
-        inflations.append(inflation)
     deviation = math.sqrt(variance * _series_as_one([rows for _, rows in pools]))
-    kinds = max(kinds for kinds, _ in pools)
-    level = DEPENDENT_UP_TO if kinds > 1 else DEPENDENT_UP_TO_OF_ONE
-    if student_cdf(-deficit / deviation, math.inf) <= level:
-        return math.inf
-    is_excluded = expected >= deviation and deficit < expected - EXCLUDED_FROM * deviation
-    return 1.0 if kinds == 1 or is_excluded else max(inflations)
-
-
-def _correlated_passes(repeats: int) -> tuple[float, float]:
-    """Return von Neumann's ratio of expectations at `CORRELATION`, and the variance of a mean over the one that its runs show."""
-    apart = np.abs(np.subtract.outer(np.arange(repeats), np.arange(repeats)))
-    of_mean = float((CORRELATION**apart).mean())
-    ratio = 2 * (repeats - 1) * (1 - CORRELATION) / (repeats * (1 - of_mean))
-    return ratio, of_mean * (repeats - 1) / (1 - of_mean)
+    level = DEPENDENT_UP_TO if max(kinds for kinds, _ in pools) > 1 else DEPENDENT_UP_TO_OF_ONE
+    return student_cdf(-deficit / deviation, math.inf) <= level
 
 
 def _series_as_one(pools: Sequence[Float64]) -> float:

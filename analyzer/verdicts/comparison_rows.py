@@ -18,19 +18,14 @@ class ChangeRow:
     """Columns of `Comparison.rows` after the match columns: one statistic of one metric of one matched group.
 
     Null is what the samples do not support; times are infinite where more messages were lost than the statistic leaves
-    room for. `*_low*` and `*_high*` are the ends of an interval.
+    room for. `*_low*` and `*_high*` are the ends of an interval, `new_*` of the new side what `base_*` is of the base.
 
     Attributes:
         metric: metric that is compared.
         statistic: mean or a percentile such as p99_9.
         base_messages: messages of the base that have the metric.
-        new_messages: messages of the new side that have it.
         base_ns: the statistic with lost messages infinitely late, ns.
-        new_ns: the same of the new side.
         base_typical_ns: the statistic of the base's typical run, ns; the change is of the typical runs.
-        new_typical_ns: the same of the new side.
-        new_low_ns: lower end of the new side's own interval, ns.
-        new_high_ns: its upper end, ns.
         difference_ns: new - base, ns.
         ratio: new / base.
         superiority: probability that a message of the new side takes less than one of the base.
@@ -38,8 +33,6 @@ class ChangeRow:
         verdict: better, worse, same or inconclusive, adjusted over the groups.
         base_received_ratio: share of the messages that were received.
         base_survivors_ns: the statistic of the received messages, ns.
-        base_low_ns: lower end of the base's own interval, ns.
-        base_high_ns: its upper end, ns.
         base_episodes: bursts that the tail rests on.
         basis: between runs, or within one run.
         pairs: repeats that were compared one by one; 0 without.

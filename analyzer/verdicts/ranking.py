@@ -23,8 +23,8 @@ from ..run_statistics.setups import (
     Key,
     RunLogarithms,
     SetupMean,
-    inflation_of_passes,
     overlap_in_time,
+    passes_depend,
     setup_means,
     tier_letters,
 )
@@ -148,10 +148,9 @@ def rank_setups(
     kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
-    inflations = _inflations(kinds)
-    dependent = {family for family, inflation in inflations.items() if math.isinf(inflation)}
+    dependent = {family for family, runs in _logarithms_by_family(kinds, "p50").items() if passes_depend(runs)}
     for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
-        pairs_of = _pairs(kinds, percentile, inflations, trust_order=options.trust_order)
+        pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
         for index, pairs in pairs_of.items():
             if kinds[index].family in dependent:
                 pairs_of[index] = [replace(pair, p_value=1.0) for pair in pairs]
@@ -173,10 +172,6 @@ def rank_setups(
                 is_dependent=kinds[index].family in dependent,
             )
     return rankings
-
-
-def _inflations(kinds: Sequence[Kind]) -> dict[Hashable, float]:
-    return {family: inflation_of_passes(runs) for family, runs in _logarithms_by_family(kinds, "p50").items()}
 
 
 def _logarithms_by_family(kinds: Sequence[Kind], percentile: str) -> dict[Hashable, dict[Key, RunLogarithms]]:
@@ -279,13 +274,11 @@ def _reason(
     return Reason.BELOW_MARGIN if is_near else Reason.LOSSES
 
 
-def _pairs(
-    kinds: Sequence[Kind], percentile: str, inflations: Mapping[Hashable, float], *, trust_order: bool
-) -> dict[int, list[SetupPair]]:
+def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
     means = {
         key: mean
-        for family, runs in _logarithms_by_family(kinds, percentile).items()
-        for key, mean in setup_means(runs, _finite(inflations.get(family, 1.0))).items()
+        for runs in _logarithms_by_family(kinds, percentile).values()
+        for key, mean in setup_means(runs).items()
     }
     compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
     pairs: dict[int, list[SetupPair]] = {}
@@ -302,10 +295,6 @@ def _pairs(
             for fast, slow in combinations(order, 2)
         ]
     return pairs
-
-
-def _finite(inflation: float) -> float:
-    return 1.0 if math.isinf(inflation) else inflation
 
 
 def _value(setup: SetupRuns, percentile: str) -> float:

@@ -87,7 +87,7 @@ def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
     lines = terminal.render_brief(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
     binary = lines.index("Fastest in the same domain (Binary)")
     fact, bars = lines[binary + 1], next(line for line in lines[binary:] if "▇" in line)
-    assert fact.startswith("✓ at 33 KB: Zenoh (")  # other setups were measured at 1 MB
+    assert fact.startswith("✓ at every size: Zenoh (")
     short, long = (part.count("▇") for part in bars.split("   ")[:2])
     assert 1 <= short < long == INLINE_BAR
     assert bars.endswith("1 MB at 10 Hz")
@@ -292,8 +292,8 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks(sentences):
         )
     )
     (row,) = (line for line in text.splitlines() if line.startswith("| Binary | 33 KB") and "same domain" in line)
-    # A series that only rises counts for few independent messages: its upper ends are unknown.
-    assert numbers(html.unescape(row))[-10:] == [1, 1.05, 1.01, 1.09, 1.06, 1, 1.1, 1.09, 1, 1.1]
+    # A series that only rises is one burst, whose rarest messages have no upper end.
+    assert numbers(html.unescape(row))[-10:] == [1.05, 1.01, 1.09, 1.09, 1.06, 1, 1.1, 1.09, 1, 1.1]
     costs = text.split("## What a bridge costs")[1]
     (cost,) = (line for line in costs.splitlines() if line.startswith("| Binary | 33 KB"))
     assert numbers(html.unescape(cost)) == [33, 10, 3, 3, 100, 1, 889, 1.11, 1, 886, 1.12, 1, 886, 1.12, 30]

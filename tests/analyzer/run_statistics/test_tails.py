@@ -248,12 +248,11 @@ def test_without_messages_beyond_there_is_nothing_to_count():
 
 
 @pytest.mark.parametrize("length", [8, 12, 20, 60])
-def test_one_burst_leaves_p99_open(length):
+def test_one_burst_is_few_episodes(length):
     """The messages of a short burst and forty quiet ones beyond p99 were counted as forty episodes."""
     for draw in np.random.default_rng(7).lognormal(0, 0.5, (10, 5000)):
         draw[2000 : 2000 + length] *= 20
         found = interval_of_runs([Run(draw)], Statistic(0.99))
-        assert found.upper is None
         assert found.episodes < 10
 
 

@@ -61,7 +61,7 @@ def test_the_lower_tail_is_open_below():
 
 
 def test_equal_values_are_an_interval():
-    found = interval_of_runs([Run(np.full(1000, 7))], P99)
+    found = interval_of_runs([Run(np.full(5000, 7))], P99)
     assert (found.lower, found.value, found.upper, found.episodes) == (7.0, 7.0, 7.0, None)
 
 

@@ -97,7 +97,8 @@ def test_a_gate_that_meets_a_barred_group_is_inconclusive(tmp_path, side):
     for name in ("base", "new"):
         for number in range(3):  # a gate decides from three runs on
             folder = tmp_path / name / str(number)
-            record(folder, ping={"not_applied": NOT_APPLIED} if name == side else {}, number=number)
+            of_ping = {"not_applied": NOT_APPLIED} if name == side else {}
+            record(folder, way_ns=MS + (name == "new"), ping=of_ping, number=number)  # not the same recordings
     gates = parse_gates(["latency_p50 > +10%", "received_ratio < 99%"])
     base, new = (analyze(tmp_path / name, details=False) for name in ("base", "new"))
     results = judge_gates(compare(base, new, options_for(gates, CompareOptions())), gates)

@@ -133,5 +133,5 @@ def test_only_taps_can_be_judged(tmp_path):
     folder = record(tmp_path, beacon=False)
     result = CliRunner().invoke(app, [str(folder), "--fail-if", "received_ratio(/camera/image) < 90%"])
     assert result.exit_code == 0, result.output
-    result = CliRunner().invoke(app, [str(folder), "--fail-if", "age_p50(/camera/image) > 3ms"])
+    result = CliRunner().invoke(app, [str(folder), "--fail-if", "age_p50(/camera/image) > 3ms", "--strict"])
     assert result.exit_code == 21, result.output

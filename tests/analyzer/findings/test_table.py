@@ -20,6 +20,7 @@ from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
 @check("odd_count", Severity.WARNING, Subject.RESULT, "Send {more} message more.")
 def odd_counts(evidence):
+    """A result has an odd number of messages."""  # the finding's title
     for group, published in enumerate(evidence.summary.frame["published"]):
         if published % 2:
             yield evidence.result(group, f"{published} messages cannot be halved.", more="one")

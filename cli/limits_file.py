@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.gate import Gate, Patterns
     from dds_trace.recorder.sweep.plan.plan import Threshold
 
-_MOST_BYTES = 1 << 20
 LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
 
@@ -32,18 +31,14 @@ def read_limits(path: Path) -> list[Gate]:
     Raises:
         OptionError: it cannot be read, or something in it is not a limit.
     """
-    from dds_trace.base.files import open_regular
+    from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable
 
     try:
-        with open_regular(path) as file:
-            data = file.read(_MOST_BYTES + 1)
-        text = data.decode()
+        text = read_regular(path).decode()
     except (OSError, UnicodeDecodeError) as err:
         raise OptionError(f"--limits {path}: {getattr(err, 'strerror', None) or err}; give a file of limits") from err
-    if len(data) > _MOST_BYTES:
-        raise OptionError(f"--limits {path} is larger than {_MOST_BYTES >> 20} MiB, which no file of limits is")
     root = TomlTable.parse(text, str(path))
     root.allow("thresholds", "accepted")
     thresholds = list(read_thresholds(root.table("thresholds")))

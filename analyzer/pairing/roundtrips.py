@@ -201,9 +201,10 @@ def pair_exchanges(
     columns = filled.columns
     stamps = {name: columns[name] for name in _STAMPS}
     fitting = pool.submit(fit_exchanges, exchanges, bounds, stamps) if details else None
+    outcomes = [outcome.value for outcome in OUTCOMES]
     in_time = pl.DataFrame({"sequence": columns["sequence"]}).with_columns(
         *(null_where_missing(name, values) for name, values in stamps.items()),
-        outcome_names(columns["outcome"]),
+        pl.Series("outcome", outcomes, pl.Enum(outcomes)).gather(columns["outcome"].astype(np.uint32)),
         pl.Series("duplicates", columns["duplicates"]),
         pl.Series("reordered", columns["reordered"]),
     )
@@ -247,11 +248,6 @@ def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
         orient="row",
     )
-
-
-def outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
-    names = [outcome.value for outcome in OUTCOMES]
-    return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))
 
 
 def present(

@@ -150,7 +150,8 @@ def recommend_settings(
     ]
     ranked: list[Candidate] = []
     for alternatives in _alternatives(candidates):
-        ordered = sorted(_without_sockets(alternatives), key=Candidate.order)
+        middlewares = [candidate for candidate in alternatives if candidate.setting["backend"] != "socket"]
+        ordered = sorted(middlewares or alternatives, key=Candidate.order)
         ranked += (replace(c, tied=c is ordered[0] or _is_tied(c, ordered[0])) for c in ordered)
     return Recommendation(job, tuple(sorted(ranked, key=Candidate.order)))
 
@@ -165,10 +166,6 @@ def _alternatives(candidates: Iterable[Candidate]) -> list[list[Candidate]]:
     for candidate in candidates:
         rankings.setdefault(place_of(candidate.setting), []).append(candidate)
     return list(rankings.values())
-
-
-def _without_sockets(candidates: list[Candidate]) -> list[Candidate]:
-    return [candidate for candidate in candidates if candidate.setting["backend"] != "socket"] or candidates
 
 
 def _is_tied(candidate: Candidate, best: Candidate) -> bool:

@@ -62,7 +62,9 @@ def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
             outage = _OUTAGES.get(by, by), length_s, planned
             outages.setdefault(outage, {}).setdefault(labels[group], []).append(None if never else back_ns)
     return [
-        printable(f"Back after {planned} {by}: {joined(_came_back(*setup) for setup in setups.items())}.")
+        printable(
+            f"Back after {planned or 'an outage'} {by}: {joined(_came_back(*setup) for setup in setups.items())}."
+        )
         for (by, _, planned), setups in sorted(outages.items())
     ]
 

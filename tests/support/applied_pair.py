@@ -110,7 +110,7 @@ def run_pair(
     }
     with _side({**given, **(relay or {}), "role": "relay"}, variables, (*prefix, *relay_prefix)) as relaying:
         try:
-            assert relaying.stdout.readline().strip() == "ready"
+            _wait_until_ready(relaying)
             with _side({**given, **(ping or {}), "role": "ping"}, variables, prefix) as pinging:
                 try:
                     said, _ = pinging.communicate(timeout=PATIENCE_S)
@@ -140,10 +140,15 @@ def relaying(backend: str, domain_id: int) -> Iterator[subprocess.Popen[str]]:
     }
     with _side(given, None) as relay:
         try:
-            assert relay.stdout.readline().strip() == "ready"
+            _wait_until_ready(relay)
             yield relay
         finally:
             relay.kill()
+
+
+def _wait_until_ready(relay: subprocess.Popen[str]) -> None:
+    said = relay.stdout.readline()
+    assert said == "ready\n", f"the relay said {said!r} ({relay.wait(PATIENCE_S) if not said else 'runs'})"
 
 
 def _side(

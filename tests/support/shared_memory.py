@@ -36,11 +36,11 @@ def files_in_use() -> set[str]:
     used: set[str] = set()
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended meanwhile
-            lines = (process / "maps").read_text().splitlines()
-            used.update(line[line.index("/dev/shm/") :] for line in lines if "/dev/shm/" in line)
-            for descriptor in (process / "fd").iterdir():
+            for descriptor in (process / "fd").iterdir():  # first: a file is opened, then mapped, then closed
                 with suppress(OSError):
                     used.add(str(descriptor.readlink()))
+            lines = (process / "maps").read_text().splitlines()
+            used.update(line[line.index("/dev/shm/") :] for line in lines if "/dev/shm/" in line)
     return used
 
 

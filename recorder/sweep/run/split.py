@@ -15,7 +15,6 @@ import numpy as np
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import mode_within, replacing
 from dds_trace.tracefile.format.events import HOST_TOPIC, SESSION_TOPIC
-from dds_trace.tracefile.format.json_fields import JsonObject
 from dds_trace.tracefile.format.ring import Slots
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.reading.reader import read_trace
@@ -62,11 +61,6 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
     return counts
 
 
-def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
-    name = f"{run_id:016x}"
-    return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
-
-
 def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
     session = trace.sessions[-1]
     times_ns = slots["monotonic_ns"] + np.int64(session.wall_ns(0))
@@ -98,6 +92,8 @@ def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
             writer.write_text(HOST_TOPIC, json.dumps(sample), time_ns)
             written = end
         writer.write_events(slots[written:])
-        for text in wire_of_run(trace, part.run_id):
-            writer.write_text(WIRE_TOPIC, json.dumps(text), int(times_ns[-1]))
+        run = f"{part.run_id:016x}"
+        for text in trace.wire:
+            if run == text.get("run_id") or text.get("run_ids") == [run]:
+                writer.write_text(WIRE_TOPIC, json.dumps(text), int(times_ns[-1]))
         writer.finish()

@@ -113,7 +113,7 @@ def test_a_reply_before_the_stated_end_is_the_first_one(tmp_path):
 def test_the_answer_begins_with_how_long_each_setup_took_to_come_back(tmp_path):
     kind, text = Book(campaign(tmp_path, [cut(sequence) for sequence in range(80)])).answer.sentences[0]
     assert kind is PointKind.RECOVERY
-    assert "(2 ms to 2 ms in" in text
+    assert "in 2 ms (1 run)" in text
 
 
 def flags(text):

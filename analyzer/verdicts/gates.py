@@ -265,7 +265,7 @@ def _advice(gate: Gate, change: Change) -> _Advice:
     statistic = STATISTIC_BY_NAME[gate.statistic]
     short = [side for side in sides if side.value is None]
     if short:
-        return _Advice(f"{gate.statistic} takes {statistic.needs} messages, there are {short[0].samples}")
+        return _Advice(f"{gate.statistic} takes {counted(statistic.needs, 'message')}, there are {short[0].samples}")
     if statistic.quantile is not None:
         more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
         if any(more):

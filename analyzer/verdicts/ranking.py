@@ -246,7 +246,11 @@ def _ranking(
     return Ranking(
         leader=names[0] if is_ahead else "",
         letters=tier_letters(names, different),
-        undecided=tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
+        undecided=tuple(
+            pair
+            for pair in lead
+            if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different and not is_dependent
+        ),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
         drift_ratio=_drift_ratio(pairs, 1 - alpha),
         tests=tuple(tests),

@@ -391,6 +391,8 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
     if not outcome.slower:
         if not outcome.is_interleaved:
             repeats = "the setups were recorded one after the other"
+        elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
+            repeats = Reason.DEPENDENT.value
         return f"no clear winner{f' ({repeats})' if repeats else ''}"
     parts = [
         f"{labels[name]} takes {_takes(stretch, Claim.SLOWER, outcome.percentile, name, outcome.best[0])}"

@@ -130,6 +130,8 @@ def gate_interval_words(result: GateResult) -> str:
 
 def ends_words(low: str, high: str) -> str:
     _, space, unit = high.rpartition(" ")
+    if low == high == unit:  # lost, unknown
+        return low
     return f"{low.removesuffix(space + unit)} to {high}"
 
 
@@ -177,6 +179,7 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     measured = [gated for gated in alike if gated.result.measured is not None] or alike
     worst = max(measured, key=lambda gated: (gated.result.measured or 0.0) * (1 if is_above else -1))
     found = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
+    found_words = [found_from_words(worst.result, end) for end in found]
     words = measured_words(worst.result, worst.result.measured)
     interval = gate_interval_words(worst.result)
     _, space, unit = words.rpartition(" ")
@@ -184,14 +187,10 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     return (
         MARKS[worst.result.outcome],
         worst.result.gate.text,
-        words if worst.result.low is worst.result.high is None else f"{words} ({interval.removesuffix(space + unit)})",
-        _range_words(*(found_from_words(worst.result, end) for end in (found[0], found[-1]))) if found else "",
+        words if interval in (words, "unknown") else f"{words} ({interval.removesuffix(space + unit)})",
+        ends_words(found_words[0], found_words[-1]) if len(set(found_words)) > 1 else "".join(found_words[:1]),
         worst.where + more,
     )
-
-
-def _range_words(least: str, most: str) -> str:
-    return least if least == most else ends_words(least, most)
 
 
 def found_from_words(result: GateResult, found: float) -> str:
@@ -222,5 +221,5 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
             f"Undecided: {counted(len(by_runs), 'gate')}; {result.runs_needed} runs a side would decide{where}: {rests}."
         )
     others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.runs_needed is None)
-    notes += [f"Undecided: {counted(count, 'gate')}: {reason}." for reason, count in others.items()]
+    notes += [f"Undecided: {counted(count, 'gate')}: {reason.rstrip('.')}." for reason, count in others.items()]
     return [printable(note, MAX_FINDING_CHARACTERS) for note in notes]

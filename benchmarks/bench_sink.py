@@ -25,7 +25,6 @@ from mcap.writer import Writer
 
 from dds_trace.recorder.host.recorder_cost import (
     PACE_NS,
-    measure_cold_timer_ns,
     measure_timer_ns,
     measuring_session,
     time_paced_events,
@@ -151,19 +150,22 @@ def publish_ns(stamper: Stamper, path: Path) -> float:
 def cold_path_ns(recorder: Recorder, path: Path) -> float:
     """Median cost of one event, then a sleep, at 1 kHz: caches are as cold as a node's. Net of a reading of the clock likewise."""
     with recorder(path) as record:
-        times = time_paced_events(record, COLD_EVENTS)
-    return statistics.median(times.tolist()) - measure_cold_timer_ns(COLD_EVENTS // 4)
+        times, readings = time_paced_events(record, COLD_EVENTS)
+    return statistics.median(times.tolist()) - statistics.median(readings.tolist())
 
 
 def cold_handover_ns(stamper: Stamper, path: Path) -> float:
     """Median time from a time stamp to the moment where its message could leave, one event, then a sleep, at 1 kHz."""
-    now, times = time.monotonic_ns, []
+    now, times, readings = time.monotonic_ns, [], []
     with stamper(path) as stamp:
         for sequence in range(COLD_EVENTS):
             time.sleep(PACE_NS / 1e9)
             stamped_ns = stamp(1, 1, sequence)
             times.append(now() - stamped_ns)
-    return statistics.median(times) - measure_cold_timer_ns(COLD_EVENTS // 4)
+            time.sleep(PACE_NS / 1e9)
+            stamped_ns = now()
+            readings.append(now() - stamped_ns)
+    return statistics.median(times) - statistics.median(readings)
 
 
 def stall_ns(recorder: Recorder, path: Path) -> float:
@@ -172,7 +174,7 @@ def stall_ns(recorder: Recorder, path: Path) -> float:
     with recorder(path) as record:
         for sequence in range(BEFORE_PACED_EVENTS):
             record(1, 1, sequence, now())
-        times = time_paced_events(record, PACED_EVENTS)
+        times, _ = time_paced_events(record, PACED_EVENTS)
     return worst_stall_ns(times - measure_timer_ns())
 
 

@@ -37,7 +37,7 @@ class RecorderCost:
 
     Attributes:
         record_median_ns: recording one event; likewise `record_p99_ns` and `record_max_ns`.
-        cold_timer_ns: one reading of the clock after a sleep, which is subtracted from the times of events.
+        cold_timer_ns: one reading of the clock after a sleep, taken between the events and subtracted from their times.
     """
 
     timer_ns: float
@@ -55,14 +55,14 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
         scratch = tempfile.TemporaryDirectory(prefix="dds-trace-cost-", dir=folder)
     except OSError as err:
         raise output_error(folder or Path(tempfile.gettempdir()), err) from err
-    cold_timer_ns = measure_cold_timer_ns(min(count, _COLD_TIMER_READINGS))
     with scratch as name:
         destination = TraceDestination(Path(name) / "cost.mcap", chunk_seconds=_CHUNK_SECONDS)
         sink = TraceSink(destination, measuring_session())
-        times = time_paced_events(sink.record, count)
+        times, readings = time_paced_events(sink.record, count)
         closed = sink.close()
     if closed.error is not None:
         raise OutputError(*closed.error.args) from closed.error
+    cold_timer_ns = statistics.median(readings.tolist())
     net = np.maximum(times - cold_timer_ns, 0.0)
     return RecorderCost(
         timer_ns=measure_timer_ns(),
@@ -82,23 +82,27 @@ def measure_timer_ns() -> float:
     return float(statistics.median(np.diff(readings).tolist()))
 
 
-def measure_cold_timer_ns(readings: int) -> float:
-    return float(statistics.median(time_paced_events(None, readings).tolist()))
+def time_paced_events(record: Record, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the time in ns of each call of `record` and one reading of the clock, and of readings alone, at 1 kHz.
 
-
-def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
-    """Return the time in ns of each call of `record` (None: no call) and one reading of the clock, at 1 kHz."""
-    now = time.monotonic_ns
-    times = np.zeros(count)
+    Both are spread over the same seconds: readings taken before them are slower than an event where the machine was busier.
+    """
+    now, sleep = time.monotonic_ns, time.sleep
+    times, readings = np.zeros(count), []
+    every = max(count // _COLD_TIMER_READINGS, 1)
     planned_ns = now()
     for sequence in range(count):
+        if sequence % every == 0:
+            planned_ns += PACE_NS
+            sleep(max(planned_ns - now(), 0) / 1e9)
+            stamped_ns = now()
+            readings.append(now() - stamped_ns)
         planned_ns += PACE_NS
-        time.sleep(max(planned_ns - now(), 0) / 1e9)
+        sleep(max(planned_ns - now(), 0) / 1e9)
         stamped_ns = now()
-        if record is not None:
-            record(1, 1, sequence, stamped_ns)
+        record(1, 1, sequence, stamped_ns)
         times[sequence] = now() - stamped_ns
-    return times
+    return times, np.array(readings, np.float64)
 
 
 def worst_stall_ns(times: NDArray[np.float64]) -> float:

@@ -85,7 +85,7 @@ def test_the_clock_that_is_taken_off_is_the_cold_one(monkeypatch, tmp_path):
     cost = measure_recorder_cost(tmp_path, seconds=0.2)
     assert cost.cold_timer_ns > 0
     gross = np.array([9_000.0, 7_000.0, 400.0] * 50)
-    monkeypatch.setattr("dds_trace.recorder.host.recorder_cost.time_paced_events", lambda *_: gross)
-    monkeypatch.setattr("dds_trace.recorder.host.recorder_cost.measure_cold_timer_ns", lambda _: 850.0)
+    measured = (gross, np.full(100, 850.0))
+    monkeypatch.setattr("dds_trace.recorder.host.recorder_cost.time_paced_events", lambda *_: measured)
     assert measure_recorder_cost(tmp_path, seconds=0.1).record_median_ns == 7_000 - 850
     assert measure_recorder_cost(tmp_path, seconds=0.1).record_max_ns == 9_000 - 850

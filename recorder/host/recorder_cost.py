@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import tempfile
 import time
@@ -87,18 +88,16 @@ def time_paced_events(record: Record, count: int) -> tuple[NDArray[np.float64], 
 
     Both are spread over the same seconds: readings taken before them are slower than an event where the machine was busier.
     """
-    now, sleep = time.monotonic_ns, time.sleep
+    now = time.monotonic_ns
     times, readings = np.zeros(count), []
     every = max(count // _COLD_TIMER_READINGS, 1)
-    planned_ns = now()
+    start_ns, ticks = now(), itertools.count(1)
     for sequence in range(count):
         if sequence % every == 0:
-            planned_ns += PACE_NS
-            sleep(max(planned_ns - now(), 0) / 1e9)
+            time.sleep(max(start_ns + next(ticks) * PACE_NS - now(), 0) / 1e9)
             stamped_ns = now()
             readings.append(now() - stamped_ns)
-        planned_ns += PACE_NS
-        sleep(max(planned_ns - now(), 0) / 1e9)
+        time.sleep(max(start_ns + next(ticks) * PACE_NS - now(), 0) / 1e9)
         stamped_ns = now()
         record(1, 1, sequence, stamped_ns)
         times[sequence] = now() - stamped_ns

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 FRAGMENT_BYTES = 60_000
 """A UDP datagram has at most 65,507 bytes; Fast DDS cuts at about the same size."""
 MAX_UNFINISHED = 8
-MAX_FRAGMENTS = -(-MAX_MESSAGE_BYTES // FRAGMENT_BYTES)
 DATAGRAMS_A_ROUND = 256
 GREETING_S = 1.0
 FORGET_S = 10.0

@@ -21,7 +21,7 @@ from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.socket import BACKEND, tcp
 from dds_trace.recorder.backends.socket.greeting import CROWD, HALF_OPEN, MALFORMED, MAX_PEERS, SLOW, TOO_LARGE
-from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_FRAGMENTS
+from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_MESSAGE_BYTES
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.recorder.roles.floor import measure_floor
@@ -334,7 +334,7 @@ def test_addresses_are_bounded(domain_id, udp_relay):
     wait_until(lambda: udp_relay.strangers.counts.get(CROWD) == 10)
     assert udp_relay.count_participants() == 1 + MAX_PEERS
     for index in range(100):  # of a message that is never whole
-        head = struct.pack("<IHHH", index, 7, MAX_FRAGMENTS, 1)
+        head = struct.pack("<IHHH", index, 7, -(-MAX_MESSAGE_BYTES // FRAGMENT_BYTES), 1)
         strangers[0].sendto(head + b"a" + bytes(1000), ("127.0.0.1", port))
     wait_until(lambda: udp_relay._links._unfinished_bytes == 8 * 1000)
     strangers[0].sendto(struct.pack("<IHHH", 1, 0, 65_535, 1) + b"a", ("127.0.0.1", port))

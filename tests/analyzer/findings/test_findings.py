@@ -45,6 +45,11 @@ def described(messages, **changes):
     return run(planned_messages=len(messages), published=len(messages), **changes)
 
 
+@pytest.fixture(autouse=True)
+def percentiles_of_1000_messages(monkeypatch):
+    monkeypatch.setattr(rooms.groups, "PERCENTILES", [one for one in rooms.groups.PERCENTILES if one.needs <= 1000])
+
+
 def findings(folder):
     return {finding.code: finding for finding in analyze(folder).findings}
 

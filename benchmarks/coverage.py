@@ -27,7 +27,7 @@ from coverage_campaigns import (
     message_leaders_table,
     until_table,
 )
-from coverage_comparisons import looks_table, losses_table, results_table
+from coverage_comparisons import default_table, looks_table, losses_table, results_table
 from coverage_intervals import interval_tables
 from coverage_kinds import advice_table, changes_table, dependent_table, kinds_table, late_table
 from simulated import Table
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 TABLES: dict[str, Callable[[int], Table]] = {
     "losses": losses_table,
     "comparisons": results_table,
+    "default": default_table,
     "looks": looks_table,
     "leaders": leaders_table,
     "leaders-found": found_leaders_table,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
@@ -25,9 +26,9 @@ from simulated import (
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import change_of_received
 from dds_trace.analyzer.statistics.power import confidence_at_each
-from dds_trace.analyzer.verdicts.compare import compare
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
-from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
 from dds_trace.reports.comparison.info import comparison_info
 
 if TYPE_CHECKING:
@@ -169,6 +170,67 @@ def add_comparisons(
             table.at_most(MOST_FALSE_GATES, failed, comparisons, f"{where}, gate"),
         )
     )
+
+
+DEFAULT_GATES = parse_gates(["default"])
+DEFAULT_OPTIONS = options_for(DEFAULT_GATES, CompareOptions(metrics=(), statistics=(), paired=True))
+LEAST_FOUND = 0.80
+DEFAULT_DESIGNS = (
+    *(
+        (results, *runs)
+        for results in (1, 6)
+        for runs in ((3, 0.05, 0.0), (3, 0.05, 0.01), (3, 0.1, 0.0), (5, 0.05, 0.0))
+    ),
+    (50, 3, 0.05, 0.01),
+    (50, 3, 0.1, 0.0),
+)
+"""Results, interleaved repeats of 200 messages, spread of the runs, share of single losses; a repeat moves both sides by 10 %."""
+
+
+def count_default(
+    generator: np.random.Generator, samples: int, design: tuple[int, int, float, float], ratio: float, changed: int
+) -> Counter[GateOutcome]:
+    """Judge campaigns by `--fail-if default` of which some results take so many times as long on the new side."""
+    results, repeats, spread, share = design
+    passes = {run: run % repeats for run in range(results * repeats)}
+    outcomes: Counter[GateOutcome] = Counter()
+    for _ in range(samples):
+        moved = np.exp(0.1 * generator.standard_normal((results, repeats, 1)))
+        sides = []
+        for change in (1.0, ratio):
+            times = draw_values(generator, results * repeats, 200, spread)
+            times[single_losses(generator, *times.shape, share)] = math.inf
+            times = times.reshape(results, repeats, -1) * moved
+            times[:changed] *= change
+            sides.append(round_trips(times))
+        comparison = compare_roundtrips(*sides, DEFAULT_OPTIONS, passes)
+        outcomes[overall_outcome(judge_gates(comparison, DEFAULT_GATES))] += 1
+    return outcomes
+
+
+def default_table(samples: int) -> Table:
+    """Count campaigns that `--fail-if default` fails: of one commit on both sides, and of one or all results that changed."""
+    columns = ("results", "repeats", "runs vary by", "lost", "campaigns", "equal: fail", "equal: undecided")
+    table = Table("default", (*columns, "+50 % of one: fail", "+50 % of all: fail", "+100 % of one: fail"))
+    for design in DEFAULT_DESIGNS:
+        results, repeats, spread, share = design
+        generator = np.random.default_rng([SEED, results, repeats, int(1000 * spread), int(1000 * share)])
+        where = f"{results} results, {repeats} repeats, {spread:.0%}, {share:.0%} lost"
+        equal = count_default(generator, samples, design, 1.0, 0)
+        cells = [
+            table.at_most(MOST_FALSE_GATES, equal[GateOutcome.REGRESSED], samples, where),
+            percent(equal[GateOutcome.INCONCLUSIVE], samples),
+        ]
+        for ratio, changed, bar in ((1.5, 1, LEAST_FOUND), (1.5, results, LEAST_FOUND), (2.0, 1, 0.0)):
+            if results > 6:  # minutes each
+                cells.append("-")
+                continue
+            found = count_default(generator, samples, design, ratio, changed)[GateOutcome.REGRESSED]
+            cells.append(table.at_least(bar, found, samples, f"{where}, {ratio:g} x of {changed}"))
+        table.rows.append(
+            (str(results), str(repeats), f"{100 * spread:.0f} %", f"{100 * share:.0f} %", str(samples), *cells)
+        )
+    return table
 
 
 GATES = (("p50", 0.5, 200, 1.1), ("p90", 0.9, 500, 1.1), ("p99", 0.99, 1000, 1.2))

@@ -1,4 +1,4 @@
-"""Every table of docs/results/coverage.md is part of a CSV file next to it; so are the rates of docs/explanation/statistics.md."""
+"""The rates of docs/explanation/statistics.md are those of the files of docs/results."""
 
 from __future__ import annotations
 
@@ -13,27 +13,6 @@ FILES = {
     file.stem.removeprefix("coverage-"): list(csv.DictReader(file.read_text().splitlines()))
     for file in (DOCS / "results").glob("coverage-*.csv")
 }
-
-
-def tables_of(page):
-    for block in re.findall(r"(?:^\|.*\|\n)+", page.read_text(), re.MULTILINE):
-        header, _, *rows = (
-            [cell.strip() for cell in line.strip().strip("|").split("|")] for line in block.splitlines()
-        )
-        yield header, [dict(zip(header, row, strict=True)) for row in rows]
-
-
-TABLES = list(tables_of(DOCS / "results/coverage.md"))
-
-
-@pytest.mark.parametrize(("header", "rows"), TABLES, ids=[", ".join(header)[:50] for header, _ in TABLES])
-def test_a_table_of_the_figures_is_part_of_its_file(header, rows):
-    fitting = {name: file for name, file in FILES.items() if set(header) <= set(file[0])}
-    missing = {
-        name: [row for row in rows if not any(row.items() <= written.items() for written in file)]
-        for name, file in fitting.items()
-    }
-    assert [] in missing.values(), missing
 
 
 def numbers(table, *columns, **where):

@@ -210,6 +210,15 @@ def test_the_page_of_figures_is_made_of_its_data():
     tables = importlib.import_module("coverage")
     page = BENCHMARKS.parent / "docs" / "results" / "coverage.md"
     assert tables.MARK.sub(partial(tables._table, folder=page.parent), page.read_text()) == page.read_text()
+    assert page.read_text().count("\n| --- ") == len(tables.MARK.findall(page.read_text()))
+
+
+@pytest.mark.usefixtures("coverage")
+@pytest.mark.parametrize(("ratio", "fewest", "most"), [(1.0, 0, 3), (2.0, 15, 20)])
+def test_default_gates_seldom_fail_equal_sides_and_find_what_takes_twice_as_long(ratio, fewest, most):
+    comparisons = importlib.import_module("coverage_comparisons")
+    outcomes = comparisons.count_default(np.random.default_rng(1), 20, (6, 3, 0.05, 0.0), ratio, changed=6)
+    assert fewest <= outcomes[comparisons.GateOutcome.REGRESSED] <= most
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ new PerformanceObserver(list => {
 def test_links_land_where_they_say_and_nothing_shifts(new_tab, pages, name):
     one = Reader(new_tab)
     one.tab.add_init_script(SHIFTS)
+    # A slow reader paints while the page is still being read.
+    one.tab.context.new_cdp_session(one.tab).send("Emulation.setCPUThrottlingRate", {"rate": 6})
     tab = one.open(pages(name))
     height = tab.evaluate("document.documentElement.scrollHeight")
     for target in ("table", "figures", "recording", "cell"):

@@ -246,11 +246,9 @@ def _ranking(
     return Ranking(
         leader=names[0] if is_ahead else "",
         letters=tier_letters(names, different),
-        undecided=tuple(
-            pair
-            for pair in lead
-            if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different and not is_dependent
-        ),
+        undecided=()
+        if is_dependent
+        else tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
         drift_ratio=_drift_ratio(pairs, 1 - alpha),
         tests=tuple(tests),

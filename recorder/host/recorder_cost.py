@@ -84,9 +84,10 @@ def measure_timer_ns() -> float:
 
 
 def time_paced_events(record: Record, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the time in ns of each call of `record` and one reading of the clock, and of readings alone, at 1 kHz.
+    """Record `count` events at 1 kHz, and read the clock between them.
 
-    Both are spread over the same seconds: readings taken before them are slower than an event where the machine was busier.
+    Returns the times in ns of the events, shape (count,), each with one reading of the clock, and the times of readings without an event.
+    Both are of the same seconds: on a machine that was busier before the events, earlier readings would be too slow.
     """
     now = time.monotonic_ns
     times, readings = np.zeros(count), []

@@ -48,8 +48,8 @@ class Report:
         return [setting for setting, _ in self.at_end]
 
 
-def _report(line: str) -> Report:
-    data = json.loads(line)
+def _report(said: str) -> Report:
+    data = json.loads(next(line for line in said.splitlines() if line.startswith("{")))
     return Report(
         from_json(Asked, data["asked"]),
         from_json(Applied, data["applied"]),
@@ -120,7 +120,7 @@ def run_pair(
         finally:
             relaying.kill()
     assert (pinging.returncode, relaying.returncode) == (0, 0)
-    return _report(said.splitlines()[-1]), _report(answered.splitlines()[-1])
+    return _report(said), _report(answered)
 
 
 @contextmanager
@@ -147,8 +147,11 @@ def relaying(backend: str, domain_id: int) -> Iterator[subprocess.Popen[str]]:
 
 
 def _wait_until_ready(relay: subprocess.Popen[str]) -> None:
-    said = relay.stdout.readline()
-    assert said == "ready\n", f"the relay said {said!r} ({relay.wait(PATIENCE_S) if not said else 'runs'})"
+    """Past what the middleware prints: Fast DDS writes to stdout that another process was first at a port of shared memory."""
+    said = []
+    while (line := relay.stdout.readline()) != "ready\n":
+        said.append(line)
+        assert line, f"the relay ended ({relay.wait(PATIENCE_S)}) and said {said}"
 
 
 def _side(

@@ -1,7 +1,5 @@
 """The threat model in `SECURITY.md` rests on tests that exist."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

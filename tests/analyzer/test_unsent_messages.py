@@ -4,8 +4,6 @@ Two vendors at 10 Hz for a minute. `whole` sends its 600 messages and takes 5 ms
 30 s, though its run goes on to the end: what it sent came back, all of it.
 """
 
-from __future__ import annotations
-
 import math
 
 import pytest

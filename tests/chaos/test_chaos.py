@@ -1,7 +1,5 @@
 """Chaos in small: what a seed draws, what the checks see, and rounds over plain sockets (`just chaos` plays them by the hour)."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How tests call commands in this process."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

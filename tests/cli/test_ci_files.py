@@ -3,8 +3,6 @@
 `gh`, `git` and `curl` are stand-ins that write down what they were called with, and answer what `ANSWER` says.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`limits.toml`: which gate judges which result, what is refused, and limits written from good runs."""
 
-from __future__ import annotations
-
 import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs

@@ -1,7 +1,5 @@
 """`dds-sweep --advise`: what it refuses, and what it prints; benchmarks/bench_advise.py runs it on real links."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The rates of docs/explanation/statistics.md are those of the files of docs/results."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

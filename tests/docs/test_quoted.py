@@ -1,7 +1,5 @@
 """Every answer that README and the pages quote is what the kept traces give today; `just readme` writes them again."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from pathlib import Path

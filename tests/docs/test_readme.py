@@ -3,8 +3,6 @@
 The further commands of a first hour are those of the tutorials, which tests/docs/test_examples.py and test_two_devices.py run.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """The examples of docs/how-to/tables.md, each run on a sample: programs of others read what the files say."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every fuzz target meets inputs of a fixed seed, about a second each; `just fuzz` draws them by the hour."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

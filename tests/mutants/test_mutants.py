@@ -1,7 +1,5 @@
 """The mutants that `just mutants` makes: which there are, which are left out by rule, and that a loaded module takes them."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json

@@ -3,8 +3,6 @@
 setuptools and launch are stand-ins: neither is among what the tests install.
 """
 
-from __future__ import annotations
-
 import re
 import runpy
 import signal

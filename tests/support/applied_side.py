@@ -4,8 +4,6 @@ Its one argument is a JSON object; its one result is a JSON object on the last l
 ends when its stdin is closed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

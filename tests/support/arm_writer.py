@@ -1,7 +1,5 @@
 """Writes `events.mcap` and `events.mcap.ring` of the same events on every machine: arm_writer.py FOLDER."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

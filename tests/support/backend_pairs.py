@@ -1,7 +1,5 @@
 """A ping and a relay as real processes on any two backends, and their traces checked against each other."""
 
-from __future__ import annotations
-
 import numpy as np
 from processes import ping, relay
 

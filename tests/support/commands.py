@@ -1,7 +1,5 @@
 """`dds-analyze` called in this process."""
 
-from __future__ import annotations
-
 import pytest
 
 from dds_trace.cli.analyze import main

@@ -1,7 +1,5 @@
 """A page of the HTML report as a reader meets it, and the pages that tests open."""
 
-from __future__ import annotations
-
 import shutil
 from contextlib import contextmanager
 from importlib.util import find_spec

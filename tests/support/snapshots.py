@@ -1,7 +1,5 @@
 """Read-backs drawn by hand: the parts of a snapshot that a test is about."""
 
-from __future__ import annotations
-
 from dds_trace.recorder.applied.applied import Applied, Snapshot
 from dds_trace.recorder.applied.memory import SharedMemory
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT

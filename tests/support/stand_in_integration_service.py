@@ -3,8 +3,6 @@
 It forwards nothing. `install` puts it below a folder as a colcon installation with the given system handles.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

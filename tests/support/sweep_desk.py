@@ -1,7 +1,5 @@
 """A folder for sweeps whose `dds-record` is a stand-in, with the invented traces that it copies."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import Counter

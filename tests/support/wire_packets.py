@@ -1,7 +1,5 @@
 """Frames drawn by hand, octet by octet; nothing of the code under test takes part."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fits of a few messages, every number by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

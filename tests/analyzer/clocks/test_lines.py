@@ -1,7 +1,5 @@
 """Lines through windows: by hand, and many windows at once against one after another told plainly."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

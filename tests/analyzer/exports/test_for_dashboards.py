@@ -1,7 +1,5 @@
 """OpenMetrics, HdrHistogram logs and Perfetto timelines, each read by a reader that is not ours."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import replace

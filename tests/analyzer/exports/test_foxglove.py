@@ -1,7 +1,5 @@
 """The derived MCAP is read back with the public readers; the layout names what is in it."""
 
-from __future__ import annotations
-
 import json
 import math
 

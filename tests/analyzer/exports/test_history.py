@@ -1,7 +1,5 @@
 """Exports for tools that keep a history, checked against what these publish about their formats."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Where the time goes, on one message drawn by hand and on runs that contradict themselves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import polars as pl

@@ -1,7 +1,5 @@
 """The frames about the wire, from counts and records drawn by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from trace_files import (

@@ -1,7 +1,5 @@
 """Counts of an exchange, drawn by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One-way times of rows, and the clocks of devices over several runs, on stamps drawn by hand."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

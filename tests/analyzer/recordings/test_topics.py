@@ -1,7 +1,5 @@
 """Topics of foreign recordings: the same timeline written as rosbag1, rosbag2 (both storages) and MCAP reads the same."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

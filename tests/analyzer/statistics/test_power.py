@@ -1,7 +1,5 @@
 """What could have been found and how much more it takes: by hand and by drawing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 from typer.testing import CliRunner

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from campaigns import write_run
 from trace_files import Message, evenly, ping_session, relay_session, write_pair

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from applied_pair import needs_large_buffers
 from processes import relay, run, running

@@ -3,8 +3,6 @@
 `DDS_TRACE_KILLS` says how many of each role are killed altogether, 200 by default.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -4,8 +4,6 @@ This needs root, `/dev/fuse`, loop devices and `mkfs.ext4`. Device-mapper's `dm-
 same disk; the kernel of many a container host has FUSE and loop, and no device-mapper.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

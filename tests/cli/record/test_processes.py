@@ -1,7 +1,5 @@
 """Real `dds-record` processes over Fast DDS on this machine, read back with the public `mcap` and `rosbags`."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

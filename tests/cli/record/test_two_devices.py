@@ -1,7 +1,5 @@
 """The commands of `docs/tutorials/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

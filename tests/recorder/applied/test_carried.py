@@ -1,7 +1,5 @@
 """Which path carried the payload, by hand: 100 messages of 100 KB there and 100 back are 10 MB each way."""
 
-from __future__ import annotations
-
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 

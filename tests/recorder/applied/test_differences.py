@@ -1,7 +1,5 @@
 """Differences between asked and applied, on read-backs drawn by hand; what honest runs look like raises none."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

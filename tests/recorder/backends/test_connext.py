@@ -1,7 +1,5 @@
 """The `connext` backend: everything that runs without a licence, and the rest where there is one."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Ping and relay on two vendors: Fast DDS through ROS 2 and native Cyclone DDS, both ways, up to 4 MB."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The router of rmw_zenoh: found, started, missing. The program here is a stand-in, no RMW: nothing of zenoh is proven by it."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

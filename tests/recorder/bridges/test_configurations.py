@@ -5,8 +5,6 @@ Integration Service "YAML Configuration" and "ROS 2 System Handle"; DDS Router 3
 RTI Routing Service 7 "Configuration"; domain_bridge `parse_domain_bridge_yaml_config.cpp`.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """Integration Service's two modes: what is configured, and what its program, or a stand-in for it, makes of that."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from fake_node import FakeNode
 from snapshots import applied, counted, segment, udp

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import stat
 from email import message_from_bytes
 from pathlib import Path

@@ -1,7 +1,5 @@
 """DDS Security for real: Debian's Cyclone DDS 0.10.2 in an environment of its own, reached by the axis `environment`."""
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 from contextlib import contextmanager

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from sweep_desk import Desk, write_invented_traces
 

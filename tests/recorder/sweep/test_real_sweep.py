@@ -1,7 +1,5 @@
 """Real plans over real middleware: killed and resumed, across a shaped link, over ssh, with a person's help."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -1,7 +1,5 @@
 """The rehearsal of a plan with a stand-in for `dds-record`: what is asked of it, where, and what its refusal means."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import socket
 
 from dds_trace.recorder.choices import Discovery

@@ -1,7 +1,5 @@
 """Blocks of a ring as the kernel fills them (TPACKET_V3), drawn by hand in plain memory."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A real capture on the loopback interface, of packets drawn by hand; root only."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

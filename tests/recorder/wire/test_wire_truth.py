@@ -1,7 +1,5 @@
 """The capture against a link whose forwarder keeps the list of all frames and of what it dropped; root only."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from analyses import MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS

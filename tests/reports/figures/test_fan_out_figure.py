@@ -1,7 +1,5 @@
 """The figure of one message to several relays, from a frame drawn by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import polars as pl

@@ -1,7 +1,5 @@
 """Figures about the wire, from frames drawn by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files made to keep a reader busy: they end at a bound of work, not of time, and what was read before is kept."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import struct

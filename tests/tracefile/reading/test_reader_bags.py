@@ -1,7 +1,5 @@
 """rosbag2 folders, written with the public `rosbags` package, analyze to the same trace as the file they came from."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import shutil

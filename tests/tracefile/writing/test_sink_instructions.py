@@ -1,7 +1,5 @@
 """A sink is killed at every instruction, and each of its writes fails in every way: no event that was kept is lost."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """What a sink stands on gives way before any instruction: disk, folder, clock. It never raises, and no event is lost."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

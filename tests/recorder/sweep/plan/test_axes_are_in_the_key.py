@@ -4,8 +4,6 @@ The options that a plan gives to `dds-record` are read by `dds-record` itself, d
 made into a key by the analyzer.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from unittest import mock

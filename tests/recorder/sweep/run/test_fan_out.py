@@ -1,7 +1,5 @@
 """Several relays of one cell, with stand-ins: a trace for each, and what is missing is recorded again."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from sweep_desk import PLAN, files_of

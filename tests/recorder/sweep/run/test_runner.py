@@ -1,7 +1,5 @@
 """The bookkeeping of a sweep, with a stand-in for `dds-record` that does as its script says."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """Flows that a sweep records at the same time, with stand-ins: they succeed, fail and go on together."""
 
-from __future__ import annotations
-
 import io
 from collections import Counter
 

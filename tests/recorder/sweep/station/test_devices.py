@@ -1,7 +1,5 @@
 """Relays on another device: through a real `ssh` to an `sshd` on loopback, and by printed commands."""
 
-from __future__ import annotations
-
 import os
 import stat
 

@@ -1,7 +1,5 @@
 """Real namespaces with a real link between them, seen by plain UDP datagrams; root only."""
 
-from __future__ import annotations
-
 import os
 import struct
 import subprocess

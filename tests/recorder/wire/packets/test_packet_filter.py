@@ -1,7 +1,5 @@
 """The kernel itself runs the filter: over datagrams of a local socket pair, which need no root."""
 
-from __future__ import annotations
-
 import socket
 
 import pytest

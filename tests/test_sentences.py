@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path
@@ -16,7 +14,7 @@ def test_every_golden_sentence_has_its_test():
     assert [f"{file}::{test}" for file, test in sorted(named) if f"def {test}(" not in _text_of(file)] == []
 
 
-def _text_of(file: str) -> str:
+def _text_of(file):
     path = TESTS / file
     return path.read_text(encoding="utf-8") if path.is_file() else ""
 
@@ -31,6 +29,6 @@ def test_asserts_quote_no_sentences():
     assert len(quoting) <= MOST_QUOTING, quoting
 
 
-def _quotes_a_sentence(condition: ast.expr) -> bool:
+def _quotes_a_sentence(condition):
     strings = [part.value for part in ast.walk(condition) if isinstance(part, ast.Constant)]
     return any(isinstance(string, str) and len(string.split()) >= SENTENCE_WORDS for string in strings)

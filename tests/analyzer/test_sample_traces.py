@@ -1,9 +1,6 @@
 """Real recordings are replayed: the analyzer against numbers from struct and loops."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import polars as pl
 import pytest
@@ -16,11 +13,11 @@ NAMES = sorted(path.name.removesuffix(".expected.json") for path in SAMPLES.glob
 STATISTICS = ("mean", "min", "max", "p50", "p90", "p95", "p99", "p99_9")
 
 
-def expected(name: str) -> dict:
+def expected(name):
     return json.loads((SAMPLES / f"{name}.expected.json").read_text())
 
 
-def test_the_samples_are_there_and_small() -> None:
+def test_the_samples_are_there_and_small():
     assert NAMES == SAMPLE_NAMES
     paths = [path for name in NAMES for path in (SAMPLES / name).iterdir() if path.is_file()]
     assert {path.suffix for path in paths} == {".mcap"}
@@ -28,12 +25,12 @@ def test_the_samples_are_there_and_small() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_plain_computation_gives_what_is_kept(name: str) -> None:
+def test_the_plain_computation_gives_what_is_kept(name):
     assert analyze_plain(SAMPLES / name) == expected(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None:
+def test_the_analyzer_gives_the_plain_numbers(name, tmp_path):
     analysis = analyze(SAMPLES / name, out=tmp_path)
     runs = expected(name)["runs"]
     assert len(analysis.summary) == len(runs)  # every run of a sample is a group of its own
@@ -57,6 +54,6 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
                 assert found == (None if wanted is None else pytest.approx(wanted, rel=1e-12)), (metric, statistic)
 
 
-def test_the_sample_with_losses_has_losses() -> None:
+def test_the_sample_with_losses_has_losses():
     (run,) = expected("losses")["runs"].values()
     assert 0 < run["outcomes"]["completed"] < run["published"]

@@ -254,7 +254,7 @@ def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, caps
     other = typer.Typer()
 
     @other.command()
-    def compare(base: str):
+    def compare(base):
         print("compared", base)
 
     monkeypatch.setattr(dds_trace.cli.analyze, "COMMANDS", {**COMMANDS, "compare": other})

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hostile_values
 import pytest
 from hostile_values import COMMANDS, check_told, run
@@ -26,7 +24,7 @@ BASE = {
 OF_RELAY = {"--type", "--relay-id"}
 
 
-def options() -> list[tuple[str, str]]:
+def options():
     """Every option with a value, of every command: a new one is tried without a word here."""
     return [
         (command, parameter.opts[0])
@@ -36,7 +34,7 @@ def options() -> list[tuple[str, str]]:
     ]
 
 
-def arguments(command: str) -> list[tuple[str, int]]:
+def arguments(command):
     named = [each for each in get_command(COMMANDS[command]).params if each.param_type_name == "argument"]
     return [(command, place) for place in range(len(named))]
 

@@ -1,7 +1,5 @@
 """Commands load what they need and no more: looked up in `sys.modules` of a fresh process."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re
@@ -60,7 +58,7 @@ print(json.dumps({"code": code, "loaded": [name for name in heavy if name in sys
 SAMPLES = Path(__file__).parents[2] / "sample_traces"
 
 
-def called(module: str, *words: object, name: str = "command") -> tuple[list[str], int, set[str]]:
+def called(module, *words, name="command"):
     """Return the lines that a command printed, its exit code and the libraries of `HEAVY` that it loaded."""
     arguments = json.dumps([module, [*map(str, words)], HEAVY, name])
     ran = subprocess.run([sys.executable, "-c", CALL, arguments], capture_output=True, text=True, check=False)

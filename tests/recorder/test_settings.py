@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -13,18 +12,15 @@ from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.writing.destination import TraceDestination
 
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import Json
-
 PLAIN = RecordOptions(TraceDestination(Path("x.mcap")), NodeOptions(discovery=Discovery.LOCALHOST))
 
 
-def test_defaults_are_left_out() -> None:
+def test_defaults_are_left_out():
     assert side_settings(PLAIN, "loopback") == {}
     assert run_settings(PingOptions()) == {}
 
 
-def test_settings_of_a_side() -> None:
+def test_settings_of_a_side():
     node = NodeOptions(
         discovery=Discovery.LOCALHOST,
         transport=Transport.UDP,
@@ -54,19 +50,17 @@ def test_settings_of_a_side() -> None:
         (Discovery.LOCALHOST, "wired", "localhost"),
     ],
 )
-def test_discovery_is_told_where_it_is_not_the_usual_one_of_the_link(
-    discovery: Discovery, connectivity: str, told: str | None
-) -> None:
+def test_discovery_is_told_where_it_is_not_the_usual_one_of_the_link(discovery, connectivity, told):
     asked = replace(PLAIN, node=NodeOptions(discovery=discovery))
     assert side_settings(asked, connectivity).get("discovery") == told
 
 
-def test_settings_of_a_run_tell_surroundings_and_halves_of_a_bridge_without_an_address() -> None:
+def test_settings_of_a_run_tell_surroundings_and_halves_of_a_bridge_without_an_address():
     asked = PingOptions(bridge="builtin", bridge_listen="10.0.0.1:7447", settings={"link": "wifi"}, labels={"a": "b"})
     assert run_settings(asked) == {"link": "wifi", "bridge_listen": True}
 
 
-def test_an_option_that_is_added_becomes_a_setting_by_itself() -> None:
+def test_an_option_that_is_added_becomes_a_setting_by_itself():
     @dataclass(frozen=True)
     class Later(RecordOptions):
         busy_poll_us: int = 0
@@ -76,7 +70,7 @@ def test_an_option_that_is_added_becomes_a_setting_by_itself() -> None:
     assert side_settings(Later(**values, busy_poll_us=50), "loopback") == {"busy_poll_us": 50}
 
 
-def test_no_two_fields_of_options_share_a_name() -> None:
+def test_no_two_fields_of_options_share_a_name():
     names: list[str] = []
     for record in (PLAIN, PLAIN.node, PLAIN.node.qos, PingOptions()):
         names += [field.name for field in fields(record)]
@@ -86,12 +80,12 @@ def test_no_two_fields_of_options_share_a_name() -> None:
 @pytest.mark.parametrize(
     ("value", "expected"), [((1, 2), [1, 2]), (Path("a"), "a"), (1.5, 1.5), (Transport.SHM, "shm")]
 )
-def test_values_are_json(value: object, expected: Json) -> None:
+def test_values_are_json(value, expected):
     record = make_dataclass("Record", [("option", object)], frozen=True)(value)
     assert dict(changed_settings(record)) == {"option": expected}
 
 
-def test_a_link_tells_every_value_that_it_applies() -> None:
+def test_a_link_tells_every_value_that_it_applies():
     assert PRESETS["wifi-54"].setting == (
         "wifi-54(delay_ms=1,jitter_ms=0.5,loss_percent=0.1,queue_ms=100,rate_mbit_s=54)"
     )

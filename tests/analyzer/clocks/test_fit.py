@@ -52,7 +52,7 @@ class Drawn:
         return self.t1, self.t3, self.t4, self.t2
 
 
-def draw(truth: Truth, *, messages=600, rate_hz=20, floor_ns=100_000, slow_return=3.0, seed=0) -> Drawn:
+def draw(truth, *, messages=600, rate_hz=20, floor_ns=100_000, slow_return=3.0, seed=0):
     """Messages with exponential jitter that is `slow_return` times larger on the way back."""
     generator = np.random.default_rng(seed)
     t1 = START_NS + np.arange(messages, dtype=np.int64) * (S // rate_hz)

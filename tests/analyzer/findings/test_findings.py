@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 from pkgutil import iter_modules
 
 import pytest
@@ -457,7 +456,7 @@ def test_repeated_publications(tmp_path):
 def test_what_the_reader_noticed(tmp_path, monkeypatch):
     write_pair(tmp_path, sound())
 
-    def noticing(path: Path, take):
+    def noticing(path, take):
         return replace(
             read_trace_in_pieces(path, take),
             ring_events=3,

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace
@@ -19,7 +17,7 @@ from dds_trace.analyzer.statistics.intervals import Basis, Interval
 P50, P99 = Statistic(0.5), Statistic(0.99)
 
 
-def constant_runs(*levels: float, messages: int = 200):
+def constant_runs(*levels, messages=200):
     return [Run(np.full(messages, level)) for level in levels]
 
 
@@ -107,7 +105,7 @@ def test_a_short_rest_joins_its_neighbour():
 
 
 def test_joining_ends_where_there_are_as_many_messages_as_a_percentile_needs():
-    def units(*lengths: int) -> int:
+    def units(*lengths):
         return len(units_of([Run(np.arange(1.0, 1 + length)) for length in lengths], P99))
 
     assert [units(40), units(150, 40)] == [1, 1]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from drawn_series import autoregressive
@@ -19,7 +17,7 @@ from dds_trace.analyzer.run_statistics.bursts import (
 )
 
 
-def places(text: str):
+def places(text):
     return np.flatnonzero(np.array(list(text)) == "x")
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -18,7 +16,7 @@ from dds_trace.analyzer.statistics.intervals import Basis, Interval
 P50, P99 = Statistic(0.5), Statistic(0.99)
 
 
-def constant_runs(*levels: float):
+def constant_runs(*levels):
     return [Run(np.full(100, level)) for level in levels]
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 
@@ -59,7 +57,7 @@ def test_few_messages_do_not_tell():
     assert find_modes(np.full(1000, 5)) is None
 
 
-def two_of(values: int, messages: int = 200):
+def two_of(values, messages=200):
     steps = np.arange(messages) % (values // 2) / 1000
     return np.sort(np.where(np.arange(messages) % 2, 1 + steps, 3 + steps))
 
@@ -72,7 +70,7 @@ def test_two_hundred_messages_of_thirty_values_can_tell():
     assert find_modes(two_of(30), inflation=0.5) is not None  # no message counts twice
 
 
-def with_smaller(share: float, messages: int):
+def with_smaller(share, messages):
     """Messages of thirty values at 1, and a share of them at 4, in rising order."""
     values = 1 + np.arange(messages) % 30 / 1000
     values[: round(share * messages)] += 3

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -23,7 +21,7 @@ from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import smallest_shift
 
 
-def losing(messages: int, *lost: tuple[int, int]):
+def losing(messages, *lost):
     received = np.ones(messages, np.bool_)
     for first, end in lost:
         received[first:end] = False

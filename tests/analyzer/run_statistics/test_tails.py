@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -171,7 +169,7 @@ MESSAGES = 2000
 SINGLES = np.arange(5, MESSAGES, 10)  # one message in ten, none beside another
 
 
-def below_with(*rows: tuple[int, int]) -> np.ndarray:
+def below_with(*rows):
     """The positions of the singles and of unbroken rows, each given as its first message and its length."""
     return np.unique(np.concatenate([SINGLES, *(first + np.arange(length) for first, length in rows)])).astype(
         np.float64
@@ -194,7 +192,7 @@ def test_rows_longer_than_chance_are_counted():
 
 def test_rows_may_have_gaps_where_few_messages_are_beyond():
     # One message in a hundred, gaps of four: a row goes on by 1 - 0.99^4 = 4 %, and chance makes one of 3.9 messages.
-    def with_row(length: int):
+    def with_row(length):
         return np.union1d(np.arange(50.0, 10_000, 100), 5_001.0 + np.arange(length))
 
     found = [bursts_to_count([with_row(length)], [5_001.0 + np.arange(3)], 10_000) for length in (3, 4)]

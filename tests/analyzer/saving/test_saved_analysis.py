@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from pathlib import Path
@@ -97,7 +95,7 @@ def test_a_second_save_replaces_the_first_and_leaves_no_file_of_it(saved, analys
     ("error", "told"), [(OSError(28, "No space left on device"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)]
 )
 def test_a_save_that_fails_keeps_the_earlier_one(saved, analysis, monkeypatch, error, told):
-    def fail(*_: object, **__: object) -> None:
+    def fail(*_, **__):
         raise error
 
     before = sorted(saved.iterdir())

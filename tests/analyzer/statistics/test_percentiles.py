@@ -1,7 +1,5 @@
 """Percentiles: by hand, against numpy, and the sample sizes that the literature gives."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -136,7 +134,7 @@ def test_a_quantile_that_is_one_of_the_values_is_not_spoiled_by_a_lost_neighbour
     assert quantile_of(np.array([1.0, 2.0, np.inf]), 0.75) == np.inf
 
 
-def exact_at_most(k: int, n: int, p: float) -> float:
+def exact_at_most(k, n, p):
     return sum(math.comb(n, j) * p**j * (1 - p) ** (n - j) for j in range(k + 1))
 
 

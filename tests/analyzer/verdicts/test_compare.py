@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,7 +14,7 @@ from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtri
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))
 
 
-def drawn(messages: int, mean_ns: float, seed: int):
+def drawn(messages, mean_ns, seed):
     return (MS + np.random.default_rng(seed).exponential(mean_ns, messages)).astype(np.int64).tolist()
 
 

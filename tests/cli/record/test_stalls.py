@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import signal
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 import pytest
 from processes import relay, running
@@ -11,9 +8,6 @@ from waiting import wait_until
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.host.sampling import HostSampler
 from dds_trace.tracefile.reading.reader import read_trace
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.middleware
 needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
@@ -65,11 +59,11 @@ def test_a_stopped_ping_is_a_finding_with_lateness_and_what_the_host_tells(domai
     assert "other recordings on its machine" in found.what
 
 
-def _wait_for_samples(path: Path, more: int) -> None:
+def _wait_for_samples(path, more):
     """Wait until the recorder of a trace has taken so many more samples of its host, one a second."""
     enough = _samples(path) + more
     wait_until(lambda: _samples(path) >= enough, step_s=0.05)
 
 
-def _samples(path: Path) -> int:
+def _samples(path):
     return len(read_trace(path).host_samples) if path.exists() else 0

@@ -34,11 +34,11 @@ class Honest:
     max_bytes: int = 1 << 30
 
     @property
-    def is_apart(self) -> bool:
+    def is_apart(self):
         return self.discovery == "subnet" or "unknown" not in self.paths
 
     @property
-    def name(self) -> str:
+    def name(self):
         return "-".join((self.backend, self.transport, self.discovery, *(["tuned"] * self.tuned)))
 
 

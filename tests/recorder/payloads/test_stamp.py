@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import struct
 from types import SimpleNamespace
 
@@ -26,7 +24,7 @@ UINT32 = st.integers(0, 2**32 - 1)
 TEXT = b"dt1:0123456789abcdef:0000000000000102:deadbeef"
 
 
-def header_message(frame_id: bytes) -> bytes:
+def header_message(frame_id):
     return b"\0\1\0\0" + struct.pack("<iII", 7, 8, len(frame_id) + 1) + frame_id + b"\0" + b"\x2a"
 
 

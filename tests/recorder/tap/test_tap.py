@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from fake_clock import FakeClock
 from fake_tap_node import FakeTapNode, JsonSink
@@ -18,7 +16,7 @@ CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable
 
 
 class Bench:
-    def __init__(self, *patterns: str, graph=(CAMERA,), keeps_payload=False):
+    def __init__(self, *patterns, graph=(CAMERA,), keeps_payload=False):
         self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
         self.node.graph = list(graph)
         self.node.definitions = {IMAGE: {"header": "std_msgs/Header"}}

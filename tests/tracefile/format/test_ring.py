@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import json
 import os
 import random
 import struct
-from typing import TYPE_CHECKING
 
 import pytest
 from trace_files import ping_session
@@ -13,28 +10,25 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import Ring, events_by_stage, read_ring, salvage_ring
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 SLOTS = 4
 SLOTS_AT = 4096
 
 
-def slot(ticket: int, stage: int, sequence: int | None = None) -> bytes:
+def slot(ticket, stage, sequence=None):
     sequence = ticket if sequence is None else sequence
     return struct.pack("<QQqqqqII", 9, sequence, 1000 + ticket, 0, 0, 0, 33, 0) + struct.pack(
         "<Q", ticket + (stage << 56)
     )
 
 
-def ring_file(path: Path, *slots: bytes, dropped: int = 0, slot_count: int = SLOTS) -> Path:
+def ring_file(path, *slots, dropped=0, slot_count=SLOTS):
     text = json.dumps({"format": 1, "session": json.loads(ping_session(state="open").to_json())}).encode()
     header = struct.pack("<8sIIQQQQ", b"DDSRING\n", 1, 64, slot_count, SLOTS_AT, dropped, len(text)) + text
     path.write_bytes(header.ljust(SLOTS_AT, b"\0") + b"".join(slots).ljust(SLOTS * 64, b"\0"))
     return path
 
 
-def tickets(path: Path, events_in_trace: int) -> list[int]:
+def tickets(path, events_in_trace):
     contents = read_ring(path, events_in_trace)
     assert contents is not None
     return (contents.slots["mark"] & ((1 << 56) - 1)).tolist()

@@ -4,12 +4,9 @@
 from a file is compared: schemas, channels and messages of the data section, and the summary's records that it uses.
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from mcap.opcode import Opcode
@@ -19,9 +16,6 @@ from dds_trace.tracefile.format.encoding import MESSAGE_HEADER
 from dds_trace.tracefile.mcapfile.blocks import BlockJobs
 from dds_trace.tracefile.mcapfile.file import RecordFile, read_summary
 from dds_trace.tracefile.mcapfile.records import OPCODES, parse_record
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 SUITE = Path(__file__).parents[2] / "data" / "mcap-conformance.tar.xz"
 KINDS = {OPCODES[kind]: kind for kind in (Schema, Channel, Statistics, ChunkIndex)}
@@ -54,7 +48,7 @@ def test_the_suite_has_every_kind_of_record_that_the_reader_uses(suite):
     assert {kind for listed in summary for kind, _ in listed} == IN_SUMMARY
 
 
-def expected_of(file: Path) -> tuple[list[Listed], list[Listed]]:
+def expected_of(file):
     records = json.loads(file.with_suffix(".json").read_text())["records"]
     listed = [(record["type"], dict(record["fields"])) for record in records]
     end = [kind for kind, _ in listed].index("DataEnd")
@@ -64,7 +58,7 @@ def expected_of(file: Path) -> tuple[list[Listed], list[Listed]]:
     )
 
 
-def in_data(path: Path) -> list[Listed]:
+def in_data(path):
     with RecordFile(path) as file:
         jobs = BlockJobs(file, read_summary(file))
         records = [record for _, job in jobs for record in records_of(job())]
@@ -72,7 +66,7 @@ def in_data(path: Path) -> list[Listed]:
     return records
 
 
-def records_of(block) -> Iterator[Listed]:
+def records_of(block):
     for opcode, start, length in block.scan.others:
         content = bytes(block.data[start : start + length])
         if opcode == Opcode.MESSAGE:
@@ -83,7 +77,7 @@ def records_of(block) -> Iterator[Listed]:
             yield KINDS[opcode].__name__, as_listed(vars(parse_record(KINDS[opcode], content)))
 
 
-def in_summary(path: Path) -> list[Listed]:
+def in_summary(path):
     with RecordFile(path) as file:
         summary = read_summary(file)
     return [

@@ -49,7 +49,7 @@ from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, r
 from dds_trace.tracefile.reading.storage import open_source
 
 
-def padded(events) -> dict[Stage, list[tuple[int, ...]]]:
+def padded(events):
     return {stage: list(events.get(stage, [])) for stage in Stage}
 
 

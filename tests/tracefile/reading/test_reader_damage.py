@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import itertools
 import resource
 import struct
@@ -50,7 +48,7 @@ def small_trace(folder, **options):
     )
 
 
-def record_ends(path) -> list[tuple[int, int]]:
+def record_ends(path):
     ends, at = [], len(MAGIC)
     with RecordFile(path) as file:
         while not ends or ends[-1][0] != Opcode.FOOTER:
@@ -60,12 +58,12 @@ def record_ends(path) -> list[tuple[int, int]]:
     return ends
 
 
-def chunk_starts(path) -> list[int]:
+def chunk_starts(path):
     pairs = itertools.pairwise(record_ends(path))
     return [start for (_, start), (opcode, _) in pairs if opcode == Opcode.CHUNK]
 
 
-def write_number(path, offset: int, number: int) -> None:
+def write_number(path, offset, number):
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, offset, number)
     path.write_bytes(data)
@@ -240,7 +238,7 @@ LIMIT_BYTES = 2 << 30
 READ = "import sys; from pathlib import Path; from tracefile.reading.reader import read_trace; t = read_trace(Path(sys.argv[1])); "
 
 
-def read_in_little_memory(path, expression: str) -> str:
+def read_in_little_memory(path, expression):
     """What a process that may map 2 GiB in all says about the trace."""
     return subprocess.run(
         [sys.executable, "-c", READ + f"print({expression})", str(path)],

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import shutil
 import struct
@@ -33,7 +31,7 @@ SMALL_RING = 128  # less than all events; its quarter more than a part, so that 
 TEXTS = 6  # session, run, four host samples
 
 
-def killed(folder: Path, *, name: str = "a.mcap", ring_slots: int = LARGE_RING) -> Path:
+def killed(folder, *, name="a.mcap", ring_slots=LARGE_RING):
     recording = folder / "recording" / name
     destination = TraceDestination(recording, chunk_seconds=3600.0, ring_slots=ring_slots)
     sink = TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
@@ -50,17 +48,17 @@ def killed(folder: Path, *, name: str = "a.mcap", ring_slots: int = LARGE_RING) 
 
 
 @pytest.fixture
-def trace(tmp_path: Path) -> Path:
+def trace(tmp_path):
     return killed(tmp_path)
 
 
-def sequences(path: Path) -> list[int]:
+def sequences(path):
     events = read_trace(path).events
     assert len(events[Stage.T3]) == len(events[Stage.T4]) == 0
     return sorted([*events[Stage.T1].sequence.tolist(), *events[Stage.T2].sequence.tolist()])
 
 
-def boundaries(path: Path) -> list[int]:
+def boundaries(path):
     file = RecordFile(path)
     found = [len(MAGIC)]
     while found[-1] < file.size:

@@ -8,7 +8,6 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from event_cdr import unpack_event
@@ -32,10 +31,6 @@ from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import BUSY_SWITCH_INTERVAL_S, TraceSink
 from dds_trace.tracefile.writing.writer import TraceFiles
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
 NEVER_S = 3600.0
 """No timed chunk within a test."""
 
@@ -46,13 +41,13 @@ TIME_NS = st.integers(0, 2**61)
 EVENT = st.tuples(st.integers(1, 4), U64, U64, TIME_NS, I64, I64, I64, U32, U32)
 
 
-def open_sink(path: Path, **options: Any) -> TraceSink:
+def open_sink(path, **options):
     """A sink whose clock stands at the anchor's instant 0, so that timelines may start there."""
     destination = TraceDestination(path, **{"chunk_seconds": NEVER_S, **options})
     return TraceSink(destination, ping_session(state="open"), clock_ns=lambda: 0)
 
 
-def messages(path: Path) -> Iterator[tuple[str, Message]]:
+def messages(path):
     topics: dict[int, str] = {}
     with path.open("rb") as stream:
         for record in StreamReader(stream, validate_crcs=True).records:
@@ -62,7 +57,7 @@ def messages(path: Path) -> Iterator[tuple[str, Message]]:
                 yield topics[record.channel_id], record
 
 
-def events(path: Path) -> list[tuple[int, ...]]:
+def events(path):
     return [
         (int(topic[-1]), *unpack_event(message.data))
         for topic, message in messages(path)
@@ -70,7 +65,7 @@ def events(path: Path) -> list[tuple[int, ...]]:
     ]
 
 
-def texts(path: Path, topic: str) -> list[str]:
+def texts(path, topic):
     return [
         message.data[8 : 7 + int.from_bytes(message.data[4:8], "little")].decode()
         for found, message in messages(path)
@@ -280,7 +275,7 @@ def test_events_of_several_threads_are_all_there(tmp_path):
     sink = open_sink(path, chunk_seconds=0.002, ring_slots=1 << 15)
     each = 4000
 
-    def stamp(thread: int) -> None:
+    def stamp(thread):
         for sequence in range(each):
             sink.record(thread + 1, thread, sequence, time.monotonic_ns())
 

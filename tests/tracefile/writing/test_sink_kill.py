@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING
 
 import full_rate_recorder
 import numpy as np
@@ -21,32 +20,29 @@ from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 LONGEST_S = 0.25
 CLOSING_EVENTS = 20_000
 
 
-def start(folder: Path, threads: int, *events: int) -> tuple[subprocess.Popen[bytes], Path, Path]:
+def start(folder, threads, *events):
     trace, progress = folder / "killed.mcap", folder / "progress"
     progress.write_bytes(bytes(threads * PROGRESS_BYTES))
     command = [sys.executable, full_rate_recorder.__file__, trace, progress, threads, *events]
     return subprocess.Popen([str(part) for part in command]), trace, progress
 
 
-def wait_for(process: subprocess.Popen[bytes], is_so) -> None:
+def wait_for(process, is_so):
     while not is_so():
         assert process.poll() in (None, 0), "the recorder ended by itself"
         time.sleep(0.0005)
 
 
-def kill(process: subprocess.Popen[bytes]) -> None:
+def kill(process):
     process.send_signal(signal.SIGKILL)
     process.wait()
 
 
-def events_by_public_reader(path: Path) -> dict[Stage, np.ndarray]:
+def events_by_public_reader(path):
     """The events of each stage, every CRC checked; the summary has to agree with the content."""
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
@@ -68,7 +64,7 @@ def events_by_public_reader(path: Path) -> dict[Stage, np.ndarray]:
     }
 
 
-def check_whole(trace: Path, progress: Path, threads: int) -> None:
+def check_whole(trace, progress, threads):
     """Recover beside and in place; nothing that returned from `record` is missing, nothing is there twice."""
     told = read_progress(progress, threads)
     as_it_is = read_trace(trace)
@@ -109,7 +105,7 @@ def check_whole(trace: Path, progress: Path, threads: int) -> None:
             assert sequences[-1] == len(sequences) - 1  # no gap
 
 
-def kill_while_recording(folder: Path, moment: random.Random, threads: int) -> None:
+def kill_while_recording(folder, moment, threads):
     process, trace, progress = start(folder, threads)
     wait_for(process, lambda: read_progress(progress, 1)[0].begun > 0)
     time.sleep(moment.random() * LONGEST_S)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from wire_packets import (
     GROUP,
@@ -131,10 +129,10 @@ FRAMES = {
 }
 
 
-def plain(kept: bytes, at: int) -> dict[str, int]:
+def plain(kept, at):
     """The fields of a frame of which `kept` was captured, at `at` in the memory."""
 
-    def number(position: int, octets: int) -> int:
+    def number(position, octets):
         return int.from_bytes(kept[position : position + octets], "big")
 
     if len(kept) < 34 or number(12, 2) != 0x0800:

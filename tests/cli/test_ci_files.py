@@ -288,7 +288,7 @@ def test_the_workflow_with_a_history_feeds_each_tool(desk):
 
 
 @pytest.mark.middleware
-@pytest.mark.parametrize(("delay", "status"), [(0.0, 0), (0.004, 20)])
+@pytest.mark.parametrize(("delay", "status"), [(0.0, 0), (0.03, 20)])
 def test_a_slower_package_in_the_environment_of_the_pull_request_fails_the_gate(desk, tmp_path, delay, status):
     folder = desk(repeats=3)
     base, new = (environment(tmp_path / name, late) for name, late in (("base", 0.0), ("new", delay)))

@@ -5,35 +5,41 @@ from __future__ import annotations
 import gc
 import math
 import secrets
+import tempfile
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 
 from .backends import load_backend
+from .backends.node import Node
 from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Leave, Recorded, leave_unhurried
 from .beacon.recording import BeaconRecording
-from .bridges.requested import open_requested_bridge
+from .bridges.process.running import check_requested_bridge, open_requested_bridge
 from .choices import Call, Load
-from .domains import check_domain
-from .errors import BridgeError, NoEchoError, RelayLostError
+from .domains import check_domain, check_domain_id
+from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
 from .host.load import loaded
+from .host.process import parse_cpus
 from .option_values import ACTION_GOAL_BYTES
-from .payloads import open_payload, served_data_types
+from .options import PingOptions, RecordOptions
+from .payloads import is_live, open_payload, served_data_types
+from .payloads.binary import BINARY
 from .roles.echo import explain_silence, find_loss, look_for_relays
 from .roles.ping import LONGEST_SETTLE_NS, PingThread, open_ping
-from .roles.plan import check_serialization, plan_run
+from .roles.plan import check_rate, check_serialization, plan_run
+from .roles.progress import Watch
 from .roles.relay import Relay
 from .security.keys import opened_keys
 from .tap.recording import TapRecording
 
 if TYPE_CHECKING:
-    import threading
-
     from dds_trace.base.errors import TraceError
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import JsonObject
@@ -43,6 +49,7 @@ if TYPE_CHECKING:
     from .applied.differences import Difference
     from .options import PingOptions, RecordOptions
     from .roles.progress import PingProgress, RelayProgress, Watch
+
 
 SERVING = "serves domain"
 """In the note of a relay that has started, for which a sweep waits."""
@@ -286,3 +293,47 @@ class PingRecording(BaseRecording):
 
     def result(self, trace: ClosedTrace) -> Recorded:
         return Recorded(trace, self.session, self.progress(), self.run, self.error)
+
+
+def rehearse(options: RecordOptions, watch: Watch) -> None:
+    """Start a recording and end it before its first message; errors as for `record`.
+
+    The other side, the network and the disk are not tested.
+    """
+    check_options(options)
+    with tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as folder:
+        scratch = replace(options.destination, path=Path(folder) / options.destination.path.name)
+        record(replace(options, destination=scratch), threading.Event(), watch, rehearses=True)
+
+
+def check_options(options: RecordOptions) -> None:
+    """Check the options, and that the data exists, without opening a node.
+
+    Raises:
+        OptionError: an option makes no sense, or not with the others.
+        OutputExistsError: there is a trace already.
+    """
+    options.check()
+    check_domain_id(options.node.domain_id)
+    load_backend(options.backend).check(options.node)
+    if options.cpu_affinity is not None:
+        parse_cpus(options.cpu_affinity)
+    if options.ping is None:
+        check_serialization(served_data_types(options.types), options.serialization)
+    else:
+        _check_data(options.ping)
+        check_requested_bridge(options, options.ping, BINARY)
+
+
+def _check_data(ping: PingOptions) -> None:
+    if is_live(ping.data):
+        check_rate(ping, is_live=True)
+        return
+    stop = threading.Event()
+    stop.set()  # makes no payload after the checks
+    with suppress(StoppedError), open_payload(ping.data, ping.size_bytes, 0, open_node=_no_node, wait_s=0.0, stop=stop):
+        pass
+
+
+def _no_node() -> Node:
+    raise AssertionError("only a live topic opens a node")

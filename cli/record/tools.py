@@ -8,7 +8,7 @@ from dds_trace.base.errors import TraceError
 from dds_trace.base.streams import say
 from dds_trace.base.units import format_duration
 from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
-from dds_trace.recorder.rehearsal import rehearse
+from dds_trace.recorder.recording import rehearse
 from dds_trace.recorder.roles.floor import measure_floor
 
 if TYPE_CHECKING:

@@ -67,7 +67,7 @@ def _record_command() -> Any:
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
-    from dds_trace.recorder.rehearsal import check_options
+    from dds_trace.recorder.recording import check_options
 
     try:
         _record_command().main(list(arguments), "dds-record", standalone_mode=False, obj=check_options)

@@ -11,7 +11,6 @@ from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
 from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
 from .findings import FindingKind, findings_info
-from .glance import Glance, glance_info
 from .groups import Groups, groups_info
 from .headline import Fastest, fastest_setups
 from .numbers import Curves, Intervals, Values, curves_info, intervals_info, values_info
@@ -27,7 +26,7 @@ from .recording import (
     recorded_environment,
     run_times,
 )
-from .sizes import SizeTable, size_table
+from .sizes import Glance, SizeTable, glance_info, size_table
 from .topics import TopicTable, topic_tables
 
 

@@ -21,12 +21,12 @@ from .installation import (
     check_vendor,
     find_rmws,
     missing_rmw,
+    open_router,
     package_version,
     set_discovery_range,
     set_security,
 )
 from .node import Ros2Node, running_rmw
-from .router import open_router
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,7 +10,7 @@ import pytest
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.applied import vendors
 from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES
-from dds_trace.recorder.backends.ros2.router import open_router
+from dds_trace.recorder.backends.ros2.installation import open_router
 from dds_trace.recorder.choices import Discovery
 
 RMW = "rmw_zenoh_cpp"

@@ -3,7 +3,7 @@ from analyses import MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.glance import MOST_ROWS
+from dds_trace.reports.book.sizes import MOST_ROWS
 
 
 def test_one_place_has_a_block_for_each_size_and_a_slower_setup_lies_further_right():

@@ -132,7 +132,7 @@ def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
     Severity.ERROR,
     Subject.RUN,
     "Do not use this result: somebody else answered in the relay's name, or two relays share its id; record where nobody else "
-    "can send, with one relay for each id.",
+    "can send, with one relay for each id and every bridge described.",
 )
 def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
     """Replies disagree with the relay's own trace."""
@@ -142,17 +142,47 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
             continue
         # A relay stores T3 and T4 before a reply leaves: a whole trace has both.
         foreign = counts["relay_gaps"] if _is_whole(evidence, relay) else 0
+        second = _second_sources(evidence, exchange, counts)
         one_clock = share_boot(exchange.ping, relay) and not _has_other_clock(evidence, exchange, counts)
         early = counts["early" if one_clock else "negative_latency"]
-        if foreign or early:
+        if foreign or early or second:
             doubts = [f"{foreign} not in the relay's trace"] * bool(foreign)
             doubts += [f"{early} sooner than the relay can have answered"] * bool(early)
+            doubts += [f"{second} from two senders, although the relay sent one"] * bool(second)
             yield Observation(
                 exchange_name(exchange),
                 f"Of {counted(counts['received'], 'reply', 'replies')}: {', '.join(doubts)}.",
                 (group,),
-                (foreign + early) / max(counts["received"], 1),
+                min((foreign + early + second) / max(counts["received"], 1), 1.0),
             )
+
+
+def _second_sources(evidence: Evidence, exchange: Exchange, counts: Mapping[str, int]) -> int:
+    relay = exchange.relay
+    is_sure = relay is not None and _is_direct(exchange) and _is_whole(evidence, relay)
+    return counts["second_source"] if is_sure else 0
+
+
+def _is_direct(exchange: Exchange) -> bool:
+    """Return whether no bridge is between the two sides, which writes replies itself."""
+    far_id = exchange.run.relay_domain_id if exchange.relay is None else exchange.relay.domain_id
+    return exchange.run.bridge == "none" and far_id in (None, exchange.ping.domain_id)
+
+
+@check(
+    "doubtful_replies",
+    Severity.WARNING,
+    Subject.RUN,
+    "Record the relay's whole trace as well, which says how many replies it sent, or repeat where nobody else can send.",
+)
+def doubtful_replies(evidence: Evidence) -> Iterator[Observation]:
+    """Different replies to one message, of which one may be somebody else's."""
+    for exchange, group, counts in evidence.counts_by_exchange():
+        doubtful = counts["unclear"] - _second_sources(evidence, exchange, counts)
+        # A network may copy the datagrams of sockets, which carry no stamp of their sender.
+        if doubtful and _is_direct(exchange) and exchange.ping.backend != "socket":
+            what = f"{counted(doubtful, 'message')} of {counts['received']} came back in different replies, and the first one counts."
+            yield Observation(exchange_name(exchange), what, (group,), doubtful / max(counts["received"], 1))
 
 
 def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str, int]) -> bool:
@@ -164,7 +194,9 @@ def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str
 
 def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple[int, ...]:
     """Return the results that are not to be used, before details: nothing is judged by them."""
-    suspect = evidence.summary.exchange_counts.select(pl.col("relay_gaps", "early", "negative_latency").sum())
+    suspect = evidence.summary.exchange_counts.select(
+        pl.col("relay_gaps", "early", "negative_latency", "second_source").sum()
+    )
     if not any(suspect.row(0)):
         return ()
     details = evidence.details

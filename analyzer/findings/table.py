@@ -214,6 +214,7 @@ CHECKS: tuple[Check, ...] = (
         "All messages were warm-up; nothing is counted.",
         "Record more messages than warm-up messages.",
     ),
+    runs.doubtful_replies,
     groups.duplicates,
     RESULTS.warning(
         "reordering",

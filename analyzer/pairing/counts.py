@@ -16,6 +16,8 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     **dict.fromkeys(LOSSES, pl.Int64),
     "duplicates": pl.Int64,
     "duplicated": pl.Int64,
+    "second_source": pl.Int64,
+    "unclear": pl.Int64,
     "reordered": pl.Int64,
     "relay_gaps": pl.Int64,
     "early": pl.Int64,
@@ -43,7 +45,8 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 """Columns of the frame `counts`, one row per exchange; all i64.
 
-`published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `duplicated`: messages with duplicates. `relay_gaps`: replies without T3 or T4.
+`published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `duplicated`: messages with duplicates; `second_source`,
+`unclear`: these of `PairedMessages`. `relay_gaps`: replies without T3 or T4.
 `early`: replies whose T2 is below their T4, which one clock cannot read.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
@@ -82,6 +85,8 @@ def count_messages(
         **{loss: outcomes[Outcome(loss)] for loss in LOSSES},
         "duplicates": int(paired.duplicates.sum()),
         "duplicated": np.count_nonzero(paired.duplicates),
+        "second_source": np.count_nonzero(paired.second_source),
+        "unclear": np.count_nonzero(paired.unclear),
         "reordered": np.count_nonzero(paired.reordered),
         "relay_gaps": np.count_nonzero(replied & ~through),
         "early": np.count_nonzero(replied & returned & (t2 < t4)),

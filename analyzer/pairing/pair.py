@@ -6,7 +6,7 @@ message and instant are one event.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TypeVar
 
@@ -86,6 +86,8 @@ class PairedMessages:
         receive_ns: int64, T2; MISSING if lost, as are T3 and T4.
         outcome: uint8, index of `OUTCOMES`.
         duplicates: uint16, T2 events beyond the first.
+        second_source: bool, its T2 have several source stamps, although the relay sent one reply.
+        unclear: bool, more T2 than the relay sent replies, of several source stamps or of none.
         reordered: bool, T2 came after the T2 of a later sequence.
         orphans: T2, T3 and T4 events without a T1, warm-up left out.
     """
@@ -95,19 +97,14 @@ class PairedMessages:
     relay_out_ns: NDArray[np.int64]
     outcome: NDArray[np.uint8]
     duplicates: NDArray[np.uint16]
+    second_source: NDArray[np.bool_]
+    unclear: NDArray[np.bool_]
     reordered: NDArray[np.bool_]
     orphans: int
 
     def take(self, mask: NDArray[np.bool_]) -> PairedMessages:
-        return PairedMessages(
-            receive_ns=self.receive_ns[mask],
-            relay_in_ns=self.relay_in_ns[mask],
-            relay_out_ns=self.relay_out_ns[mask],
-            outcome=self.outcome[mask],
-            duplicates=self.duplicates[mask],
-            reordered=self.reordered[mask],
-            orphans=self.orphans,
-        )
+        columns = {column.name: getattr(self, column.name) for column in fields(self) if column.name != "orphans"}
+        return replace(self, **{name: values[mask] for name, values in columns.items()})
 
 
 def published_messages(t1: EventColumns, warmup_messages: int, ping_every: int = 1) -> Published:
@@ -146,7 +143,8 @@ def pair_messages(published: Published, t2: EventColumns, t3: EventColumns, t4: 
     """Pair events of one relay, in any order, warm-up included."""
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
-    relay_out_ns, _, orphan_departures = _earliest(published, t4)
+    relay_out_ns, sent_again, orphan_departures = _earliest(published, t4)
+    second_source, unclear = _of_other_senders(published, t2, extra, relay_out_ns != MISSING, sent_again)
     if len(receive_ns) and receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all():
         outcome = np.full(len(published), _CODE[Outcome.COMPLETED])
         reordered = np.zeros(len(published), np.bool_)
@@ -159,6 +157,8 @@ def pair_messages(published: Published, t2: EventColumns, t3: EventColumns, t4: 
         relay_out_ns=relay_out_ns,
         outcome=outcome,
         duplicates=extra,
+        second_source=second_source,
+        unclear=unclear,
         reordered=reordered,
         orphans=orphan_replies + orphan_arrivals + orphan_departures,
     )
@@ -208,6 +208,29 @@ def _earliest(published: Published, events: EventColumns) -> tuple[NDArray[np.in
         count = np.bincount(row[distinct & ~first], minlength=len(published))
         extra = np.minimum(count, np.iinfo(np.uint16).max).astype(np.uint16)
     return earliest, extra, orphans
+
+
+def _of_other_senders(
+    published: Published,
+    t2: EventColumns,
+    extra: NDArray[np.uint16],
+    is_sent: NDArray[np.bool_],
+    sent_again: NDArray[np.uint16],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return `second_source` and `unclear`, given whether a message has a T4, and how many beyond the first.
+
+    A writer stamps each sample once, so a middleware that delivers it again gives the same source stamp again.
+    """
+    if not extra.any():
+        return (np.zeros(len(published), np.bool_),) * 2
+    row = published.rows(t2.sequence)
+    several = (row >= 0) & (extra[row] > 0)
+    row, source_ns = row[several], t2.source_ns[several]
+    order = np.lexsort((source_ns, row))
+    row, source_ns = row[order], source_ns[order]
+    others = np.bincount(row[_is_new(source_ns) & ~_is_new(row)], minlength=len(published))
+    is_stamped = np.bincount(row[source_ns != 0], minlength=len(published)) > 0
+    return (others > 0) & is_sent & (sent_again == 0), np.where(is_stamped, others, extra) > sent_again
 
 
 def _are_its_own(published: Published, events: EventColumns) -> bool:

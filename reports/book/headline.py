@@ -37,17 +37,21 @@ from .verdicts import MODES, conditions_label, contender_labels, place_of, setup
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
 
-FORGED = "forged_or_foreign"
+FORGED, DOUBTFUL = "forged_or_foreign", "doubtful_replies"
 MOST_NAMED = 3
 
 
 def forged_sentence(analysis: Analysis, groups: Groups) -> str:
-    forged = {
-        group: finding.what for finding in analysis.findings if finding.code == FORGED for group in finding.groups
-    }
+    """Return which results are not to be used, or are doubtful, as replies may be somebody else's."""
     labels = group_labels(groups)
-    parts = [f"{labels[group]} ({what.rstrip('.')})" for group, what in forged.items()]
-    return f"Do not use, as somebody else may have answered: {_some(parts, 'more in the findings')}." if parts else ""
+    sentences = []
+    for code, words in (FORGED, "Do not use, as somebody else may have answered"), (DOUBTFUL, "Doubtful"):
+        whats = {
+            group: finding.what for finding in analysis.findings if finding.code == code for group in finding.groups
+        }
+        parts = [f"{labels[group]} ({what.rstrip('.')})" for group, what in whats.items()]
+        sentences += [f"{words}: {_some(parts, 'more in the findings')}."] * bool(parts)
+    return " ".join(sentences)
 
 
 def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:

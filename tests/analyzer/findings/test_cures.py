@@ -69,7 +69,16 @@ NO_CURE = {
     *("falls_with_size", "jumps_with_size", "unlike_environments", "unlike_group_environments", "truncated_file"),
     *("nothing_received", "settings_not_applied", "reader_note", "overlapping_pings", "unlike_versions"),
     # what to look for
-    *("forged_or_foreign", "too_many_relays", "strangers", "duplicates", "reordering", "outage", "unlike_domains"),
+    *(
+        "forged_or_foreign",
+        "doubtful_replies",
+        "too_many_relays",
+        "strangers",
+        "duplicates",
+        "reordering",
+        "outage",
+        "unlike_domains",
+    ),
     *(
         "missing_publications",
         "orphan_events",

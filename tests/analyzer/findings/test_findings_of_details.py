@@ -384,6 +384,43 @@ def test_replies_before_the_relay_sent_them_are_forged_on_one_clock(tmp_path):
     assert not [text for _, text in others if "median" in text]
 
 
+@pytest.mark.parametrize(
+    ("sources_ns", "sent", "changes", "expected"),
+    [
+        ((5, 9), 1, {}, "forged_or_foreign"),
+        ((0, 9), 1, {}, "forged_or_foreign"),
+        ((5, 9), 1, {"dropped_events": 2}, "doubtful_replies"),
+        ((5, 9), 0, {}, "doubtful_replies"),
+        ((0, 0), 1, {}, "doubtful_replies"),  # zenoh has no stamps
+        ((5, 5), 1, {}, None),  # one sample, delivered twice
+        ((5, 9), 2, {}, None),  # the message itself came twice
+        ((0, 0), 1, {"backend": "socket"}, None),  # the network may copy a datagram
+        ((5, 9), 1, {"domain_id": 5}, None),  # a second bridge
+    ],
+)
+def test_a_reply_between_that_of_the_relay_and_its_arrival(tmp_path, sources_ns, sent, changes, expected):
+    *others, chosen = drawn(count=100)
+    ping, relay = ping_events([*others, chosen]), relay_events(others)
+    true = ping[Stage.T2].pop()
+    arrivals_ns = (chosen.t2 - MS // 2, chosen.t2)  # T4 < forged T2 < true T2
+    for at_ns, source_ns in zip(arrivals_ns, sources_ns, strict=True):
+        ping[Stage.T2].append((*true[:2], at_ns, 0, source_ns, *true[5:]))
+    for number in range(sent):
+        sent_ns = chosen.t4 + number
+        relay = merged_events([relay, relay_events([replace(chosen, t3=sent_ns, t4=sent_ns)])])
+    described = run(planned_messages=100, bridge="builtin" if "domain_id" in changes else "none", relay_domain_id=None)
+    backend = changes.get("backend", "ros2")
+    write_trace(tmp_path / "ping.mcap", ping_session(domain_id=10, backend=backend), [described], ping)
+    if sent:
+        write_trace(tmp_path / "relay.mcap", relay_session(**{"domain_id": 10, **changes}), (), relay)
+    analysis = analyze(tmp_path)
+    codes = {finding.code for finding in analysis.findings}
+    assert codes & {"forged_or_foreign", "doubtful_replies", "duplicates"} == {expected or "duplicates", "duplicates"}
+    (kind, text), *_ = Book(analysis).answer.sentences
+    assert (kind is PointKind.FORGED) == (expected is not None)
+    assert ("Doubtful" in text) == (expected == "doubtful_replies")
+
+
 @pytest.mark.parametrize("offset_ns", [1_000_000 * MS, 5 * MS])
 def test_a_relay_in_another_time_namespace_is_nobody_else(tmp_path, offset_ns):
     messages = [replace(one, t3=one.t3 + offset_ns, t4=one.t4 + offset_ns) for one in drawn(count=100)]

@@ -39,6 +39,8 @@ def test_every_kind_of_message_is_counted_once():
         "lost_unknown": 0,
         "duplicates": 1,
         "duplicated": 1,
+        "second_source": 0,
+        "unclear": 1,  # 5: no stamp says who sent its second reply
         "reordered": 1,  # 5 came after 6
         "relay_gaps": 1,  # 6 came back, but the relay never saw it
         "early": 0,

@@ -227,6 +227,16 @@ CHECKS: tuple[Check, ...] = (
     sending.schedule_not_held,
     sending.stand_stills,
     sending.late_sends,
+    sending.SENDERS.warning(
+        "client_bound",
+        "The throughput is the sending program's, not the middleware's",
+        (pl.col("payload_bytes") <= sending.CLIENT_BYTES) & (pl.col("busy") >= sending.BUSY_SHARE),
+        "The sending thread was busy in {busy:.0%} of the time that it had a processor, {message_ns:duration} a message, in Python and "
+        "the middleware; it waited for neither the middleware nor the link.",
+        "Do not rank by this throughput: a C program (ddsperf, iperf3) sends small messages up to ten times as fast. Messages of "
+        "100 KB and more may help to see the middleware's.",
+        effect=pl.col("busy").clip(upper_bound=1),
+    ),
     runs.EXCHANGES.warning(
         "unlike_domains",
         "The relay was in another domain than the ping was given",

@@ -17,7 +17,7 @@ from dds_trace.base.units import SECOND_NS
 from ..applied.carried import Traffic
 from ..errors import RelayLostError
 from ..host.clock import SystemClock, sharpen_sleep
-from ..host.process import tuned_gc
+from ..host.process import start_thread_use, tuned_gc
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import Clients, open_lane
 from .progress import PingProgress, Replies, Silence
@@ -122,6 +122,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._replies = Replies(plan.total)
         self._published = 0
         self._began_ns = self._sent_ns = 0  # of the run: its start, and the end of sending
+        self._sender: JsonObject = {}  # processor time of its thread until then
         self._ended = False  # missing replies count as lost
 
         self._subscription = lane.create_subscription(
@@ -242,9 +243,9 @@ class Ping(Generic[SentT, ReceivedT]):
         self._record = sink.record
         sharpen_sleep()
         with tuned_gc():
-            self._began_ns = self._now()
+            used, self._began_ns = start_thread_use(), self._now()
             self._send(sink, stop)
-            self._sent_ns = self._now()
+            self._sent_ns, self._sender = self._now(), {"sender": used()}
             self._drain(hopeless or threading.Event(), self._began_ns)
         return self.finish(sink)
 
@@ -263,7 +264,9 @@ class Ping(Generic[SentT, ReceivedT]):
             description = replace(description, planned_messages=max(self._published - self.plan.warmup, 0))
         calls = {"call": self._describe_calls()} if self._publisher.callers else {}
         ended_ns = self._sent_ns or self._now()
-        finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped, **calls)
+        finished = description.finished(
+            self._published, ended_ns=ended_ns, discovery=discovery, **skipped, **calls, **self._sender
+        )
         sink.write_run(finished)
         return finished
 

@@ -361,15 +361,18 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     counts = sorted({round(count) for count in values.plain["runs"] if count})
     fewest = f"{counts[0]} to " if len(counts) > 1 else ""
     runs = f"; {fewest}{counted(counts[-1], 'run')} of each" if counts else ""
-    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}.{_busy(analysis)}"
+    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}.{_limits(analysis)}"
 
 
-def _busy(analysis: Analysis) -> str:
-    full = sum(finding.count for finding in analysis.findings if finding.code == "cpu_saturated")
-    recordings = len(analysis.sessions)
-    if not full or full < BUSY_SHARE * recordings:
-        return ""
-    return f" The machine was busy in {full} of {counted(recordings, 'recording')}: these times include waiting for a processor."
+def _limits(analysis: Analysis) -> str:
+    counts = Counter(code for finding in analysis.findings for code in [finding.code] * finding.count)
+    full, recordings = counts["cpu_saturated"], len(analysis.sessions)
+    words = ""
+    if full and full >= BUSY_SHARE * recordings:
+        words = f" The machine was busy in {full} of {counted(recordings, 'recording')}: these times include waiting for a processor."
+    if sent := counts["client_bound"]:
+        words += f" The throughput of {counted(sent, 'result')} is the sending program's, not the middleware's."
+    return words
 
 
 def _some(parts: Sequence[str], noun: str) -> str:

@@ -31,6 +31,7 @@ from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.reports.book.book import Book
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace_in_pieces
@@ -42,6 +43,12 @@ RESULT = "binary 33000 B at 10 Hz"
 
 def described(messages, **changes):
     return run(planned_messages=len(messages), published=len(messages), **changes)
+
+
+def write_published(folder, *runs, **session):
+    """One message of each run, without a reply."""
+    events = {Stage.T1: [event(0, one.run_id, run_id=one.run_id) for one in runs]}
+    write_trace(folder / "ping.mcap", ping_session(**session), runs, events)
 
 
 @pytest.fixture(autouse=True)
@@ -64,13 +71,6 @@ def test_every_check_that_is_a_function_is_in_the_table():
     assert checks == {check for check in CHECKS if check.observe.__module__ != f"{rooms.__name__}.rows"}
 
 
-def test_the_most_severe_come_first(tmp_path):
-    write_pair(tmp_path, sound(5), ping=ping_session(dropped_events=2, state="open"))
-    severities = [finding.severity for finding in analyze(tmp_path).findings]
-    assert severities == sorted(severities, key=list(Severity).index)
-    assert severities[0] is Severity.ERROR
-
-
 def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):
     runs = [run(run_id=n, payload_bytes=1000 * n, planned_messages=10, published=10) for n in (1, 2, 3)]
     messages = [[replace(m, t2=None) if m.sequence < lost else m for m in sound(10)] for lost in (2, 9, 5)]
@@ -80,9 +80,7 @@ def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):
 
 
 def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
-    variants = [run(run_id=n, published=0, state="started") for n in range(1, 54)]
-    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
-    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    write_published(tmp_path, *(run(run_id=n, published=0, state="started") for n in range(1, 54)))
     unfinished = [f for f in analyze(tmp_path).findings if f.code == "unfinished_run"]
     assert len(unfinished) == 21
     assert unfinished[19].where == "run 0000000000000014 (ping.mcap)"
@@ -91,12 +89,14 @@ def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
     assert [f.count for f in unfinished] == [1] * 20 + [33]
 
 
-def test_every_finding_says_what_where_and_what_to_do(tmp_path):
+def test_the_most_severe_come_first_and_each_says_what_where_and_what_to_do(tmp_path):
     messages = sound(30)
     messages[3] = replace(messages[3], t2=None)
     write_pair(tmp_path, messages, ping=ping_session(dropped_events=2), runs=[described(messages, rate_hz=50.0)])
     found = analyze(tmp_path).findings
     assert {f.code for f in found} == {"recorder_drops", "loss", "schedule_not_held", "few_samples"}
+    severities = [list(Severity).index(finding.severity) for finding in found]
+    assert severities == sorted(severities)
     for finding in found:
         assert finding.where
         assert finding.what.endswith(".")
@@ -163,9 +163,7 @@ def test_nothing_received(tmp_path, sentences):
 
 
 def test_names_of_groups_tell_them_apart(tmp_path):
-    events = {Stage.T1: [event(0, 1, run_id=r) for r in (1, 2)]}
-    variants = [run(run_id=1, serialization="raw"), run(run_id=2, serialization="typed")]
-    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
+    write_published(tmp_path, run(run_id=1, serialization="raw"), run(run_id=2, serialization="typed"))
     found = [f for f in analyze(tmp_path).findings if f.code == "nothing_received"]
     assert [(f.where, f.groups) for f in found] == [
         (f"{RESULT}, serialization raw", (0,)),
@@ -174,13 +172,13 @@ def test_names_of_groups_tell_them_apart(tmp_path):
 
 
 def test_names_of_groups_leave_out_what_only_follows_something_else(tmp_path):
-    events = {Stage.T1: [event(0, 1, run_id=r) for r in (1, 2, 3)]}
-    variants = [
+    write_published(
+        tmp_path,
         run(run_id=1, bridge="none", relay_domain_id=5),
         run(run_id=2, bridge="builtin", relay_domain_id=10),
         run(run_id=3, bridge="builtin", relay_domain_id=10, qos=Qos(reliability="best_effort")),
-    ]
-    write_trace(tmp_path / "ping.mcap", ping_session(domain_id=5), variants, events)
+        domain_id=5,
+    )
     where = {f.where for f in analyze(tmp_path).findings if f.code == "nothing_received"}
     varying = ("no bridge, reliable", "bridge builtin, reliable", "bridge builtin, best_effort")
     assert where == {f"{RESULT}, {each}" for each in varying}
@@ -253,6 +251,34 @@ def test_a_sender_that_is_held_up_again_and_again_sends_late(tmp_path, sentences
     sentences(finding.what)
     assert (finding.groups, finding.effect) == ((0,), 0.15)
     assert "schedule_not_held" not in findings(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("sender", "changes", "is_found"),
+    [
+        ({}, {}, True),
+        ({"waited_ns": 400 * MS, "cpu_ns": 560 * MS}, {}, True),  # others had its processor
+        ({"cpu_ns": 500 * MS}, {}, False),  # it waited for the link
+        ({"cpu_ns": "much"}, {}, False),
+        ({}, {"payload_bytes": 100_000}, False),
+        ({}, {"rate_hz": 10.0}, False),
+    ],
+)
+def test_a_throughput_is_the_clients_where_its_sender_never_waited(tmp_path, sentences, sender, changes, is_found):
+    sender = {"cpu_ns": 950 * MS, "waited_ns": 0, "elapsed_ns": 1000 * MS, **sender}
+    described_run = described(sound(), **{"rate_hz": 0.0, **changes})
+    described_run = replace(described_run, extra={**described_run.extra, "sender": sender})
+    write_pair(tmp_path, sound(), runs=[described_run])
+    analysis = analyze(tmp_path)
+    found = [finding for finding in analysis.findings if finding.code == "client_bound"]
+    assert bool(found) is is_found
+    answer = Book(analysis).answer.sentences[-1][1]
+    assert ("the sending program's" in answer) is is_found
+    if found:
+        busy = 100 * sender["cpu_ns"] / (sender["elapsed_ns"] - sender["waited_ns"])
+        assert numbers(found[0].what) == pytest.approx([busy, sender["cpu_ns"] / 1e6], abs=0.5)
+        assert found[0].groups == (0,)
+        sentences(found[0].what, answer)
 
 
 def test_a_few_late_sends_are_no_habit(tmp_path):
@@ -374,22 +400,20 @@ def test_times_below_zero_are_counted(tmp_path, sentences):
     assert f"relay {RELAY_ID:08x} on beta" in finding.where
 
 
-def test_labels_that_differ_within_a_group(tmp_path):
-    variants = [
-        run(run_id=1, labels={"tuning": "on", "site": "lab"}),
-        run(run_id=2, labels={"tuning": "off", "site": "lab"}),
-        run(run_id=3, labels={"site": "lab"}),
-    ]
-    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
-    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
-    assert "(tuning: None; off; on)" in findings(tmp_path)["mixed_labels"].what
-
-
-def test_labels_of_plain_repeats_are_no_finding(tmp_path):
-    variants = [run(run_id=n, labels={"pass": str(n), "site": "lab"}) for n in (1, 2, 3)]
-    events = {Stage.T1: [event(0, r.run_id, run_id=r.run_id) for r in variants]}
-    write_trace(tmp_path / "ping.mcap", ping_session(), variants, events)
-    assert "mixed_labels" not in findings(tmp_path)
+@pytest.mark.parametrize(
+    ("labels", "values"),
+    [
+        (
+            [{"tuning": "on", "site": "lab"}, {"tuning": "off", "site": "lab"}, {"site": "lab"}],
+            "(tuning: None; off; on)",
+        ),
+        ([{"pass": str(number), "site": "lab"} for number in (1, 2, 3)], None),
+    ],
+)
+def test_labels_that_differ_within_a_group(tmp_path, labels, values):
+    write_published(tmp_path, *(run(run_id=number, labels=one) for number, one in enumerate(labels, 1)))
+    found = findings(tmp_path).get("mixed_labels")
+    assert values in found.what if values else found is None
 
 
 def write_second(folder, **session):
@@ -526,20 +550,6 @@ def test_pings_that_do_not_disturb_each_other(tmp_path, shift_ns, second):
     assert "overlapping_pings" not in side_by_side(tmp_path, shift_ns, **second)
 
 
-def flows_and_overlaps(folder, *spans_s):
-    """Runs of one device and equal parameters, each from a begin to an end in seconds: flows of each, and the findings."""
-    sent = {Stage.T1: []}
-    runs = []
-    for number, (begin_s, end_s) in enumerate(spans_s, 1):
-        times = range(round(begin_s * 10), round(end_s * 10) + 1)
-        sent[Stage.T1] += [event(s, tick * PERIOD, run_id=number) for s, tick in enumerate(times)]
-        runs.append(run(run_id=number, planned_messages=len(times), published=len(times)))
-    write_trace(folder / "ping.mcap", ping_session(), runs, sent)
-    analysis = analyze(folder)
-    rows = analysis.load_roundtrips().unique("run_id").sort("run_id")
-    return rows["setting"].to_list(), [f for f in analysis.findings if f.code == "overlapping_pings"]
-
-
 @pytest.mark.parametrize(
     ("spans_s", "settings", "groups"),
     [
@@ -552,9 +562,15 @@ def flows_and_overlaps(folder, *spans_s):
     ],
 )
 def test_runs_at_the_same_time_are_flows_of_the_setting_or_a_finding(tmp_path, spans_s, settings, groups):
-    told, found = flows_and_overlaps(tmp_path, *spans_s)
-    assert told == settings
-    assert [finding.groups for finding in found] == groups
+    sent, runs = {Stage.T1: []}, []
+    for number, (begin_s, end_s) in enumerate(spans_s, 1):
+        times = range(round(begin_s * 10), round(end_s * 10) + 1)
+        sent[Stage.T1] += [event(s, tick * PERIOD, run_id=number) for s, tick in enumerate(times)]
+        runs.append(run(run_id=number, planned_messages=len(times), published=len(times)))
+    write_trace(tmp_path / "ping.mcap", ping_session(), runs, sent)
+    analysis = analyze(tmp_path)
+    assert analysis.load_roundtrips().unique("run_id").sort("run_id")["setting"].to_list() == settings
+    assert [found.groups for found in analysis.findings if found.code == "overlapping_pings"] == groups
 
 
 def test_two_names_of_one_boot_are_one_device(tmp_path):

@@ -57,5 +57,8 @@ def test_throughput_and_latency_come_from_one_run(tmp_path, domain_id, backend):
     assert row["latency_p50_ns"] > 0
     if backend == "socket":  # TCP loses nothing
         assert row["reached"] == row["sent"]
-    codes = {finding.code for finding in analysis.findings}
+    sender, codes = run.extra["sender"], {finding.code for finding in analysis.findings}
+    assert 0 < sender["cpu_ns"] <= sender["elapsed_ns"]
+    if backend == "cyclonedds":  # its writer waits for nobody
+        assert "client_bound" in codes
     assert not {"late_sends", "schedule_not_held", "no_schedule", "orphan_events", "missing_publications"} & codes

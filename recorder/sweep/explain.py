@@ -32,9 +32,7 @@ CONDITIONS: Mapping[str, dict[str, Any]] = {
     "realtime": {"realtime": 50},
     "wake": {"wake": WAKE_MS},
 }
-"""What is varied at each rate, as axes."""
 AROUND = (0.75, 1.25)
-"""The two sizes, as shares of the one that is explained."""
 LARGE_FRAGMENT_BYTES, SMALL_FRAGMENT_BYTES = 60_000, 1_400
 CYCLONE_FRAGMENT_BYTES = 1_344
 IDLE_DRIVER = Path("/sys/devices/system/cpu/cpuidle/current_driver")

@@ -35,7 +35,6 @@ _OWN_NAME = re.compile(
     rf"({_SEGMENT}({'|'.join(map(re.escape, (*TRACE_ENDINGS, *LOG_ENDINGS)))})|{_CELL_TRACE}(\.ring|\.log)?)"
     r"(\.[0-9a-f]{8}\.part)?"
 )
-"""Names of a sweep's files below `PARTS`, and of their drafts."""
 
 
 @contextlib.contextmanager

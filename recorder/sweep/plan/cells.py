@@ -142,13 +142,11 @@ AXES: Mapping[str, PlanAxis] = {
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
 
 SENDER_AXES = ("priority", "when_full")
-"""Axes that each flow may have of its own."""
 
 RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.for_relay)
 
 _ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
 OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
-"""Axes that the name of a cell has only where they are not the default."""
 
 _Class = TypeVar("_Class")
 
@@ -232,7 +230,6 @@ class Cell:
 
     @property
     def relay(self) -> Cell:
-        """The parameters of this cell's relay; the others are at their defaults."""
         values = {name: getattr(self, name) for name in RELAY_AXES}
         if self.flow and self.senders == len(self.with_flows) + 1:  # one relay serves all flows
             values |= {name: DEFAULTS[name] for name in SENDER_AXES}

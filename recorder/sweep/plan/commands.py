@@ -23,7 +23,6 @@ PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label with the number of the pass, for comparisons pass by pass."""
 
 AGAINST_LABEL = "against"
-"""Label with the cell of the other plan."""
 
 
 def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace = ONLY_RELAY) -> list[str]:

@@ -100,8 +100,6 @@ class Link:
 
 
 class EndCounters(TypedDict):
-    """Traffic of one end of the link since the report before."""
-
     sent_bytes: int
     sent_packets: int
     dropped_packets: int
@@ -112,8 +110,6 @@ ForwarderReport: TypeAlias = "dict[str, dict[str, float | None]]"
 
 
 class LinkReport(TypedDict):
-    """Values of the link, what emulates it, its traffic since the last report, and when its file started."""
-
     monotonic_ns: int
     link: dict[str, str | float] | None
     applied_by: str

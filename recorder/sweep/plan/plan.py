@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
-"""Percentiles in the result of a cell."""
 
 
 class Order(Enum):
@@ -276,7 +275,6 @@ def depth_warnings(plan: Plan) -> list[str]:
 
 
 def depth_warning(cell: Cell) -> str | None:
-    """Return a warning if the cell's history is too short for its rate; only DDS has a history."""
     if not load_backend(cell.backend).speaks_dds:
         return None
     return warn_of_depth(cell.history, cell.depth, cell.rate)

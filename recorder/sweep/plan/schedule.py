@@ -19,13 +19,10 @@ RUN_OVERHEAD_S = 1.0
 """Start, discovery, drain and close of a ping, measured on two busy cores."""
 
 OWN_COST_S = 1.0
-"""Measurement of a session's own cost (`own_cost_passes`)."""
 
 BRIDGE_OVERHEAD_S = 2.0
-"""Start and discovery of a bridge."""
 
 RELAY_OVERHEAD_S = 1.0
-"""End of one relay and start of the next."""
 
 
 def start_lead_s(pings: int) -> float:

@@ -29,7 +29,6 @@ COMPARISONS: Mapping[str, tuple[str, object]] = {
     "tuning": ("tuned", [False, True]),
     "serialization": ("serialization", ["raw", "typed"]),
 }
-"""What can be compared -> axis and values."""
 
 
 @dataclass(frozen=True, slots=True)

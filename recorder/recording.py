@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 
+from .applied.applied import Applied, Snapshot, read_applied
 from .backends import load_backend
 from .backends.node import Node
 from .backends.qos import warn_of_depth
@@ -25,13 +26,14 @@ from .bridges.process.running import check_requested_bridge, open_requested_brid
 from .choices import Call, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
+from .host.environment import kept_stdout
 from .host.load import loaded
 from .host.process import parse_cpus
 from .option_values import ACTION_GOAL_BYTES
 from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.binary import BINARY
-from .roles.echo import explain_silence, find_loss, look_for_relays
+from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes
 from .roles.ping import LONGEST_SETTLE_NS, PingThread, open_ping
 from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
@@ -40,6 +42,8 @@ from .security.keys import opened_keys
 from .tap.recording import TapRecording
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from dds_trace.base.errors import TraceError
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import JsonObject
@@ -192,18 +196,19 @@ class PingRecording(BaseRecording):
 
     def meet(self, stack: ExitStack) -> bool:
         self.ping = open_ping(self.node, self._plan, self.clock)
-        self.node.start()
-        self.bridge = open_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type, stack)
-        if self.rehearses:  # there is no connection to read applied settings from
-            return False
-        self._wait_for_echo()
+        with kept_stdout() as read_error:
+            self.node.start()
+            self.bridge = open_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type, stack)
+            if self.rehearses:  # there is no connection to read applied settings from
+                return False
+            self._wait_for_echo(read_error)
         self.read_back.read_begin()
         if self.bridge is not None:
             self.read_back.note_bridge(self.bridge.read_applied())
         self.read_back.report()
         return not self.stop.is_set()  # a file without a message would block the next try
 
-    def _wait_for_echo(self) -> None:
+    def _wait_for_echo(self, read_error: Callable[[], str]) -> None:
         ping, node, ping_options, bridge = self.ping, self.node, self._ping_options, self.bridge
         data_type = self._plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
@@ -222,7 +227,8 @@ class PingRecording(BaseRecording):
                 break
         if not has_echo and not self.stop.is_set():
             answers = f"{ping.echoing_relays} of {ping_options.relays} relays answer; " if ping.echoing_relays else ""
-            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied))
+            causes = own_causes(ping.probes, read_applied(Applied(Snapshot(sockets=()))), read_error())
+            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied, causes))
         if has_echo and bridge is not None:
             bridge.mark_ready()
         # Others may need a moment more; through a bridge they are not discovered.

@@ -48,7 +48,7 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
     if applied.end is None or traffic.sent_bytes + traffic.received_bytes < MIN_PAYLOAD_BYTES:
         return UNKNOWN
     explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
-    over_tcp = _tcp_delta(applied)
+    over_tcp = tcp_delta(applied)
     if over_tcp is not None and _reaches(over_tcp, traffic):
         connected = [read for read in applied.end.sockets or () if read.tcp is not None and read.remote_port]
         if all(read.is_local for read in connected):
@@ -96,7 +96,7 @@ def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
     return _reaches(delta, traffic) and delta.sent_bytes + delta.received_bytes <= most
 
 
-def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
+def tcp_delta(applied: Applied) -> InterfaceCounters | None:
     if applied.end is None or applied.end.sockets is None or applied.begin.sockets is None:
         return None
     before = {read.inode: read.tcp for read in applied.begin.sockets if read.tcp is not None}

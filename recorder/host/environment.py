@@ -8,7 +8,7 @@ import re
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,17 +17,19 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.files import read_regular
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+    from typing import BinaryIO
 
 LOG_S = 0.1
 """Fast DDS writes its log on a thread of its own."""
 
-_OUTPUTS = (1, 2)
+STDOUT, STDERR = 1, 2
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 _REFUSAL = re.compile(
     r"\bconfig: (?P<cyclonedds>.*(?:unknown|invalid|no unit).*)"
     r"|XMLPARSER Error\] (?P<fastdds>.+?) -> Function"  # it then goes on without the file
 )
+_ERROR = re.compile(r" Error\] (.+?) -> Function")
 
 _INLINE_STARTS = ("<", "{", "str://")
 """A value that starts so is a configuration itself, not the name of a file."""
@@ -100,28 +102,47 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
         yield
         return
     with tempfile.TemporaryFile() as printed:
-        copies = [os.dup(output) for output in _OUTPUTS]
-        for output in _OUTPUTS:
-            os.dup2(printed.fileno(), output)
         failure: BackendUnavailableError | None = None
         try:
-            yield
-            time.sleep(LOG_S)
+            with _redirected(printed, STDOUT, STDERR):
+                yield
+                time.sleep(LOG_S)
         except BackendUnavailableError as err:
             failure = err
-        finally:
-            for output, copy in zip(_OUTPUTS, copies, strict=True):
-                os.dup2(copy, output)
-                os.close(copy)
-            printed.seek(0)
-            text = printed.read()
-        if (words := refusal(text.decode(errors="replace"))) is not None:
+        text = _text(printed)
+        if (match := _REFUSAL.search(text)) is not None:
+            words = (match["cyclonedds"] or match["fastdds"]).strip()
             raise OptionError(f"{label} does not accept {', '.join(sources)}: {words}; correct it there") from failure
-        os.write(2, text)
+        os.write(STDERR, text.encode())
         if failure is not None:
             raise failure
 
 
-def refusal(printed: str) -> str | None:
-    match = _REFUSAL.search(_COLOUR.sub("", printed))
-    return match and (match["cyclonedds"] or match["fastdds"]).strip()
+@contextmanager
+def kept_stdout() -> Iterator[Callable[[], str]]:
+    """Yield what reads the first error that Fast DDS prints on stdout in the block, which is passed on at its end."""
+    with tempfile.TemporaryFile() as printed:
+        try:
+            with _redirected(printed, STDOUT):
+                yield lambda: "".join(_ERROR.findall(_text(printed))[:1])
+        finally:
+            with suppress(OSError):  # nobody reads it
+                os.write(STDOUT, _text(printed).encode())
+
+
+@contextmanager
+def _redirected(file: BinaryIO, *outputs: int) -> Iterator[None]:
+    copies = [os.dup(output) for output in outputs]
+    for output in outputs:
+        os.dup2(file.fileno(), output)
+    try:
+        yield
+    finally:
+        for output, copy in zip(outputs, copies, strict=True):
+            os.dup2(copy, output)
+            os.close(copy)
+
+
+def _text(printed: BinaryIO) -> str:
+    size_bytes = os.fstat(printed.fileno()).st_size
+    return _COLOUR.sub("", os.pread(printed.fileno(), size_bytes, 0).decode(errors="replace"))

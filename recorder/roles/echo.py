@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import SECOND_NS, counted, format_size, spell_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
+from ..applied.carried import MIN_PAYLOAD_BYTES, POSSIBLY, tcp_delta
 from ..applied.differences import Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
@@ -19,6 +20,10 @@ from ..errors import RelayLostError
 from ..payloads import data_types
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from ..applied.applied import Applied
+    from ..applied.carried import Traffic
     from ..applied.differences import Difference
     from ..backends.node import Endpoint, Node, NodeOptions
     from ..payloads.base import DataType
@@ -73,7 +78,23 @@ def find_loss(
     )
 
 
-def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()) -> str:
+def own_causes(probes: Traffic, applied: Applied, error: str) -> Iterator[str]:
+    """Yield what a ping saw of its own probes: `error` is what the middleware printed, `applied` is from its start on."""
+    if error:
+        yield f'the middleware printed "{error}"'
+    if dropped := applied.socket_drops():
+        yield f"the kernel dropped {counted(dropped, 'datagram')} at this process's full sockets: try --tuned or a smaller --size"
+    carried = tcp_delta(applied)
+    if carried and probes.sent_bytes >= MIN_PAYLOAD_BYTES and carried.sent_bytes < POSSIBLY * probes.sent_bytes:
+        yield (
+            f"of {probes.sent_bytes / 1e6:.3g} MB that this process sent, its connections carried "
+            f"{carried.sent_bytes / 1e6:.3g} MB: the sender dropped the rest, or still has it; try a smaller --size"
+        )
+
+
+def explain_silence(
+    node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = (), causes: Iterable[str] = ()
+) -> str:
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
     if not view.subscriptions and not view.publishers:  # connections and shared memory need a peer
@@ -97,7 +118,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tup
         f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
         f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
-        f"  try: {_SAME_SECURITY if unlike else _advice(view, node, plan, not_applied)}"
+        f"  try: {_SAME_SECURITY if unlike else _advice(view, node, plan, not_applied, causes)}"
         + ("\n  not applied: " + "; ".join(difference.words for difference in not_applied) if not_applied else "")
     )
 
@@ -105,7 +126,9 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tup
 _SAME_SECURITY = "give ping and relay the same --security and --keys"
 
 
-def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Difference, ...]) -> str:
+def _advice(
+    view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Difference, ...], causes: Iterable[str]
+) -> str:
     data_type = plan.payload.data_type
     if view.incompatible:
         return "give ping and relay the same --reliability, --durability and --deadline"
@@ -123,7 +146,7 @@ def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Diffe
             "--transport udp"
         )
     if view.subscriptions:
-        return _advice_unheard(node, plan.payload.payload_bytes)
+        return _advice_unheard(node, plan.payload.payload_bytes, causes)
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
     further = "" if data_type.name in data_types() else f"--type {data_type.type_name} "
@@ -144,7 +167,7 @@ _MANY_FRAGMENTS_BYTES = 1_000_000
 """About 700 frames of Ethernet: the loss of one loses the message."""
 
 
-def _advice_unheard(node: Node, size_bytes: int) -> str:
+def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
     others = ports_of_others(domain_port_range(node.options.domain_id))
     if others and node.middleware.vendor == "fastdds" and node.options.transport is not Transport.UDP:
         name, uid = next(iter(others.items()))
@@ -152,17 +175,14 @@ def _advice_unheard(node: Node, size_bytes: int) -> str:
             f"{SHM / name} belongs to user {uid} and this process to user {os.geteuid()}, and Fast DDS's shared memory is only "
             "open to its owner: run both as one user, or give both --transport udp"
         )
-    is_too_much = size_bytes >= _MANY_FRAGMENTS_BYTES and node.options.qos.reliability == "best_effort"
-    first = (
-        f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does not "
-        "take in time: try --reliability reliable or a smaller --size; "
-        if is_too_much
-        else ""
-    )
-    return (
-        f"a relay is there but messages do not get through: {first}look at errors of the middleware above; try a smaller --size "
-        "or a longer --wait; check firewalls between the devices"
-    )
+    causes = list(own)
+    if size_bytes >= _MANY_FRAGMENTS_BYTES and node.options.qos.reliability == "best_effort":
+        causes.append(
+            f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does "
+            "not take in time: try --reliability reliable or a smaller --size"
+        )
+    causes.append("look at errors of the middleware above; try a smaller --size or a longer --wait")
+    return f"a relay is there but messages do not get through: {'; '.join(causes)}; check firewalls between the devices"
 
 
 def _meeting_options(options: NodeOptions) -> str:

@@ -1,17 +1,22 @@
+import os
 from dataclasses import replace
 
 import pytest
 from fake_node import FakeNode
 
+from dds_trace.recorder.applied.applied import Applied, Snapshot
+from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.errors import RelayLostError
+from dds_trace.recorder.host.environment import kept_stdout
+from dds_trace.recorder.kernel.sockets import Socket, TcpState
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.roles import echo
-from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays
+from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays, own_causes
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.progress import Silence
 from dds_trace.tracefile.format.descriptions import Qos
@@ -76,11 +81,27 @@ def test_a_relay_in_sight_that_stays_silent(node, plan):
     assert "firewalls" in text
 
 
-def test_a_large_best_effort_message_comes_before_a_firewall(node):
+def test_what_the_ping_saw_comes_first_and_a_firewall_last(node):
     see(node, listening=[Endpoint("relay_1", IMAGE)])
     node.options = replace(node.options, qos=Qos("best_effort"))
-    advice = explain_silence(node, RunPlan(BINARY.make(5_000_000, 1), 10.0, 5), 20).splitlines()[-1]
-    assert 0 < advice.index("5 MB with best_effort") < advice.index("--size") < advice.index("firewalls")
+    udp = Socket("udp", "ipv4", "0.0.0.0", 7400, "0.0.0.0", 0, 212_992, 212_992, dropped=3)
+    tcp = replace(udp, protocol="tcp", remote_port=7447, dropped=0, tcp=TcpState(acked_bytes=9_000_000))
+    applied = Applied(Snapshot(sockets=()), Snapshot(sockets=(udp, tcp)))
+    causes = own_causes(Traffic(18, 0, 5_000_000), applied, "open_and_lock_file failed")
+    advice = explain_silence(node, RunPlan(BINARY.make(5_000_000, 1), 10.0, 5), 20, (), causes).splitlines()[-1]
+    words = ("open_and_lock_file", "3 datagrams", "90 MB", "carried 9 MB", "5 MB with best_effort", "firewalls")
+    assert sorted(words, key=advice.index) == list(words)
+    assert not list(own_causes(Traffic(2, 0, 5_000_000), applied, ""))[1:]
+
+
+def test_what_fast_dds_prints_on_stdout_is_read_and_passed_on(capfd):
+    with kept_stdout() as read_error:
+        os.write(
+            1, b"\x1b[31;1m Error] \x1b[37mFailed init_port: open_and_lock_file failed\x1b[34;1m -> Function open\n"
+        )
+        assert read_error() == "Failed init_port: open_and_lock_file failed"
+        assert not capfd.readouterr().out
+    assert "open_and_lock_file failed" in capfd.readouterr().out
 
 
 def test_no_socket_is_missed_where_no_relay_is_seen(node, plan):

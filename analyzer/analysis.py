@@ -187,12 +187,8 @@ class Analysis:
             timeline_decimated=self.timeline_decimated,
             findings=self.findings,
             outputs={kind: str(path) for kind, path in self.outputs.items()},
-            answers=self.details.answers,
-            deadline_ns=self.details.deadline_ns,
-            deadline_metric=self.details.deadline_metric,
-            recommendation=self.details.recommendation,
-            requested=self.details.requested,
             unsent={f"{run_id:016x}": count for run_id, count in self.unsent.items()},
+            **{name: getattr(self.details, name) for name in _DETAIL_VALUES},
         )
         text = json.dumps(to_json(content), allow_nan=False)
         frames = {name: getattr(self, name) for name in _FRAMES}
@@ -245,6 +241,7 @@ _TOPIC_FRAMES = frozenset({"topics", "topic_messages", "topic_hops"})
 _FRAMES, DETAIL_FRAMES = (
     tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame") for kind in (Analysis, Details)
 )
+_DETAIL_VALUES = tuple(field.name for field in fields(Details) if field.name not in DETAIL_FRAMES)
 
 
 def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
@@ -277,12 +274,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
         timeline_decimated=content.timeline_decimated,
         findings=content.findings,
         details=Details(
-            **{name: frames[name] for name in DETAIL_FRAMES},
-            answers=content.answers,
-            deadline_ns=content.deadline_ns,
-            deadline_metric=content.deadline_metric,
-            recommendation=content.recommendation,
-            requested=content.requested,
+            **{name: getattr(content, name) for name in _DETAIL_VALUES} | {n: frames[n] for n in DETAIL_FRAMES}
         ),
         outputs={kind: Path(path) for kind, path in content.outputs.items()},
         unsent={int(run_id, 16): count for run_id, count in content.unsent.items()},

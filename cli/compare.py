@@ -193,15 +193,14 @@ def _text(
 
 def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
     from dds_trace.base.errors import OutputError
-    from dds_trace.base.files import replacing
+    from dds_trace.base.files import write_whole
 
     if out is None:
         getattr(sys.stdout, "write_commands" if has_commands else "write", sys.stdout.write)(text)
         return
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(out) as draft:
-            draft.write_text(text, encoding="utf-8")
+        write_whole(out, text)
     except OSError as err:
         raise OutputError(f"{out}: cannot be written ({err.strerror or err}); give another --out") from err
     print(f"Wrote {out}")

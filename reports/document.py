@@ -10,7 +10,7 @@ import polars as pl
 
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.saving.records import to_json
-from dds_trace.base.files import replacing
+from dds_trace.base.files import write_whole
 
 from .book.book import Book
 
@@ -28,10 +28,7 @@ def render(book: Book) -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    path = folder / FILE_NAME
-    with replacing(path) as draft:
-        draft.write_text(render(book), encoding="utf-8", newline="\n")
-    return path
+    return write_whole(folder / FILE_NAME, render(book))
 
 
 def _document(book: Book) -> dict[str, object]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from dds_trace.analyzer.statistics.intervals import messages_to_end
-from dds_trace.base.files import replacing
+from dds_trace.base.files import write_whole
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .book.book import Book
@@ -68,10 +68,7 @@ def render(book: Book) -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    path = folder / FILE_NAME
-    with replacing(path) as draft:
-        draft.write_text(render(book), encoding="utf-8", newline="\n")
-    return path
+    return write_whole(folder / FILE_NAME, render(book))
 
 
 def _advice(book: Book) -> list[str]:

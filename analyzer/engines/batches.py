@@ -12,7 +12,7 @@ import numpy as np
 from dds_trace.base.threads import InlineExecutor
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
-from ..groups.frames import CAMPAIGN_MAKERS, DETAIL_MAKERS, MAKERS, Frames, begin_frames, concatenate_frames
+from ..groups.frames import CAMPAIGN_MAKERS, DETAIL_MAKERS, MAKERS, Frames, concatenate_frames
 from ..groups.summary import Statistics, measure_batch, metric_values
 from ..loading.event_index import Copies, EventKey, EventPart, merge_parts
 from ..model.metrics import METRICS
@@ -139,13 +139,13 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
     rows, copies = _pair_events(batch, parts, pool)
     measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
     makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
-    begun = begin_frames(makers, batch, rows, pool)
+    begun = {name: pool.submit(make, batch, rows).result for name, make in makers.items()}
     values = None
     if options.rows and not batch.whole:
         values = {metric: metric_values(rows, metric, 0, len(batch.exchanges)) for metric in METRICS}
 
     def result() -> BatchResult:
-        frames = concatenate_frames([{name: frame() for name, frame in begun.items()}])
+        frames = concatenate_frames([{name: wait() for name, wait in begun.items()}])
         return BatchResult(frames, rows.counts, measuring.result(), copies, values)
 
     return BatchOutput(rows if options.rows else None, result)

@@ -54,7 +54,7 @@ class ClusterEngine(Engine):
             raise BackendUnavailableError(
                 f"no Dask scheduler answers at {address} ({err}); start one with `dask scheduler`"
             ) from err
-        self._stack.enter_context(closing(client))
+        self.enter_context(closing(client))
         self._executor = client.get_executor()
         self._count = 2 * max(1, sum(client.nthreads().values()))
 

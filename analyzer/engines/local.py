@@ -8,7 +8,6 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.threads import in_turn
@@ -30,25 +29,17 @@ FILES_FOR_PROCESSES = 2_000
 _FILES_PER_JOB = 16
 
 
-class Engine:
+class Engine(ExitStack):
     """Two threads of this machine, or processes where there are many traces; a `spool` of the caller stays open."""
 
     takes_large_batches = False
     """Whether the executor does: their rows are too many for a pipe."""
 
     def __init__(self, spool: TraceSpool | None = None) -> None:
-        self._stack = ExitStack()
-        self._spool = spool or self._stack.enter_context(closing(TraceSpool()))
+        super().__init__()
+        self._spool = spool or self.enter_context(closing(TraceSpool()))
         self._count = min(_MOST_THREADS, len(os.sched_getaffinity(0)))
         self._executor: Executor | None = None
-
-    def __enter__(self) -> Engine:  # noqa: PYI034 - `Self` is Python 3.11's
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
 
     def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         load_all = partial(self._spool.load_all, load_new=self._load_new)
@@ -80,7 +71,7 @@ class Engine:
             from .processes import can_start_processes, processes  # noqa: PLC0415 - few analyses need multiprocessing
 
             if can_start_processes():
-                self._executor = self._stack.enter_context(processes(self._count))
+                self._executor = self.enter_context(processes(self._count))
         if self._executor is None:
             return (load(path, self._spool.folder) for path in paths)
         firsts = range(0, len(paths), _FILES_PER_JOB)

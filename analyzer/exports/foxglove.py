@@ -19,7 +19,7 @@ import polars as pl
 from mcap.writer import CompressionType, Writer
 
 from dds_trace.base.errors import OutputError, OutputExistsError
-from dds_trace.base.files import replacing
+from dds_trace.base.files import replacing, write_whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_size
 from dds_trace.base.version import __version__
@@ -96,8 +96,7 @@ def write_derived(
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft, draft.open("wb") as file:
             _write_messages(Writer(file, compression=CompressionType.ZSTD), rows, topics)
-        with replacing(layout) as draft:
-            draft.write_text(json.dumps(foxglove_layout(topic_words(rows)), indent=2) + "\n")
+        write_whole(layout, json.dumps(foxglove_layout(topic_words(rows)), indent=2) + "\n")
     except OSError as err:
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"

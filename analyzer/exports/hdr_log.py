@@ -20,7 +20,7 @@ from dds_trace.base.version import __version__
 from ..analysis import Analysis
 from ..model.metrics import TOPIC_METRICS
 from ..model.names import name_groups
-from ..statistics.histogram import histogram_of
+from ..statistics.percentiles import histogram_of
 
 _DIGITS = 3
 _HALF_BITS = 10

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
 import re
 from collections import Counter
@@ -16,6 +15,7 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from dds_trace.base.streams import plain
+from dds_trace.base.units import finite
 
 from ..analysis import Analysis
 from ..model.names import group_words
@@ -46,7 +46,7 @@ def _measures(analysis: Analysis) -> Iterator[Measure]:
     names = [word if counts[word] == 1 else _words(row, PARAMETER_NAMES) for word, row in zip(words, rows, strict=True)]
     is_shown = (pl.col("metric") == "latency") & pl.col("percentile").is_in(["p50", "p99"])
     for row in analysis.details.intervals.filter(is_shown).iter_rows(named=True):
-        value, low, high = (_finite(row[f"{name}_ns"]) for name in ("estimate", "low", "high"))
+        value, low, high = (finite(row[f"{name}_ns"]) for name in ("estimate", "low", "high"))
         if value is not None:
             yield Measure(names[row["group"]], f"latency_{row['percentile']}", value, low, high)
     for name, row in zip(names, rows, strict=True):
@@ -56,10 +56,6 @@ def _measures(analysis: Analysis) -> Iterator[Measure]:
 
 def _words(row: dict[str, Any], columns: Sequence[str]) -> str:
     return plain(group_words(row, [name for name in columns if row[name] not in (None, "")]))[:_MOST_NAME]
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else value
 
 
 def bencher_json(analysis: Analysis) -> str:

@@ -11,7 +11,7 @@ from dds_trace.base.units import counted
 from ..groups.batch import WHOLE_GROUP_EVENTS
 from ..model.finding import Severity, Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
-from ..statistics.histogram import RELATIVE_ERROR
+from ..statistics.percentiles import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
 from . import calls, clocks, groups, runs, sessions, shapes, surroundings, wire
 from .evidence import Check, Evidence, Observation, check, some

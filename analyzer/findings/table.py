@@ -358,7 +358,18 @@ CHECKS: tuple[Check, ...] = (
     ),
     wire.lost_fragments,
     wire.retransmission_storms,
-    wire.heartbeat_bound_recoveries,
+    wire.WIRE.warning(
+        "heartbeat_bound_recovery",
+        "Lost messages waited for a heartbeat",
+        pl.col("complete")
+        & (pl.col("waited_heartbeats_p50") >= wire.HEARTBEATS_WAITED)
+        & (pl.col("again_messages") >= wire.FEWEST_AGAIN),
+        "{again_messages} of {messages:# message} were sent again; half of them waited for {waited_heartbeats_p50:digits} heartbeat "
+        "periods, {resent_after_p50_ns:duration}, or longer.",
+        "A shorter heartbeat period of the writer may help: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of "
+        "Cyclone DDS.",
+        pl.col("again_messages") / pl.col("messages"),
+    ),
     wire.discovery_traffic,
     sessions.SOURCES.warning(
         "skipped_file",

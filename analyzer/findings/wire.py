@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dds_trace.base.units import counted, format_duration, three_digits
+from dds_trace.base.units import counted, three_digits
 
 from ..model.applied import may_be_cut
 from ..model.finding import Severity, Subject
@@ -93,29 +93,6 @@ def _remedy(row: Row) -> str:
 
 HEARTBEATS_WAITED = 2
 """Heartbeat periods after which a heartbeat, no request, caused the repeat."""
-
-
-@check(
-    "heartbeat_bound_recovery",
-    Severity.WARNING,
-    Subject.RESULT,
-    "A shorter heartbeat period of the writer may help: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of "
-    "Cyclone DDS.",
-)
-def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
-    """Lost messages waited for a heartbeat."""
-    for row in _complete_rows(evidence):
-        waited, delay_ns = row["waited_heartbeats_p50"], row["resent_after_p50_ns"]
-        if waited is None or delay_ns is None or waited < HEARTBEATS_WAITED:
-            continue
-        if row["again_messages"] >= FEWEST_AGAIN:
-            yield evidence.result(
-                row["group"],
-                f"{row['again_messages']} of {counted(row['messages'], 'message')} were sent again; half of them waited for "
-                f"{three_digits(waited)} heartbeat periods, {format_duration(delay_ns)}, or longer.",
-                row["again_messages"] / row["messages"],
-            )
-
 
 DISCOVERY_SHARE, DISCOVERY_BYTES = 0.25, 100_000
 """Share of discovery in the larger of wire bytes and payload (which may be in shared memory), and bytes a minute that no

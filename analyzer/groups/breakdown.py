@@ -105,21 +105,18 @@ def _is_complete(rows: RoundTrips) -> Bools:
     return is_complete
 
 
-class _Columns:
+class _Columns(dict[str, Int64]):
     def __init__(self, rows: RoundTrips) -> None:
+        super().__init__()
         self._rows = rows
-        self._filled: dict[str, Int64] | None = {} if isinstance(rows, RoundTrips) else None
         # Stamps prove nothing unless both devices have reception stamps.
         self.stamps = rows.stamp_names if rows.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
 
-    def __getitem__(self, name: str) -> Int64:
-        if self._filled is not None and name in self._filled:
-            return self._filled[name]
+    def __missing__(self, name: str) -> Int64:
         values = filled(self._rows.column(name), MISSING)
         if name in self.stamps:
             values = np.where(values == 0, MISSING, values)
-        if self._filled is not None:
-            self._filled[name] = values
+        self[name] = values
         return values
 
 

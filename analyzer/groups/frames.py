@@ -6,7 +6,7 @@ Frames of batches, made on one machine or many, are concatenated. So a row may d
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -19,50 +19,34 @@ from .timeline import run_frame, timeline_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from concurrent.futures import Executor
 
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
 
-    RunMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
-    """Makes rows of a run from all columns of this run."""
-    GroupMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
-    """Makes rows from all runs of a group, one column at a time."""
+    Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
 Frames = dict[str, pl.DataFrame]
 """Name in `CAMPAIGN_MAKERS`, `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
 
+CAMPAIGN_MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame}
 
-Rows = TypeVar("Rows")
-
-CAMPAIGN_MAKERS: Mapping[str, RunMaker] = {"timeline": timeline_frame}
-
-MAKERS: Mapping[str, RunMaker] = {"run_times": run_frame, "sending": sending_frame}
+MAKERS: Mapping[str, Maker] = {"run_times": run_frame, "sending": sending_frame}
 """Makers of the frames of a batch; an empty frame has its columns, too."""
 
-RUN_DETAIL_MAKERS: Mapping[str, RunMaker] = {
+DETAIL_MAKERS: Mapping[str, Maker] = {
     "freshness": freshness_frame,
     "outages": outage_frame,
     "shapes": shape_frame,
-}
-GROUP_DETAIL_MAKERS: Mapping[str, GroupMaker] = {
     "intervals": interval_frame,
     "one_way": one_way_frame,
     "breakdown": breakdown_frame,
     "responses": response_frame,
     "clock_knots": knot_frame,
 }
-DETAIL_MAKERS: Mapping[str, RunMaker] = {**RUN_DETAIL_MAKERS, **GROUP_DETAIL_MAKERS}
 """Frames that take more time than rows and summary together: made only on request."""
 
 _BY_RUN_ID = ("freshness", "outages")
 """Frames that order the runs of a group by `run_id`, not by their start."""
-
-
-def begin_frames(
-    makers: Mapping[str, Callable[[Batch, Rows], pl.DataFrame]], batch: Batch, roundtrips: Rows, pool: Executor
-) -> dict[str, Callable[[], pl.DataFrame]]:
-    return {name: pool.submit(make, batch, roundtrips).result for name, make in makers.items()}
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:

@@ -18,8 +18,7 @@ from ..model.metrics import METRICS
 from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import RoundTrips
-from ..statistics.histogram import Histogram, histogram_of
-from ..statistics.percentiles import summarize_values
+from ..statistics.percentiles import Histogram, histogram_of, summarize_values
 from .batch import Grouping, present
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {

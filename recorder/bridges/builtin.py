@@ -2,15 +2,134 @@
 
 from __future__ import annotations
 
+import gc
+import json
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 
+from dds_trace.base.errors import TraceError, TraceFormatError
+from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.descriptions import Qos
 
-from .base import Bridge
-from .builtin_common import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
+from ..backends import open_node
+from ..backends.node import Node, NodeOptions, RawMessage, Receive
+from ..choices import Discovery, Transport
+from ..host.process import stop_at_signals, tuned_gc
+from .base import Bridge, BridgedTopic, BridgeOptions, BridgeSide, Half
+
+INSTALL_ROS2 = (
+    "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]' (in a clone '.[ros2]'), or source /opt/ros/DISTRO/setup.bash"
+)
+UP_LINE = "bridging"
+"""First word of the log line when the bridge is up."""
+
+CHECK_PERIOD_S = 0.5
+
+
+def options_to_json(options: BridgeOptions) -> str:
+    values = {
+        "ping_domain_id": options.ping_domain_id,
+        "relay_domain_id": options.relay_domain_id,
+        "half": options.half.value,
+        "listen": options.listen,
+        "peers": options.peers,
+        "discovery": options.discovery.value,
+        "transport": options.transport.value,
+        "tuned": options.tuned,
+        "qos": options.qos.to_dict(),
+        "topics": {topic.name: topic.type_name for topic in options.topics},
+        **({"keys": options.keys} if options.keys else {}),
+    }
+    return json.dumps(values, indent=2) + "\n"
+
+
+def options_from_json(path: Path) -> BridgeOptions:
+    try:
+        values = json.loads(path.read_text())
+        qos = values["qos"]
+        policies = {name: qos.pop(name) for name in ("reliability", "durability", "history", "depth")}
+        return BridgeOptions(
+            ping_domain_id=values["ping_domain_id"],
+            relay_domain_id=values["relay_domain_id"],
+            topics=tuple(BridgedTopic(name, type_name) for name, type_name in values["topics"].items()),
+            qos=Qos(**policies, extra=qos),
+            discovery=Discovery(values["discovery"]),
+            transport=Transport(values["transport"]),
+            tuned=values["tuned"],
+            half=Half(values["half"]),
+            listen=values["listen"],
+            peers=tuple(values["peers"]),
+            keys=values.get("keys"),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as err:
+        raise TraceFormatError(
+            path, f"is not a configuration of a built-in bridge ({err}); `dds-bridge NAME --print-config` prints one"
+        ) from err
+
+
+def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
+    return open_node(
+        "ros2",
+        NodeOptions(
+            domain_id=side.domain_id,
+            name=f"dds_trace_bridge_{side.domain_id}",
+            discovery=options.discovery,
+            qos=options.qos,
+            transport=options.transport,
+            tuned=options.tuned,
+        ),
+    )
+
+
+class Forwarder:
+    """The routes of a bridge; each has its own count, as threads may differ."""
+
+    def __init__(self) -> None:
+        self._counts: list[list[int]] = []
+
+    def forward(self, publish: Callable[[RawMessage], None]) -> Receive[RawMessage]:
+        count = [0]
+        self._counts.append(count)
+
+        def receive(message: RawMessage, source_ns: int = 0, received_ns: int = 0, /) -> None:
+            del source_ns, received_ns
+            publish(message)
+            count[0] += 1
+
+        return receive
+
+    @property
+    def messages(self) -> int:
+        return sum(count[0] for count in self._counts)
+
+
+def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
+    stop = stop_at_signals()
+    for node in nodes:
+        node.start()
+    with tuned_gc():
+        print(f"{UP_LINE} {what}", flush=True)
+        before = 0
+        while not stop.wait(CHECK_PERIOD_S):
+            for node in nodes:
+                if node.error is not None:
+                    raise node.error
+            if before == (before := forwarder.messages):  # nothing is under way
+                gc.collect()
+    print(f"forwarded {counted(forwarder.messages, 'message')}", flush=True)
+
+
+def run(main: Callable[[Path], None]) -> None:
+    try:
+        main(Path(sys.argv[1]))
+    except TraceError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+
 
 BRIDGE = Bridge(
     name="builtin",

@@ -16,7 +16,7 @@ from dds_trace.base.version import __version__
 from ..backends.node import RawMessage, Receive
 from ..choices import Reliability
 from .base import Bridge, Halves
-from .builtin_common import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
+from .builtin import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
 from .zenoh_link import zenoh_link
 
 KEY_PREFIX = "dds_trace/bridge"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,6 @@ from .messages import RepeatCount
 from .packets.classes import DISCOVERY, WireClass
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from dds_trace.tracefile.format.wire import Direction
 
     from .packets.frames import Frame
@@ -101,8 +100,8 @@ class ClassCount:
     ip_fragments: int = 0
 
 
-_IP_FIELDS = {
-    # field -> name in /proc/net/snmp
+_IP_NAMES = {
+    # name -> that in /proc/net/snmp
     "reassembly_requested": "ReasmReqds",
     "reassembly_ok": "ReasmOKs",
     "reassembly_failed": "ReasmFails",
@@ -115,21 +114,8 @@ _IP_FIELDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class IpCounts:
-    reassembly_requested: int = 0
-    reassembly_ok: int = 0
-    reassembly_failed: int = 0
-    reassembly_timeout: int = 0
-    datagrams_fragmented: int = 0
-    fragmentation_failed: int = 0
-    fragments_created: int = 0
-    udp_receive_buffer_full: int = 0
-    udp_in_errors: int = 0
-
-
-def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> IpCounts:
-    return IpCounts(**{field: totals.get(name, 0) - before.get(name, 0) for field, name in _IP_FIELDS.items()})
+def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    return {name: totals.get(kernels, 0) - before.get(kernels, 0) for name, kernels in _IP_NAMES.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +155,7 @@ class WireCounts:
     first_spdp_ns: int | None = None
     first_data_ns: int | None = None
     first_reply_ns: int | None = None
-    ip: IpCounts = field(default_factory=IpCounts)
+    ip: Mapping[str, int] = field(default_factory=lambda: ip_counts({}, {}))
     tcp: tuple[TcpConnection, ...] = ()
     tcp_again_bytes: int = 0
     interface_counts: tuple[InterfaceCount, ...] = ()

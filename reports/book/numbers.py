@@ -11,7 +11,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.base.units import MISSING
+from dds_trace.base.units import MISSING, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
 
@@ -58,10 +58,6 @@ def values_info(analysis: Analysis) -> Values:
             "sustained": tuple(map(finite, sustained_shares(summary))),
         },
     )
-
-
-def finite(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else value
 
 
 def whole_ns(value_ns: float | None) -> int | None:

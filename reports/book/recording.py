@@ -47,17 +47,7 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
     drawn = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
     return tuple(
-        RunTime(
-            run_id,
-            group,
-            row["origin_ns"],
-            row["last_ns"],
-            session_of.get(run_id),
-            row["published"],
-            row["received"],
-            whole_ns(row["p50_ns"]),
-            row["max_ns"],
-        )
+        RunTime(group=group, session=session_of.get(run_id), **{**row, "p50_ns": whole_ns(row["p50_ns"])})
         for run_id, group in drawn.iter_rows()
         if (row := rows.get(run_id)) and None not in (row["origin_ns"], row["last_ns"])
     )

@@ -30,19 +30,11 @@ from .words import (
     statistic_cells,
     statistic_words,
     time_words,
+    tone_of,
 )
 
 Row = Mapping[str, Any]
 """A row of `Comparison.distributions`."""
-
-
-_TONES = {
-    "no reply came back": " bad",
-    "loses more": " bad",
-    "slower": " bad",
-    "loses less": " good",
-    "faster": " good",
-}
 
 
 def render(info: ComparisonInfo, title: str) -> str:
@@ -74,7 +66,7 @@ def _group(group: ComparedGroup) -> dict[str, object]:
         "unlike": printable(group.unlike),
         "verdict": group.verdict,
         "where": group.where,
-        "tone": _TONES.get(group.verdict, ""),
+        "tone": tone_of(group.verdict),
         "received": received_words(group.delivery),
         "strip": "" if distribution is None else strip(distribution),
         "curves": [curve(row) for row in group.distributions],

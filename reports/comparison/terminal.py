@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from collections.abc import Sequence
 
@@ -11,33 +10,39 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.streams import plain_console, without_commands
+from dds_trace.base.streams import print_screen, screen_text
 from dds_trace.base.units import counted
 
 from ..book.groups import format_ratio
 from .info import ComparedGroup, ComparisonInfo, mean_change
-from .words import GATE_COLUMNS, MOST_ROWS, Gated, both_words, change_words, gate_notes, gate_rows, statistic_words
+from .words import (
+    GATE_COLUMNS,
+    MOST_ROWS,
+    Gated,
+    both_words,
+    change_words,
+    gate_notes,
+    gate_rows,
+    statistic_words,
+    tone_of,
+)
 
-WIDTH = 80
 COLUMN_WIDTHS = 23, 17, 9, 18
 """Message, times, each change, verdict."""
 JUDGED = ("worse", "better", "same")
 
 NOT_PROVEN = "In parentheses: no proven change. Intervals: --report md."
 
-_COLORS = {"no reply came back": "red", "loses more": "red", "slower": "red", "loses less": "green", "faster": "green"}
+_COLORS = {"bad": "red", "good": "green"}
 _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    text = io.StringIO()
-    plain_console(file=text, width=WIDTH, color_system=None).print(_report(info, shows_all))
-    return without_commands("\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n")
+    return screen_text(_report(info, shows_all))
 
 
 def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
-    console = plain_console()
-    console.print(_report(info, shows_all), width=min(console.width, 120) if console.is_terminal else WIDTH)
+    print_screen(_report(info, shows_all))
 
 
 def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
@@ -83,7 +88,7 @@ def _rows(rows: Sequence[Sequence[Text]]) -> Table:
 def _cells(group: ComparedGroup) -> list[Text]:
     rows = group.shown()
     changes = [_change(row["ratio"], is_judged=row["verdict"] in JUDGED) for row in rows]
-    verdict = Text(group.verdict, style=_COLORS.get(group.verdict, ""))
+    verdict = Text(group.verdict, style=_COLORS.get(tone_of(group.verdict), ""))
     if group.verdict.startswith("loses"):
         verdict.append(f" {format_ratio(abs(group.delivery['difference'] or 0.0))}")
     elif group.where and len(f"{group.verdict}, {group.where}") <= COLUMN_WIDTHS[3]:

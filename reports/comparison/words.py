@@ -23,6 +23,11 @@ LOST = "lost"
 VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
 
 
+def tone_of(verdict: str) -> str:
+    is_bad = verdict in ("no reply came back", "loses more", "slower")
+    return "bad" if is_bad else "good" if verdict in ("loses less", "faster") else ""
+
+
 def metric_words(metric: str) -> str:
     return ALL_METRIC_LABELS.get(metric, metric)
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from dds_trace.analyzer.groups.report_values import Planned, planned_percentiles
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS, SAME_SIDES_COLUMNS
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, finite
 
 from ..book.book import Book
 from ..book.groups import Groups
-from ..book.numbers import finite, whole_ns
+from ..book.numbers import whole_ns
 from ..book.verdicts import received_words, runs_words
 from .figure import FEW_GROUPS, Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, is_few
 

@@ -22,7 +22,7 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.base.files import replacing
+from dds_trace.base.files import write_whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
@@ -141,10 +141,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    path = folder / FILE_NAME
-    with replacing(path) as draft:
-        draft.write_text(render(book), encoding="utf-8", newline="\n")
-    return path
+    return write_whole(folder / FILE_NAME, render(book))
 
 
 TINTS = (1.05, 1.25, 1.6, 2.5)

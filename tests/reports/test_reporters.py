@@ -29,13 +29,13 @@ from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_ratio, markdown
 from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.book.sizes import Threshold
-from dds_trace.reports.brief import INLINE_BAR, MOST_LINES
 from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, render, write_card
 from dds_trace.reports.document import _lines
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.html.page import json_island, unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
+from dds_trace.reports.terminal import INLINE_BAR, MOST_LINES
 
 
 @cache

@@ -46,6 +46,13 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
         flush_to_disk(path.parent)
 
 
+def write_whole(path: Path, text: str) -> Path:
+    """Write a file as UTF-8, with the line ends of `text`, in place of an earlier one; errors as in `replacing`."""
+    with replacing(path) as draft:
+        draft.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
 @contextmanager
 def folder_lock(folder: Path, kind: int, wait_s: float = 0.0) -> Iterator[bool]:
     """Lock a folder (`fcntl.LOCK_SH` or `LOCK_EX`) within the block; yield whether that succeeded within `wait_s`.

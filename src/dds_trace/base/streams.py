@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import contextmanager, suppress
-from io import TextIOWrapper
+from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
 from .printable import MAX_FINDING_CHARACTERS, is_hidden, printable
@@ -137,3 +137,17 @@ def plain_console(**options: Any) -> Console:
     stream = sys.stderr if options.pop("stderr", False) else sys.stdout
     options.setdefault("file", getattr(stream, "rich_proxied_file", stream))
     return PlainConsole(**{"markup": False, "highlight": False, "emoji": False, "legacy_windows": False, **options})
+
+
+SCREEN_WIDTH, WIDEST_SCREEN = 80, 120
+
+
+def print_screen(part: Any) -> None:
+    console = plain_console()
+    console.print(part, width=min(console.width, WIDEST_SCREEN) if console.is_terminal else SCREEN_WIDTH)
+
+
+def screen_text(part: Any) -> str:
+    text = StringIO()
+    plain_console(file=text, width=SCREEN_WIDTH, color_system=None).print(part)
+    return without_commands("\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n")

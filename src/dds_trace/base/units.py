@@ -60,6 +60,10 @@ def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
     return f"{three_digits(value / units[unit])} {unit}"
 
 
+def finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
+
+
 def three_digits(value: float) -> str:
     if value == 0:
         return "0"

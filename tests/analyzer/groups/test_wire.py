@@ -218,14 +218,15 @@ def test_repeats_that_are_a_load_of_their_own_are_a_storm(tmp_path, sentences):
     assert "retransmission_storm" not in finding(tmp_path)  # a fifth is the limit
 
 
-def many_again(tmp_path, again, count=40, **changes):
+def many_again(tmp_path, again, count=40, waited=0, **changes):
     """Findings of a run of `count` messages, of which the first `again` were sent twice, with few bytes."""
     messages = [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 10, t2=s + 20) for s in range(count)]
     counts = {**COUNTS, "classes": COUNTS["classes"][:2], "requests": 0, "ip": {}, **changes}
     described = run(
         planned_messages=count, published=count, extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts}
     )
-    wire = texts(*(record(s, repeats=int(s < again), resent_after_ns=MS) for s in range(count)))
+    again_of = {"resent_after_ns": MS, "waited_heartbeats": waited}
+    wire = texts(*(record(s, repeats=int(s < again), **again_of) for s in range(count)))
     write_trace(tmp_path / "ping.mcap", ping_session(), [described], ping_events(messages), wire=wire)
     write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
     return {each.code: each for each in analyze(tmp_path).findings}
@@ -287,10 +288,10 @@ def test_too_few_repeats_say_nothing_of_heartbeats(tmp_path):
     assert "heartbeat_bound_recovery" not in finding(tmp_path)
 
 
-def test_repeats_that_waited_for_heartbeats(tmp_path, monkeypatch, sentences):
-    monkeypatch.setattr("dds_trace.analyzer.findings.wire.FEWEST_AGAIN", 4)
-    found = finding(tmp_path)["heartbeat_bound_recovery"]
-    assert numbers(found.what) == [4, 4, 2, 90]
+def test_repeats_that_waited_for_heartbeats(tmp_path, sentences):
+    found = many_again(tmp_path, 30, waited=2)["heartbeat_bound_recovery"]
+    assert numbers(found.what) == [30, 40, 2, 1]
+    assert found.effect == pytest.approx(30 / 40)
     sentences(found.what)
 
 

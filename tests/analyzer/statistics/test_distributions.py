@@ -12,8 +12,8 @@ from dds_trace.analyzer.statistics.distributions import (
     student_cdf,
     student_quantile,
 )
-from dds_trace.analyzer.statistics.histogram import RELATIVE_ERROR, histogram_of
 from dds_trace.analyzer.statistics.intervals import messages_to_end, ranges_overlap, without_open_end
+from dds_trace.analyzer.statistics.percentiles import RELATIVE_ERROR, histogram_of
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from dds_trace.recorder.bridges.base import (
     load_bridge,
     split_halves,
 )
-from dds_trace.recorder.bridges.builtin_common import options_from_json
+from dds_trace.recorder.bridges.builtin import options_from_json
 from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.tracefile.format.descriptions import Qos

@@ -131,8 +131,8 @@ def test_the_beginning_and_the_kernels_own_counters(watched):
         assert counts.first_spdp_ns < counts.first_data_ns < counts.first_reply_ns
         assert counts.match_ns > 0
         assert counts.discovery_bytes_per_minute > 0
-        assert counts.ip.fragments_created > 0
-        assert counts.ip.reassembly_requested > counts.ip.reassembly_ok > 0
+        assert counts.ip["fragments_created"] > 0
+        assert counts.ip["reassembly_requested"] > counts.ip["reassembly_ok"] > 0
 
 
 @pytest.mark.parametrize("backend", ["socket", "zenoh"])

@@ -15,8 +15,7 @@ from dds_trace.recorder.option import options_of
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
-from dds_trace.reports.book.next_command import PING_OPTIONS, SETTING_OPTIONS
-from dds_trace.reports.book.recommendation import recommendation_info
+from dds_trace.reports.book.recommendation import PING_OPTIONS, SETTING_OPTIONS, recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
 from dds_trace.reports.terminal import render as render_terminal

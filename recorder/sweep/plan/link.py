@@ -44,6 +44,16 @@ class Link:
     loss_percent: float = plan_key(
         0.0, limits.PERCENT, "share of lost IP fragments, independent of each other, before reassembly", unit="%"
     )
+    loss_burst: float = plan_key(
+        0.0,
+        limits.BURST,
+        "mean number of fragments that are lost in a row (a chain of two states), 0 for independent losses",
+    )
+    shared: bool = plan_key(
+        False,
+        limits.FLAG,
+        "whether both directions share the rate, as in the air: by ifb and tbf, with delay or loss by our forwarder's queue",
+    )
     outage_every_s: float = plan_key(
         0.0, limits.WAIT_S, "time from one outage to the next, by our forwarder; needs `outage_ms`", unit="s"
     )
@@ -75,7 +85,10 @@ class Link:
 
     def to_dict(self) -> dict[str, str | float]:
         values = asdict(self)
-        path = values.pop("file")  # a key of later versions
+        path = values.pop("file")  # keys of later versions
+        for name in ("loss_burst", "shared"):
+            if not values[name]:
+                del values[name]
         return values if self.drive is None else {**values, "file": Path(path).name, "sha256": self.drive.sha256}
 
     @property
@@ -89,10 +102,12 @@ class Link:
 
     def __str__(self) -> str:
         parts = [
-            f"{self.rate_mbit_s:g} Mbit/s" if self.rate_mbit_s else "",
+            f"{self.rate_mbit_s:g} Mbit/s{' in both directions together' * self.shared}" if self.rate_mbit_s else "",
             f"delay {self.delay_ms:g} ms" if self.delay_ms else "",
             f"jitter {self.jitter_ms:g} ms" if self.jitter_ms else "",
-            f"loss {self.loss_percent:g} %" if self.loss_percent else "",
+            f"loss {self.loss_percent:g} %{f' in bursts of {self.loss_burst:g}' * bool(self.loss_burst)}"
+            if self.loss_percent
+            else "",
             f"outage {self.outage_ms:g} ms every {self.outage_every_s:g} s" if self.outage_ms else "",
             f"as {Path(self.file).name} says" if self.file else "",
         ]
@@ -125,7 +140,7 @@ PRESETS: Mapping[str, Link] = {
     for link in (
         Link("ethernet-1g", rate_mbit_s=1000),
         Link("ethernet-100m", rate_mbit_s=100),
-        # 802.11g/a at its highest rate. In the air both directions share it; here each has it.
+        # 802.11g/a at its highest rate. In the air both directions share it (`shared`); here each has it.
         Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),
         Link("wifi-poor", rate_mbit_s=12, delay_ms=5, jitter_ms=5, loss_percent=2, outage_every_s=10, outage_ms=300),
         Link("5g", rate_mbit_s=100, delay_ms=10, jitter_ms=3, loss_percent=0.01),

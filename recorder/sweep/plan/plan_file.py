@@ -290,8 +290,9 @@ def _check(plan: Plan, where: str) -> None:
             "the axis outage needs the two sides in namespaces; give [network] namespaces = true, a [link], or outage_by = 'relay'",
         ),
         (
-            any(cell.queue for cell in plan.cells) and not (plan.link and plan.link.rate_mbit_s),
-            "the axis queue needs a [link] with a rate; add one or remove the axis",
+            any(cell.queue for cell in plan.cells)
+            and not (plan.link and plan.link.rate_mbit_s and (plan.link.needs_only_rate or not plan.link.shared)),
+            "the axis queue needs a [link] with a rate, without delay and loss if it is shared; change it or remove the axis",
         ),
         (
             any(cell.outage for cell in plan.cells) and (plan.has_two_devices or bool(plan.flows)),
@@ -326,6 +327,8 @@ def _link(table: TomlTable) -> Link | None:
         link = replace(link, name=f"{base.name}-changed")
     if (link.outage_ms > 0) != (link.outage_every_s > 0):
         raise OptionError(f"{table.where}: an outage has both outage_every_s and outage_ms; give both or none")
+    if link.shared and not link.rate_mbit_s:
+        raise OptionError(f"{table.where}: what both directions share is a rate; give rate_mbit_s, or remove shared")
     if link.file:
         ours = table.values.keys() - {"file", "name", "queue_ms"}
         if ours:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError
 
 from ..plan.link import EndCounters, Link
+from .tap_forwarder import burst_chances
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -82,7 +83,7 @@ def count_traffic(namespace: str) -> EndCounters:
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
     disciplines: list[list[str]] = []
     parent = ["root"]
-    if link.rate_mbit_s:
+    if link.rate_mbit_s and not (link.shared and not link.needs_only_rate):  # else the forwarder has the rate
         burst_bytes = max(_TBF_BURST_FRAMES_BYTES, round(link.rate_mbit_s * 1e6 / 8 * _TBF_BURST_S))
         disciplines.append(
             [*parent, "handle", "1:", "tbf", "rate", f"{link.rate_mbit_s:g}mbit", "burst", f"{burst_bytes}b",
@@ -90,10 +91,14 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
         )  # fmt: skip
         parent = ["parent", "1:1"]
     if kernel_does_all and not link.needs_only_rate:
+        loss = ["loss", f"{link.loss_percent:g}%"]
+        if link.loss_burst > 1:
+            enter, leave = burst_chances(link.loss_percent / 100, link.loss_burst)
+            loss = ["loss", "gemodel", f"{100 * enter:g}%", f"{100 * leave:g}%"]
         # netem's limit counts packets in flight; its default of 1000 drops at 12 MB/s and 1 s.
         disciplines.append(
             [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
-             "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
+             "distribution", "normal", *loss, "limit", "50000"],
         )  # fmt: skip
     return disciplines
 
@@ -178,7 +183,11 @@ def open_tap(name: str, namespace: str) -> int:
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
     program = Path(__file__).with_name("tap_forwarder.py")
     drive = link.drive
-    values = {"rows": drive.rows, "has_rate": drive.has_rate} if drive else {"rows": ()}
+    values: dict[str, object] = {"rows": ()}
+    if drive is not None:
+        values = {"rows": drive.rows, "has_rate": drive.has_rate}
+    elif link.shared:
+        values["has_rate"] = True
     with tempfile.TemporaryFile("w+") as file:  # a drive is longer than an argument may be
         json.dump({**link.to_dict(), **values}, file)
         file.seek(0)

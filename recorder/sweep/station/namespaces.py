@@ -44,6 +44,7 @@ _ROLES = ("ping", "relay")
 _LINK_ENDED = "the emulated link ended by itself; run the sweep again"
 OTHER_ADDRESS = "10.213.0.11"
 """Address of a ping that came back with another one."""
+_AIR = "ifb0"
 _counter = itertools.count()
 
 
@@ -82,7 +83,9 @@ class NamespacePair:
                 for host in range(2, hosts + 1)
             ),
         )
-        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 else ""
+        is_air = link is not None and link.shared and link.needs_only_rate
+        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 or is_air else ""
+        self._shaped_ends: list[tuple[str, str]] = []  # namespace and device with the queue disciplines
         self.applied_by = ""
         self.commands: list[str] = []
         self._forwarder: subprocess.Popen[str] | None = None
@@ -128,8 +131,8 @@ class NamespacePair:
         disciplines = queue_disciplines(self._shaped, kernel_does_all=self._forwarder is None)
         if disciplines != self._disciplines:
             self._disciplines = disciplines
-            for side in (self.ping, *self.relays):
-                self._renew_disciplines(side)
+            for end in self._shaped_ends:
+                self._renew_disciplines(end)
 
     def cut(self, by: OutageBy) -> int:
         """Return when the first frame could no longer pass, by CLOCK_MONOTONIC."""
@@ -173,12 +176,18 @@ class NamespacePair:
     def _restore_disciplines(self) -> None:
         for side in (self.ping, self.relay):
             if f"qdisc pfifo {DROPPING_HANDLE:x}:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
-                self._renew_disciplines(side)
+                self._renew_disciplines((side.namespace, INTERFACE))
 
-    def _renew_disciplines(self, side: Side) -> None:
-        tc("-n", side.namespace, "qdisc", "del", "dev", INTERFACE, "root")
+    def _renew_disciplines(self, end: tuple[str, str]) -> None:
+        namespace, device = end
+        tc("-n", namespace, "qdisc", "del", "dev", device, "root")
+        if end in self._shaped_ends:
+            self._add_disciplines(end)
+
+    def _add_disciplines(self, end: tuple[str, str]) -> None:
+        namespace, device = end
         for discipline in self._disciplines:
-            tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
+            tc("-n", namespace, "qdisc", "add", "dev", device, *discipline)
 
     def _traffic_since(self, side: Side) -> EndCounters:
         now = count_traffic(side.namespace)
@@ -199,7 +208,7 @@ class NamespacePair:
         needs_forwarder = (
             link is not None
             and not link.needs_only_rate
-            and (bool(link.outage_ms or link.file) or not self._has_netem())
+            and (bool(link.outage_ms or link.file or link.shared) or not self._has_netem())
         )
         if needs_forwarder:
             self._taps = [
@@ -219,9 +228,15 @@ class NamespacePair:
             disciplines = queue_disciplines(link, kernel_does_all=not needs_forwarder)
             applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
             self._disciplines = disciplines
-            for side, discipline in itertools.product(sides, disciplines):
-                tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
-            self.commands = ["tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines]
+            is_air = link.shared and not needs_forwarder
+            self._shaped_ends = [(self._switch, _AIR)] if is_air else [(side.namespace, INTERFACE) for side in sides]
+            if is_air:
+                applied[0] = "veth+ifb"
+                self._redirect_to_air(len(sides))
+            for end in self._shaped_ends:
+                self._add_disciplines(end)
+            device = self._shaped_ends[0][1]
+            self.commands = ["tc qdisc add dev " + " ".join([device, *discipline]) for discipline in disciplines]
         self.applied_by = "+".join(applied)
         if needs_forwarder and link is not None:
             self._forwarder = start_forwarder(self._taps, link)
@@ -236,6 +251,15 @@ class NamespacePair:
             ip("-n", side.namespace, "link", "add", INTERFACE, "type", "veth",
                "peer", "name", port, "netns", self._switch)  # fmt: skip
             ip("-n", self._switch, "link", "set", port, "master", "bridge0", "up")
+
+    def _redirect_to_air(self, ports: int) -> None:
+        """Send what comes in at each port through one ifb: redirected on its way out, a sender would feel no full line."""
+        ip("-n", self._switch, "link", "add", _AIR, "type", "ifb")
+        ip("-n", self._switch, "link", "set", _AIR, "up")
+        for number in range(ports):
+            tc("-n", self._switch, "qdisc", "add", "dev", f"port{number}", "clsact")
+            tc("-n", self._switch, *f"filter add dev port{number} ingress protocol all prio 1 u32 match u32 0 0".split(),
+               *f"action mirred egress redirect dev {_AIR}".split())  # fmt: skip
 
     def _has_netem(self) -> bool:
         try:

@@ -50,11 +50,31 @@ class Replay:
         return self._rows[bisect_right(self._times_ns, elapsed_ns) - 1]
 
 
+def burst_chances(loss: float, burst: float) -> tuple[float, float]:
+    """Return the chances to enter and to leave a burst with which this share is lost, `burst` frames in a row at the mean."""
+    leave = 1 / burst
+    return min(1.0, loss * leave / max(1 - loss, 1e-9)), leave
+
+
+class Line:
+    """What carries one frame after the other: of one direction, or of both if they share it."""
+
+    def __init__(self, rate_mbit_s: float = 0.0) -> None:
+        self.rate_bit_ns = rate_mbit_s / 1e3
+        self.free_ns = 0.0  # when it has sent all that was taken
+
+
 class Wire:
     """One direction between two TAP devices; outages count from `started_ns`."""
 
     def __init__(
-        self, source: int, sink: int, link: dict[str, float], started_ns: int, replay: Replay | None = None
+        self,
+        source: int,
+        sink: int,
+        link: dict[str, float],
+        started_ns: int,
+        replay: Replay | None = None,
+        line: Line | None = None,
     ) -> None:
         self.source = source
         self._sink = sink
@@ -67,8 +87,10 @@ class Wire:
         self._replay = replay
         self._has_rate = bool(link.get("has_rate"))
         self._queue_ns = link["queue_ms"] * 1e6
-        self._rate_bit_ns = 0.0
-        self._free_ns = 0.0  # when the line has sent all that was taken
+        self._line = line or Line()
+        burst = link.get("loss_burst", 0.0)
+        self._burst_chances = burst_chances(self._loss, burst) if burst > 1 else None
+        self._in_burst = False
         self._chance = random.Random()  # noqa: S311 - losses, not a secret
         self._last_due_ns = 0
         self._in_flight: deque[tuple[int, bytes]] = deque()
@@ -82,15 +104,16 @@ class Wire:
                 now_ns = time.monotonic_ns()
                 if self._replay is not None:
                     _, rate_mbit_s, delay_ms, loss_percent, jitter_ms = self._replay.at(now_ns)
-                    self._rate_bit_ns, self._loss = rate_mbit_s / 1e3, loss_percent / 100
+                    self._line.rate_bit_ns, self._loss = rate_mbit_s / 1e3, loss_percent / 100
                     self._delay_ns, self._jitter_ns = delay_ms * 1e6, jitter_ms * 1e6
                 fate = self._fate(frame, now_ns)
                 self._counts[fate] += 1
                 if fate == "carried":
                     sent_ns = now_ns
                     if self._has_rate:
-                        self._free_ns = max(now_ns, self._free_ns) + len(frame) * 8 / self._rate_bit_ns
-                        sent_ns = int(self._free_ns)
+                        line = self._line
+                        line.free_ns = max(now_ns, line.free_ns) + len(frame) * 8 / line.rate_bit_ns
+                        sent_ns = int(line.free_ns)
                     due_ns = sent_ns + max(0, int(self._chance.gauss(self._delay_ns, self._jitter_ns)))
                     self._last_due_ns = max(self._last_due_ns, due_ns)  # frames keep their order
                     self._in_flight.append((self._last_due_ns, frame))
@@ -98,13 +121,21 @@ class Wire:
     def _fate(self, frame: bytes, now_ns: int) -> str:
         if self._outage_ns and self._in_outage(now_ns):
             return "in_outage"
-        if self._loss and frame[12:14] in IP_FRAMES and self._chance.random() < self._loss:
+        if self._loss and frame[12:14] in IP_FRAMES and self._is_lost():
             return "lost"
-        if self._has_rate and not self._rate_bit_ns:
+        if self._has_rate and not self._line.rate_bit_ns:
             return "in_outage"
-        if self._has_rate and self._free_ns - now_ns > self._queue_ns:
+        if self._has_rate and self._line.free_ns - now_ns > self._queue_ns:
             return "overflow"
         return "carried" if len(self._in_flight) < MOST_FRAMES else "overflow"
+
+    def _is_lost(self) -> bool:
+        chance = self._chance.random()
+        if self._burst_chances is None:
+            return chance < self._loss
+        enter, leave = self._burst_chances
+        self._in_burst = chance >= leave if self._in_burst else chance < enter
+        return self._in_burst
 
     def _in_outage(self, now_ns: int) -> bool:
         # At the end of each period, so that a new link is up.
@@ -159,7 +190,8 @@ def main() -> None:
     run_ahead_of_others()
     started_ns = time.monotonic_ns()
     replay = Replay(link["rows"]) if link["rows"] else None
-    wires = (Wire(first, second, link, started_ns, replay), Wire(second, first, link, started_ns, replay))
+    air = Line(link["rate_mbit_s"]) if link.get("shared") else None
+    wires = [Wire(*ends, link, started_ns, replay, air) for ends in ((first, second), (second, first))]
     stdin = sys.stdin.fileno()
     while True:
         due_ns = [wire.due_ns for wire in wires if wire.due_ns is not None]

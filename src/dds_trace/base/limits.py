@@ -217,6 +217,7 @@ DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
 LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
 UNIX_S = Real(0, 1e11, "a time in seconds since 1970")
 PERCENT = Real(0, 100, "a share in percent")
+BURST = Real(0, 1e4, "a number of fragments")
 WIDTH_PERCENT = Real(0, 1e6, "half the width of an interval in percent", is_above=True)
 FACTOR = Real(1, 1000, "a factor", is_above=True)
 

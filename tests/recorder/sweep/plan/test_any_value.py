@@ -29,6 +29,7 @@ MOST_SCHEDULED = 1000
 
 SCHEMA = jsonschema.Draft202012Validator(plan_schema())
 BEYOND_A_SCHEMA = (
+    "share is a rate",
     r" is nan[;,]",  # JSON has none, and no bound of a schema refuses it
     r"CSV file|the name of the file",  # a link's file that is not there, or a folder's name
     r" is -?[\d.]+(e\+\d+)?, not a whole number",  # 1.0 is an integer of JSON

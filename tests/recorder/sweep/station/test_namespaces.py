@@ -5,9 +5,11 @@ import struct
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from types import SimpleNamespace
 
 import pytest
 from namespaces import needs_namespaces
@@ -51,16 +53,28 @@ def ask(pair, size_bytes, count, timeout_s=20, prefix=()):
 
 
 @skipped
-def test_bytes_take_the_time_that_the_rate_says():
-    with NamespacePair(Link(rate_mbit_s=10)) as pair, echo(pair):
-        assert pair.applied_by == "veth+tbf"
+@pytest.mark.parametrize(
+    ("link", "applied_by"),
+    [
+        (Link(rate_mbit_s=10), "veth+tbf"),
+        (Link(rate_mbit_s=10, shared=True), "veth+ifb+tbf"),
+        pytest.param(Link(rate_mbit_s=10, shared=True, delay_ms=1), "tap_forwarder", marks=needs_tap),
+    ],
+)
+def test_bytes_take_the_time_that_the_rate_says(link, applied_by):
+    """25,000 bytes take 20 ms at 10 Mbit/s; up to 3,028 bytes of each direction pass at once."""
+    with NamespacePair(link) as pair, echo(pair), echo(back := SimpleNamespace(ping=pair.relay, relay=pair.ping)):
+        assert pair.applied_by == applied_by
         small, large = ask(pair, 100, 10), ask(pair, 25_000, 10)
         measured = pair.report()
-    # 25,000 bytes take 20 ms at 10 Mbit/s; up to 3,028 bytes of each direction pass at once.
+        with ThreadPoolExecutor() as pool:
+            both = [*pool.map(lambda side: ask(side, 25_000, 20), (pair, back))]
     assert min(large) > 2 * (25_000 - 3_028) * 8 / 10e6 * 1e3
     assert median(small) < median(large) / 5
     assert measured["ping"]["sent_bytes"] > 10 * 25_000
-    assert measured["forwarder"] is None
+    assert (measured["forwarder"] is None) == (applied_by != "tap_forwarder")
+    if link.shared:  # four messages at a time, of which a line for each direction carries two
+        assert median(both[0] + both[1]) > 0.9 * 4 * 25_000 * 8 / 10e6 * 1e3
 
 
 @skipped

@@ -1,4 +1,5 @@
 import contextlib
+import itertools
 import random
 import socket
 import time
@@ -7,7 +8,7 @@ from collections import Counter
 import pytest
 
 from dds_trace.recorder.sweep.plan.link import Link
-from dds_trace.recorder.sweep.station.tap_forwarder import MOST_FRAMES, Replay, Wire, quantile
+from dds_trace.recorder.sweep.station.tap_forwarder import MOST_FRAMES, Line, Replay, Wire, burst_chances, quantile
 
 FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
 ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"
@@ -104,6 +105,25 @@ def test_loss_takes_its_share_of_ip_frames_and_no_others(ends, clock):
     assert got[ARP] == 200
     assert 70 < got[FRAME] < 130  # five standard deviations of 7
     assert line.report()["lost"] == 200 - got[FRAME]
+
+
+def test_losses_in_bursts_have_their_share_and_their_length(ends, clock):
+    line = wire(ends, clock, loss_percent=20, loss_burst=5)
+    fates = [line._fate(FRAME, clock.now_ns) for _ in range(20_000)]
+    lengths = [len([*run]) for fate, run in itertools.groupby(fates) if fate == "lost"]
+    assert sum(lengths) / 20_000 == pytest.approx(0.2, rel=0.15)
+    assert sum(lengths) / len(lengths) == pytest.approx(5, rel=0.15)
+    assert burst_chances(1, 5) == (1, 0.2)
+
+
+def test_two_directions_that_share_a_line_wait_for_each_other(ends, clock):
+    link = {**Link(rate_mbit_s=8, shared=True).to_dict(), "has_rate": True}
+    air = Line(8)
+    for number in (1, 2):
+        line = Wire(ends[1].fileno(), ends[2].fileno(), link, clock.now_ns, None, air)
+        ends[0].send(FRAME)
+        line.take()
+        assert line.due_ns == clock.now_ns + number * len(FRAME) * 1000
 
 
 def test_outage_is_at_the_end_of_each_period(ends, clock):

@@ -79,7 +79,7 @@ def analyze(
             files are replaced together.
         cluster: address of a Dask scheduler (`tcp://host:8786`); its workers read the traces, so `path` must be the same for
             them, or in object storage (`s3://...`).
-        sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, no rows and no comparison of groups.
+        sketch: percentiles from histograms, off by at most `percentiles.RELATIVE_ERROR`, no rows and no comparison of groups.
         details: one-way times, `Analysis.details` and their findings; without, a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
         deadline_metric: `response`, `latency`, `rtt`, `outbound`...

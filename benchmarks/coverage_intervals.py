@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from simulated import SEED, Table
 
-from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs, interval_of_runs
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import received_interval
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
@@ -297,7 +297,7 @@ def _intervals(groups: Sequence[Sequence[Run]], quantile: float, verdicts: Verdi
         yield from (interval_of_runs(group, statistic) for group in groups)
         return
     for base, new in zip(groups[::2], groups[1::2], strict=True):
-        change = change_of_runs(base, new, statistic)
+        change = change_of_estimates(*(estimates_of_runs(side, [statistic])[0] for side in (base, new)))
         verdicts.add(change)
         yield from (change.base, change.new)
 

@@ -136,7 +136,11 @@ class BatchOutput:
 def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOutput:
     """Pair a batch, and begin to measure it in the pool; without one, all is done on return."""
     pool, options = pool or InlineExecutor(), batch.options
-    rows, copies = _pair_events(batch, parts, pool)
+    keys = batch.event_keys()
+    merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
+    events = {key: columns for key, (columns, _) in merged.items()}
+    copies = {key: copied for key, (_, copied) in merged.items() if copied}
+    rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
     measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
     makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
     begun = {name: pool.submit(make, batch, rows).result for name, make in makers.items()}
@@ -162,11 +166,3 @@ class _Done:
 
     def __call__(self) -> BatchResult:
         return self.value
-
-
-def _pair_events(batch: Batch, parts: Parts, pool: Executor) -> tuple[RoundTrips, CopiesByKey]:
-    keys = batch.event_keys()
-    merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
-    events = {key: columns for key, (columns, _) in merged.items()}
-    copies = {key: copied for key, (_, copied) in merged.items() if copied}
-    return pair_exchanges(batch.exchanges, events, details=batch.options.details, pool=pool), copies

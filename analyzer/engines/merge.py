@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -107,12 +108,12 @@ def merge_sketches(parts: Statistics) -> Statistics:
     rows = []
     order = {metric: number for number, metric in enumerate(METRICS)}
     for group, metric in sorted(moments, key=lambda key: (key[0], order[key[1]])):
-        row = {"group": group, "metric": metric, **moments[group, metric]}
+        row: dict[str, Any] = {"group": group, "metric": metric, **moments[group, metric]}
         histogram = histograms.get((group, metric))
         if histogram is not None:
             value_ns, count = histogram["value_ns"].to_numpy(), histogram["count"].to_numpy()
-            row |= {
-                p.name: _within(histogram_percentile(value_ns, count, p.quantile), row)
+            row |= {  # a bucket's centre may be outside the values
+                p.name: min(max(histogram_percentile(value_ns, count, p.quantile), row["min"]), row["max"])
                 for p in PERCENTILES
                 if count.sum() >= p.needs
             }
@@ -148,11 +149,3 @@ def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64
         float(value_ns[np.searchsorted(cumulative, min(rank, last), side="right")]) for rank in (below, below + 1)
     )
     return low + (high - low) * (position - below)
-
-
-def _within(value_ns: float, row: Mapping[str, float | str | int | None]) -> float:
-    """Limit a percentile: a bucket's centre may be outside the values."""
-    low, high = row["min"], row["max"]
-    assert isinstance(low, float)
-    assert isinstance(high, float)
-    return min(max(value_ns, low), high)

@@ -9,13 +9,13 @@ import polars as pl
 
 from ..model.finding import Finding, Severity
 from ..verdicts.interference import Overtaking
-from . import applied, calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
+from . import calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
 from .evidence import Check, Evidence
 from .notes import NOTES
 from .rows import RESULTS
 
 CHECKS: tuple[Check, ...] = (
-    applied.settings_not_applied,
+    sessions.settings_not_applied,
     sessions.RECORDINGS.error(
         "recorder_drops",
         "The recorder dropped events",
@@ -336,9 +336,9 @@ CHECKS: tuple[Check, ...] = (
         "The kernel dropped {dropped_datagrams:# datagram} at its own sockets, whose receive buffer was full.",
         "Expect losses and late large messages: {cure}.",
     ),
-    applied.lost_fragments,
-    applied.unsent_fragments,
-    applied.several_networks,
+    sessions.lost_fragments,
+    sessions.unsent_fragments,
+    sessions.several_networks,
     wire.WIRE.warning(
         "wire_incomplete",
         "The capture of the wire missed packets",

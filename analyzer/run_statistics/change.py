@@ -12,8 +12,8 @@ import numpy as np
 from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
-from .between_runs import Estimate, Scale, Units, estimates_of_runs, scale_of
-from .runs import Float64, Run, Runs, Statistic, Values
+from .between_runs import Estimate, Scale, Units, scale_of
+from .runs import Float64, Values
 from .setups import ENOUGH_RUNS, campaign_variance, spreads_are_alike
 from .two_samples import Ends, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
 
@@ -73,17 +73,6 @@ class Change:
         if self.ratio_high < 1:
             return Verdict.BETTER
         return Verdict.WORSE if self.ratio_low > 1 else Verdict.INCONCLUSIVE
-
-
-def change_of_runs(
-    base: Runs | Sequence[Run],
-    new: Runs | Sequence[Run],
-    statistic: Statistic,
-    confidence: float = 0.95,
-    passes: Passes | None = None,
-) -> Change:
-    before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
-    return change_of_estimates(before, after, passes)
 
 
 @dataclass(frozen=True, slots=True)

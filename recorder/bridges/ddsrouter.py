@@ -30,7 +30,12 @@ def _configuration(options: BridgeOptions) -> str:
     qos = _qos(options.qos)
     participants = [_local_participant(side.domain_id, options) for side in options.sides()]
     if options.half is not Half.BOTH:
-        participants.append(_wan_participant(options))
+        wan: dict[str, object] = {"name": "link", "kind": "wan"}
+        if options.listen:
+            wan["listening-addresses"] = [_address(options.listen)]
+        if options.peers:
+            wan["connection-addresses"] = [_address(peer) for peer in options.peers]
+        participants.append(wan)
     profiles = {}
     if options.tuned:
         names_of_domains = {_participant_name(side.domain_id): side.domain_id for side in options.sides()}
@@ -87,15 +92,6 @@ def _local_participant(domain_id: int, options: BridgeOptions) -> dict[str, obje
 
 def _participant_name(domain_id: int) -> str:
     return f"domain_{domain_id}"
-
-
-def _wan_participant(options: BridgeOptions) -> dict[str, object]:
-    wan: dict[str, object] = {"name": "link", "kind": "wan"}
-    if options.listen:
-        wan["listening-addresses"] = [_address(options.listen)]
-    if options.peers:
-        wan["connection-addresses"] = [_address(peer) for peer in options.peers]
-    return wan
 
 
 def _address(text: str) -> dict[str, object]:

@@ -108,6 +108,7 @@ class HostSampler:
 def _host_load() -> dict[str, Json]:
     cores = psutil.cpu_percent(percpu=True)
     memory = psutil.virtual_memory()
+    millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp") or ""
     return {
         "cpu_percent": round(sum(cores) / max(len(cores), 1), 1),
         "cpu_percent_each": cores,
@@ -115,7 +116,7 @@ def _host_load() -> dict[str, Json]:
         "memory_used_bytes": memory.total - memory.available,
         "memory_available_bytes": memory.available,
         "load_1min": os.getloadavg()[0],
-        "temperature_c": _temperature_c(),
+        "temperature_c": int(millidegrees) / 1000 if millidegrees.lstrip("-").isdigit() else None,
         "steal_ns": round(getattr(psutil.cpu_times(), "steal", 0.0) * 1e9),
         "pressure_us": _pressure_us(),
     }
@@ -129,11 +130,6 @@ def _pressure_us() -> dict[str, Json]:
         if total.isdigit():
             totals[resource] = int(total)
     return totals
-
-
-def _temperature_c() -> float | None:
-    millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp")
-    return int(millidegrees) / 1000 if millidegrees and millidegrees.lstrip("-").isdigit() else None
 
 
 def _network_totals() -> dict[str, dict[str, int]]:

@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 
+from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs
+from dds_trace.analyzer.run_statistics.change import change_of_estimates
+
 
 def autoregressive(runs: int, messages: int, correlation: float, seed: int):
     values = np.random.default_rng(seed).standard_normal((messages, runs))
@@ -19,3 +22,8 @@ def log_normal_groups(groups: int, runs: int, messages: int, spread: float, seed
     values = 0.5 * autoregressive(groups * runs, messages, correlation, seed)
     levels = spread * np.random.default_rng([seed, 1]).standard_normal((groups * runs, 1))
     return np.exp(values + levels).reshape(groups, runs, messages)
+
+
+def change_of_runs(base, new, statistic, confidence=0.95, passes=None):
+    before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
+    return change_of_estimates(before, after, passes)

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from drawn_series import log_normal_groups
+from drawn_series import change_of_runs, log_normal_groups
 from pinned_series import SERIES
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.slews import slewed_ppm
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import change_of_runs
 from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find_warm_up
 from dds_trace.analyzer.run_statistics.received import change_of_received, received_interval
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic

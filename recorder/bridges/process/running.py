@@ -246,7 +246,10 @@ def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_T
     running: RunningBridge | None = None
     try:
         version = bridge.version(program)
-        for half_options in split_halves(bridge, options, _free_local_link()):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            link = f"127.0.0.1:{probe.getsockname()[1]}"
+        for half_options in split_halves(bridge, options, link):
             halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - after a failed start the list has the started ones
         running = RunningBridge(bridge, options, tuple(halves))
         running.wait_until_up(up_timeout_s)
@@ -280,12 +283,6 @@ def _start_half(bridge: Bridge, program: Path, version: str, options: BridgeOpti
     if options.keys is not None:  # a trace has no private path
         text = text.replace(options.keys, "KEYS")
     return _RunningHalf(options, version, text, extra, supervised, read_back)
-
-
-def _free_local_link() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"127.0.0.1:{probe.getsockname()[1]}"
 
 
 def open_requested_bridge(

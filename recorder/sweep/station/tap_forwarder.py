@@ -177,17 +177,13 @@ def quantile(counts: Counter[int], share: float) -> int | None:
     return None
 
 
-def run_ahead_of_others() -> None:
-    ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WIRE_PRIORITY))
-
-
 def main() -> None:
     first, second = int(sys.argv[1]), int(sys.argv[2])
     with open(int(sys.argv[3])) as file:  # noqa: PTH123 - a descriptor
         link = json.load(file)
-    run_ahead_of_others()
+    ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WIRE_PRIORITY))
     started_ns = time.monotonic_ns()
     replay = Replay(link["rows"]) if link["rows"] else None
     air = Line(link["rate_mbit_s"]) if link.get("shared") else None

@@ -2,13 +2,13 @@ import math
 
 import numpy as np
 import pytest
-from drawn_series import log_normal_groups
+from drawn_series import change_of_runs, log_normal_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pinned import PINNED, assert_pinned
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within, change_of_runs
+from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval

@@ -2,13 +2,9 @@ import math
 
 import numpy as np
 import pytest
+from drawn_series import change_of_runs
 
-from dds_trace.analyzer.run_statistics.change import (
-    Verdict,
-    change_of_runs,
-    detectable_changes,
-    smallest_detectable_ratio,
-)
+from dds_trace.analyzer.run_statistics.change import Verdict, detectable_changes, smallest_detectable_ratio
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted
 

@@ -3,10 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_series import log_normal_groups
+from drawn_series import change_of_runs, log_normal_groups
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import change_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
 from dds_trace.analyzer.run_statistics.spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import inflations_of

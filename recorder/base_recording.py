@@ -17,6 +17,7 @@ from .backends import load_backend, open_node
 from .choices import Security
 from .errors import NotAppliedError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
+from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
 from .options import side_settings
@@ -81,7 +82,6 @@ class BaseRecording(ABC):
     `record` does, in this order: measure costs, open capture and node, `meet` the other side, open the trace, `begin`,
     `look` until the end, count the `traffic`, end what delivers (the node's thread), then what consumes (`close`), close the
     trace, leave the middleware.
-    `load_fields` returns the session's field `load`, if the machine is loaded.
     """
 
     ROLE: ClassVar[str]
@@ -99,7 +99,7 @@ class BaseRecording(ABC):
         watch: Watch,
         *,
         rehearses: bool,
-        load_fields: Callable[[], JsonObject] = dict,
+        load: MachineLoad | None = None,
         leave: Leave = leave_unhurried,
     ) -> None:
         self.options = options
@@ -117,7 +117,7 @@ class BaseRecording(ABC):
         self.environment = dict(os.environ)  # before a node adds what it needs
         self.end_ns: int | None = None
         self._noted_disk = False
-        self._load_fields = load_fields
+        self.load = load or MachineLoad()
         self._leave = leave
 
     def record(self) -> Recorded:
@@ -279,7 +279,7 @@ class BaseRecording(ABC):
             }
         return {
             "clock": {**self.clock_fields, "end": read_adjtimex()},
-            **self._load_fields(),
+            **self.load(),
             **realtime_threads(),
             **({"security": security} if security else {}),
         }

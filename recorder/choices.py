@@ -52,6 +52,7 @@ class Load(Enum):
     NETWORK = "network"
     AWAKE = "awake"
     DMA_LATENCY = "dma-latency"
+    PI3 = "emulated-pi3"
 
 
 class WhenFull(Enum):

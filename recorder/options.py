@@ -323,7 +323,7 @@ class RecordOptions:
         "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends:",
         axis=Axis(
             meaning="load of the machine of each side while it records: every processor, copies in memory, 100 Mbit/s of UDP "
-            "from the ping to the relay's device, or what only keeps processors from sleeping ([load](../how-to/sweep.md#under-load))"
+            "from the ping to the relay's device, what only keeps processors from sleeping, or what takes four fifths of the relay's processor ([load](../how-to/sweep.md#under-load))"
         ),
     )
     load_to: str | None = detail(

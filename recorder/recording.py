@@ -94,7 +94,10 @@ def record(
     load = Load.NONE if rehearses else options.load
     # Only a ping, which knows where the messages go, sends a load of the network.
     to = options.load_to or next(iter(options.node.peers), "127.0.0.1").partition(":")[0] if options.ping else None
-    with opened_keys(options.node.security, options.node.keys) as keys, loaded(load.value, to) as load_fields:
+    with (
+        opened_keys(options.node.security, options.node.keys) as keys,
+        loaded(load.value, to, is_relay=not (options.ping or options.tap or options.beacon_rate_hz)) as machine_load,
+    ):
         options = replace(options, node=replace(options.node, keys=keys))
         if options.ping is not None and options.ping.rate_hz == math.inf:
             options = replace(options, destination=replace(options.destination, ring_slots=MAX_RATE_RING_SLOTS))
@@ -105,7 +108,7 @@ def record(
             kind = TapRecording
         elif options.beacon_rate_hz is not None:
             kind = BeaconRecording
-        return kind(options, stop, watch, rehearses=rehearses, load_fields=load_fields, leave=leave).record()
+        return kind(options, stop, watch, rehearses=rehearses, load=machine_load, leave=leave).record()
 
 
 class RelayRecording(BaseRecording):
@@ -127,7 +130,7 @@ class RelayRecording(BaseRecording):
             data_types=self._data_types,
             qos=self.options.node.qos,
             serialization=self.options.serialization,
-            on_probe=self.read_back.read_begin,
+            on_probe=self._on_probe,
         )
         self._quiet = self._relayed = 0
         self._unmatched: set[str] = set()
@@ -136,6 +139,10 @@ class RelayRecording(BaseRecording):
         if not self.rehearses:
             domain_id = self.options.node.domain_id
             self.watch.note(f"relay {self.relay_id:08x} {SERVING} {domain_id} until it is stopped")
+
+    def _on_probe(self) -> None:
+        self.load.begin()
+        self.read_back.read_begin()
 
     def look(self) -> None:
         super().look()

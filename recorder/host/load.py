@@ -14,10 +14,10 @@ import psutil
 
 from dds_trace.base.errors import OptionError
 
-from .process import ending_with_parent
+from .process import ending_with_parent, pin_cpus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator, Sequence
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
@@ -25,18 +25,57 @@ DMA_LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = Path(__file__).with_name("load_program.py")
 
 
-@contextmanager
-def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObject]]:
-    """Load the machine within the block; yields a function that returns the session's field `load`, if there is a load.
+STEALER_PRIORITY = 60
 
-    `network` sends to `host`.
+
+class MachineLoad:
+    """A load; called, it returns the session's field `load`, if there is one."""
+
+    def __init__(self, kind: str = "none", process: subprocess.Popen[bytes] | None = None) -> None:
+        self._kind = kind
+        self._process = process
+        self._began_s, self._printed = time.monotonic(), b""
+
+    def begin(self) -> None:
+        """Start a load that waits for the first echo: a node under it takes long to start."""
+        process = self._process
+        if process is not None and process.stdin is not None and not process.stdin.closed:
+            self._began_s = time.monotonic()
+            process.stdin.close()
+
+    def __call__(self) -> JsonObject:
+        process = self._process
+        if process is None:
+            return {}
+        assert process.stdout is not None
+        self._printed += process.stdout.read() or b""
+        program, _, started_s = self._printed.decode().strip().rpartition(" ")
+        now_s, cpu_s = time.monotonic(), _cpu_seconds(process.pid) if program else 0.0
+        described: JsonObject = {"kind": self._kind, "program": program, "elapsed_s": now_s - self._began_s}
+        waited_s = float(started_s or now_s) - self._began_s
+        return {"load": {**described, "waited_s": waited_s, "cpu_s": cpu_s, "is_running": process.poll() is None}}
+
+
+@contextmanager
+def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Iterator[MachineLoad]:
+    """Load the machine within the block.
+
+    `network` sends to `host`; `emulated-pi3` takes four fifths of the last processor, which a relay then has, and other
+    roles not.
 
     Raises:
-        OptionError: this user may not keep the processors from sleeping.
+        OptionError: this user may not keep the processors from sleeping, or take one; or there is only one.
     """
     if kind == "none" or (kind == "network" and host is None):
-        yield dict
+        yield MachineLoad()
         return
+    if kind == "emulated-pi3":
+        *others, host = map(str, sorted(os.sched_getaffinity(0)))
+        _check_stealing(others)
+        pin_cpus(host if is_relay else ",".join(others))
+        if not is_relay:
+            yield MachineLoad()
+            return
     if kind == "dma-latency":
         try:
             os.close(os.open(DMA_LATENCY, os.O_RDWR))
@@ -44,24 +83,25 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
             raise OptionError(f"--load {kind}: {DMA_LATENCY}: {err.strerror}; run as root, or leave it out") from err
     # -I -S starts fastest: only the standard library.
     command = [*ending_with_parent(), sys.executable, "-I", "-S", str(PROGRAM), kind, host or ""]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as process:
+    stdin = subprocess.PIPE if kind == "emulated-pi3" else subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=stdin) as process:
         assert process.stdout is not None
         os.set_blocking(process.stdout.fileno(), False)
-        began_s, said = time.monotonic(), b""
-
-        def describe() -> JsonObject:
-            nonlocal said
-            said += process.stdout.read() or b""  # type: ignore[union-attr]
-            program, _, started_s = said.decode().strip().rpartition(" ")
-            now_s, cpu_s = time.monotonic(), _cpu_seconds(process.pid) if program else 0.0
-            described: JsonObject = {"kind": kind, "program": program, "elapsed_s": now_s - began_s}
-            waited_s = float(started_s or now_s) - began_s
-            return {"load": {**described, "waited_s": waited_s, "cpu_s": cpu_s, "is_running": process.poll() is None}}
-
         try:
-            yield describe
+            yield MachineLoad(kind, process)
         finally:
             process.terminate()
+
+
+def _check_stealing(others: Sequence[str]) -> None:
+    if not others:
+        raise OptionError("--load emulated-pi3 needs two processors, one of them only for the relay")
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(STEALER_PRIORITY))
+    except OSError as err:
+        raise OptionError(f"--load emulated-pi3: SCHED_FIFO is not permitted ({err.strerror}); run as root") from err
+    os.sched_setscheduler(0, policy, parameters)
 
 
 def _cpu_seconds(pid: int) -> float:

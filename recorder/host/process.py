@@ -57,7 +57,7 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
     """
     applied: dict[str, Json] = {}
     if cpu_affinity is not None:
-        applied["cpu_affinity"] = _pin_cpus(cpu_affinity)
+        applied["cpu_affinity"] = pin_cpus(cpu_affinity)
     if realtime_priority is not None:
         _lock_memory()
         set_realtime(realtime_priority)
@@ -76,7 +76,7 @@ def parse_cpus(text: str) -> list[int]:
     return sorted(cpus)
 
 
-def _pin_cpus(text: str) -> list[int]:
+def pin_cpus(text: str) -> list[int]:
     cpus = parse_cpus(text)
     allowed = os.sched_getaffinity(0)
     missing = [cpu for cpu in cpus if cpu not in allowed]

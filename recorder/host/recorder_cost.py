@@ -20,7 +20,6 @@ from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
 Record = Callable[[int, int, int, int], object]
-"""A function like `TraceSink.record`, called with stage, run id, sequence and monotonic time in ns."""
 
 
 PACE_NS = 1_000_000

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 
 _TOO_OLD = "No such option: --check"
-"""Error of a `dds-record` of an older version."""
 
 
 def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dict[str, str]:

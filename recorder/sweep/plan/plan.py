@@ -15,7 +15,7 @@ from ...backends import load_backend
 from ...backends.base import Meeting
 from ...backends.qos import warn_of_depth
 from ...bridges.base import Halves, load_bridge
-from ...choices import Discovery
+from ...choices import Discovery, Security
 from ...options import DEFAULT_MESSAGES
 from .cells import plan_key
 
@@ -242,7 +242,8 @@ class Plan:
         return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
-        return self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
+        is_apart = self.has_two_devices or (self.namespaces and cell.security == Security.OFF.value)
+        return is_apart and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
 
     @property
     def digest(self) -> str:
@@ -259,6 +260,7 @@ class Plan:
             "namespaces": self.namespaces,
             "link": self.link.to_dict() if self.link else None,
             "connectivity": self.connectivity,
+            **({"halves": True} if self.namespaces and any(map(self.runs_halves, self.cells)) else {}),
         }
         return hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:16]
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from dds_trace.base.limits import Limit
 
 INSTALLED = "installed"
-"""Value of `backend` for every middleware of this machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +220,6 @@ def _rate(key: Key) -> Schema:
 
 
 _SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"rate": _rate, "data": _data}
-"""Axes with values that type and limit do not describe."""
 
 
 def _words(limit: limits.Words) -> Schema:

@@ -69,12 +69,15 @@ class RelayDevice:
 
 
 class LocalDevice(RelayDevice):
-    """This machine: its pings run both halves of a bridge."""
+    """This machine, or a namespace of it; `bridge` is its `dds-bridge`."""
 
-    def __init__(self, folder: Path, command: Sequence[str], lock: int | None = None) -> None:
+    def __init__(
+        self, folder: Path, command: Sequence[str], lock: int | None = None, bridge: Sequence[str] = ()
+    ) -> None:
         self._folder = folder
         self._command = command
         self._lock = lock
+        self._bridge = bridge
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:
         return rehearse_program([*self._command, *arguments], self._folder)
@@ -82,6 +85,9 @@ class LocalDevice(RelayDevice):
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         command = [*self._command, *arguments, "--out", str(self._folder / segment)]
         return Program(command, log_path(self._folder, segment), lock=self._lock)
+
+    def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
+        return Program([*self._bridge, *arguments], log_path(self._folder, f"{segment}.half"), lock=self._lock)
 
     def collect(self, segment: str) -> Path | None:
         path = self._folder / segment

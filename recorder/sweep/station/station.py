@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.files import expand_home
@@ -18,7 +19,6 @@ from .ssh import SshDevice, folder_there
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
@@ -91,7 +91,10 @@ def open_station(
         )
 
         def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
-            relays = [LocalDevice(parts, [*prefix, *keys, *program], lock) for prefix in relay_prefixes]
+            bridge = [*program[:-1], str(Path(program[-1]).with_name("dds-bridge"))]
+            relays = [
+                LocalDevice(parts, [*prefix, *keys, *program], lock, [*prefix, *bridge]) for prefix in relay_prefixes
+            ]
             return [*ping_prefix, *keys, *program], SpreadDevice(relays) if len(relays) > 1 else relays[0]
 
         yield Station(

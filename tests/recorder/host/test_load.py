@@ -1,4 +1,5 @@
 import os
+import resource
 import socket
 import time
 from pathlib import Path
@@ -91,6 +92,35 @@ def test_processors_are_kept_awake_at_the_lowest_priority():
         wait_until(lambda: len(list(tasks.iterdir())) > os.cpu_count())
         policies = {os.sched_getscheduler(int(thread.name)) for thread in tasks.iterdir()}
         assert policies == {os.SCHED_IDLE}
+    assert children() == before
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or len(os.sched_getaffinity(0)) < 2, reason="needs root and two processors")
+def test_four_fifths_of_the_relays_processor_are_taken_from_the_first_echo_on():
+    before, free = children(), os.sched_getaffinity(0)
+    try:
+        with loaded("emulated-pi3") as of_ping:
+            assert os.sched_getaffinity(0) == free - {max(free)}
+            assert of_ping() == {}
+        os.sched_setaffinity(0, free)
+        with loaded("emulated-pi3", is_relay=True) as load:
+            assert os.sched_getaffinity(0) == {max(free)}
+            (child,) = children() - before
+            load.begin()
+            wait_until(lambda: load()["load"]["cpu_s"] > 0.3)
+            first = load()["load"]
+            wait_until(lambda: load()["load"]["cpu_s"] > 1)
+            second = load()["load"]
+            assert os.sched_getscheduler(child) == os.SCHED_FIFO
+            assert resource.prlimit(child, resource.RLIMIT_RTTIME) == (100_000, 200_000)
+            assert os.sched_getaffinity(child) == {max(free)}
+            taken = (second["cpu_s"] - first["cpu_s"]) / (second["elapsed_s"] - first["elapsed_s"])
+            assert 0.6 < taken < 0.9
+        os.sched_setaffinity(0, {max(free)})
+        with pytest.raises(OptionError, match="two processors"), loaded("emulated-pi3", is_relay=True):
+            pass
+    finally:
+        os.sched_setaffinity(0, free)
     assert children() == before
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import loopback_sshd
 import psutil
 import pytest
+from namespaces import needs_namespaces
 from waiting import wait_until
 
-from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.bridges.base import load_bridge
 from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile.format.events import Stage
@@ -25,6 +25,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
 
 PATIENCE_S = 120.0
+skipped = needs_namespaces("tc", "iproute2")
 BIN = Path(sys.executable).parent
 
 
@@ -111,13 +112,26 @@ def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
     assert small.cells == after
 
 
+@skipped
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="the relay needs a processor of its own")
+def test_a_half_of_a_bridge_is_on_each_side_and_the_relays_processor_is_slowed(sweep):
+    pytest.importorskip("cyclonedds")
+    pytest.importorskip("zenoh")
+    cell = 'backend = "cyclonedds"\nbridge = "builtin-zenoh"\ndata = "imu"\nrate = 50\nload = "emulated-pi3"\n'
+    small = sweep(f"[network]\nnamespaces = true\n[[matrix]]\n{cell}")
+    code, _, stderr = small.run()
+    assert code == 0, stderr
+    check_pairs(small, small.cells)
+    ((name, ping),) = small.traces("ping").items()
+    (half,) = ping.sessions[-1].extra["bridge"]["programs"]
+    assert half["half"] == "ping"  # the relay's runs in the other namespace
+    load = small.traces("relay")[name].sessions[-1].extra["load"]
+    assert (load["kind"], load["program"]) == ("emulated-pi3", "own")
+    assert load["cpu_s"] > 0
+
+
+@skipped
 def test_latencies_show_the_link_between_two_namespaces(sweep):
-    if os.geteuid() != 0:
-        pytest.skip("network namespaces need root")
-    try:
-        ip("netns", "list")
-    except BackendUnavailableError as err:
-        pytest.skip(str(err))
     if not Path("/dev/net/tun").exists():
         pytest.skip("no TAP devices here")
     small = sweep('[axes]\nsize = "33KB"\nrate = 10\n[link]\nrate_mbit_s = 54\ndelay_ms = 10\n')

@@ -92,11 +92,11 @@ def test_plan_without_a_length_has_the_default_number_of_messages():
 DISTANT = '[devices.relay]\nssh = "pi@robot"\n'
 
 
-def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device():
+@pytest.mark.parametrize("elsewhere", [DISTANT, "[network]\nnamespaces = true\n"])
+def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device(elsewhere):
     text = PLAN.format(order="").replace('"builtin"', '"builtin", "zenoh-bridge-dds"')
     assert [group.bridge for group in schedule(parse_plan(text, "p", "p.toml"))] == [None] * 4
-    distant = parse_plan(text + DISTANT, "p", "p.toml")
-    groups = schedule(distant)[:4]
+    groups = schedule(parse_plan(text + elsewhere, "p", "p.toml"))[:4]
     assert [(group.need.reliability, group.bridge, len(group.cells)) for group in groups] == [
         ("reliable", None, 6),  # the builtin bridge is one program, beside the ping
         ("reliable", "zenoh-bridge-dds", 3),

@@ -12,7 +12,7 @@ from typing import Any
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
 from dds_trace.analyzer.model.names import Rule, is_topic, tell_apart, where_it_helps, where_it_varies
-from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.model.parameters import SERIES_COLUMNS, Parameters
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -113,31 +113,26 @@ class VendorLabels:
         return f"{self.of(vendor)} → {self.of(relay_vendor)}"
 
 
+_NAMED = (
+    *("vendor", "relay_vendor", "backend", "relay_backend", "rmw", "domain_mode", "bridge", "ping_domain_id"),
+    *("relay_domain_id", "reliability", "durability", "history", "depth", "serialization", "ping_device"),
+    *("relay_device", "connectivity", "setting"),
+)
+"""Parameters with words of their own in a label, in the order in which they sort series."""
+
+
 @dataclass(frozen=True, slots=True)
-class Series:
-    vendor: str
-    relay_vendor: str | None
-    backend: str
-    relay_backend: str | None
-    rmw: str | None
-    domain_mode: str
-    bridge: str
-    ping_domain_id: int | None
-    relay_domain_id: int | None
-    reliability: str
-    durability: str
-    history: str
-    depth: int | None
-    serialization: str
-    ping_device: str
-    relay_device: str | None
-    connectivity: str
-    setting: str = ""
-    further: tuple[str, ...] = ()
+class Series(Parameters):
+    """What is not the message: its parameters are the same in all series."""
+
     vendor_label: str = ""
 
-    def values(self, names: Iterable[str]) -> tuple[object, ...]:
-        return (*(getattr(self, name) for name in names if hasattr(self, name)), self.further)
+    @property
+    def further(self) -> tuple[str, ...]:
+        return tuple(f"{name} {getattr(self, name)}" for name in SERIES_COLUMNS if name not in _NAMED)
+
+    def of(self, names: Iterable[str]) -> tuple[object, ...]:
+        return tuple(getattr(self, name) for name in names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,11 +240,12 @@ def vendor_labels(analysis: Analysis) -> VendorLabels:
     return VendorLabels({**labelled, **VENDORS})
 
 
+_NO_MESSAGE: dict[str, Any] = {"data_type": "", "payload_bytes": 0, "rate_hz": 0.0}
+
+
 def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
-    names = [name for name in SERIES_COLUMNS if name in Series.__dataclass_fields__]
-    further = tuple(f"{name} {row[name]}" for name in SERIES_COLUMNS if name not in names)
     label = vendors.of_pair(row["vendor"], row["relay_vendor"])
-    return Series(**{name: row[name] for name in names}, further=further, vendor_label=label)
+    return Series(**_NO_MESSAGE, **{name: row[name] for name in SERIES_COLUMNS}, vendor_label=label)
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
@@ -329,7 +325,7 @@ def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
 
 def _series_order(series: Series) -> tuple[object, ...]:
     vendors = [*VENDORS, series.vendor]
-    fields = tuple(by_number(str(getattr(series, name))) for name in Series.__dataclass_fields__)
+    fields = tuple(by_number(str(value)) for value in (*series.of(_NAMED), series.further, series.vendor_label))
     return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, fields)
 
 

@@ -162,7 +162,7 @@ class DomainDifference(Faceted):
 def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
     """Pair each group across domains with the one in the same domain that differs in nothing else, by cell."""
     ordered = [(group, groups.series_of(group)) for group in groups.in_order]
-    keyed = [((group.cell, series.values(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
+    keyed = [((group.cell, series.of(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
     same = {
         key: group.index for key, group, series in keyed if series.domain_mode == "same" and series.bridge == "none"
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,31 +37,34 @@ class FrameBatch:
         return len(self.position)
 
 
-@dataclass(frozen=True, slots=True)
-class Headers:
-    """Headers of frames, one row each; a field of a header that the frame does not have is 0.
+class Frame(NamedTuple):
+    """One frame; a field of a header that it does not have is 0.
 
     Attributes:
         transport_end: end of the IP packet, captured or not.
         source_port, destination_port: of UDP and TCP; 0 in later fragments.
+        time_ns: CLOCK_MONOTONIC.
     """
 
-    protocol: Numbers
-    source: Numbers
-    destination: Numbers
-    ip_id: Numbers
-    fragment_offset: Numbers
-    more_fragments: NDArray[np.bool_]
-    transport: Numbers
-    transport_end: Numbers
-    seen_end: Numbers
-    source_port: Numbers
-    destination_port: Numbers
-    datagram_bytes: Numbers
-    is_rtps: NDArray[np.bool_]
+    protocol: int
+    source: int
+    destination: int
+    ip_id: int
+    fragment_offset: int
+    more_fragments: bool
+    transport: int
+    transport_end: int
+    seen_end: int
+    source_port: int
+    destination_port: int
+    datagram_bytes: int
+    is_rtps: bool
+    wire_bytes: int
+    time_ns: int
+    packet_type: int
 
 
-def read_headers(batch: FrameBatch) -> Headers:
+def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
     begin, captured = batch.position, batch.captured_bytes
     memory = batch.memory
 
@@ -83,46 +86,24 @@ def read_headers(batch: FrameBatch) -> Headers:
     fragment_offset = (flags & 0x1FFF) * 8
     has_ports = is_ipv4 & (fragment_offset == 0) & (transport + _UDP_BYTES <= seen_end)
     is_udp = has_ports & (protocol == UDP)
-    return Headers(
-        protocol=protocol,
-        source=number(ip + 12, 4),
-        destination=number(ip + 16, 4),
-        ip_id=number(ip + 4, 2),
-        fragment_offset=np.where(is_ipv4, fragment_offset, 0),
-        more_fragments=is_ipv4 & (flags & 0x2000 != 0),
-        transport=transport,
-        transport_end=transport_end,
-        seen_end=seen_end,
-        source_port=np.where(has_ports, number(transport, 2), 0),
-        destination_port=np.where(has_ports, number(transport + 2, 2), 0),
-        datagram_bytes=np.where(is_udp, number(transport + 4, 2), 0),
-        is_rtps=is_udp & (transport + _UDP_BYTES + 20 <= seen_end) & (number(transport + _UDP_BYTES, 4) == _RTPS_MAGIC),
-    )
-
-
-class Frame(NamedTuple):
-    """One frame; `Headers` and `FrameBatch` describe the fields, `time_ns` is CLOCK_MONOTONIC."""
-
-    protocol: int
-    source: int
-    destination: int
-    ip_id: int
-    fragment_offset: int
-    more_fragments: bool
-    transport: int
-    transport_end: int
-    seen_end: int
-    source_port: int
-    destination_port: int
-    datagram_bytes: int
-    is_rtps: bool
-    wire_bytes: int
-    time_ns: int
-    packet_type: int
-
-
-def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
-    headers = read_headers(batch)
-    columns = [getattr(headers, f.name) for f in fields(Headers)]
-    columns += [batch.wire_bytes, batch.wall_ns + wall_to_monotonic_ns, batch.packet_type]
-    return map(Frame._make, zip(*(column.tolist() for column in columns), strict=True))
+    columns: dict[str, NDArray[np.generic]] = {
+        "protocol": protocol,
+        "source": number(ip + 12, 4),
+        "destination": number(ip + 16, 4),
+        "ip_id": number(ip + 4, 2),
+        "fragment_offset": np.where(is_ipv4, fragment_offset, 0),
+        "more_fragments": is_ipv4 & (flags & 0x2000 != 0),
+        "transport": transport,
+        "transport_end": transport_end,
+        "seen_end": seen_end,
+        "source_port": np.where(has_ports, number(transport, 2), 0),
+        "destination_port": np.where(has_ports, number(transport + 2, 2), 0),
+        "datagram_bytes": np.where(is_udp, number(transport + 4, 2), 0),
+        "is_rtps": is_udp
+        & (transport + _UDP_BYTES + 20 <= seen_end)
+        & (number(transport + _UDP_BYTES, 4) == _RTPS_MAGIC),
+        "wire_bytes": batch.wire_bytes,
+        "time_ns": batch.wall_ns + wall_to_monotonic_ns,
+        "packet_type": batch.packet_type,
+    }
+    return map(Frame._make, zip(*(columns[name].tolist() for name in Frame._fields), strict=True))

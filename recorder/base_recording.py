@@ -8,14 +8,14 @@ from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, TypeAlias, TypeVar
 
 from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend, open_node
 from .choices import Security
-from .errors import NotAppliedError, StoppedError
+from .errors import NotAppliedError, NothingHeardError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
 from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
@@ -37,12 +37,14 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
-    from .applied.carried import Traffic
     from .backends.node import Node, NodeOptions
     from .bridges.process.running import RunningBridge
     from .options import RecordOptions
-    from .roles.progress import Progress, Watch
+    from .roles.ping import PingThread
+    from .roles.progress import Progress, Role, Watch
     from .roles.wire_record import WireRecord
+
+ResultT = TypeVar("ResultT")
 
 _SPUN = (
     f"a thread under --realtime computed for {SPIN_S:g} s without a pause, and none has that priority any more: the recording ended "
@@ -77,15 +79,18 @@ def leave_unhurried(_end: Recorded | BaseException) -> AbstractContextManager[ob
 
 
 class BaseRecording(ABC):
-    """One recording; `stop` ends it, `watch` receives notes and progress.
+    """One recording.
 
     `record` does, in this order: measure costs, open capture and node, `meet` the other side, open the trace, `begin`,
-    `look` until the end, count the `traffic`, end what delivers (the node's thread), then what consumes (`close`), close the
+    `look` until the end, count the role's `traffic`, end what delivers (the node's thread), then what consumes (`close`), close the
     trace, leave the middleware.
     """
 
     ROLE: ClassVar[str]
     HAS_FLOOR: ClassVar[bool] = False
+    run: Run | None = None
+    error: TraceError | None = None
+    role: Role
     wire: WireRecord
     node: Node
     read_back: ReadBack
@@ -152,11 +157,9 @@ class BaseRecording(ABC):
         with HostSampler(partial(sink.write_json, HOST_TOPIC), processes):
             self.look_until_done()
         self.write_wire()
-        self.read_back.read_end(self.traffic)
+        self.read_back.read_end(self.role.traffic)
         self.node.stop_receiving()
-        described = self.close()
-        fields = {**self.read_back.fields(), **self.fields_at_end(), **strangers_field(self.node.strangers)}
-        trace = self.upkeep.close_trace(**described, **fields)
+        trace = self.upkeep.close_trace(**self.close(), **self.fields_at_end())
         self.read_back.report(trace.path)
         recorded = self.result(trace)
         if getattr(self.stop, "is_spinning", False) and recorded.error is None:
@@ -200,21 +203,23 @@ class BaseRecording(ABC):
     def write_wire(self) -> None:  # noqa: B027 - not every role has such counts
         ...
 
-    @property
-    @abstractmethod
-    def traffic(self) -> Traffic:
-        """The messages so far, of which the kernel's counters must know."""
-
     def close(self) -> JsonObject:
         """End what consumes; return further fields of the session."""
         return {}
 
-    @abstractmethod
-    def progress(self) -> Progress: ...
+    def progress(self) -> Progress:
+        return self.role.progress()
 
     def result(self, trace: ClosedTrace) -> Recorded:
         """Return the result; without a trace in it the closed one is removed."""
-        return Recorded(trace, self.session, self.progress(), error=self.upkeep.shortage)
+        silence = None if self.rehearses else self.explain_nothing()
+        if silence is not None:
+            return Recorded(None, self.session, self.progress(), error=NothingHeardError(silence))
+        return Recorded(trace, self.session, self.progress(), self.run, self.error or self.upkeep.shortage)
+
+    def explain_nothing(self) -> str | None:
+        """Return why a role that is there to hear heard nothing; the result then has no trace."""
+        return None
 
     def measure_costs(self, rate_hz: float | None = None) -> None:
         if self.rehearses or not self.options.own_cost:
@@ -278,11 +283,23 @@ class BaseRecording(ABC):
                 "applied": "TLS of the bridge's link" if self._has_bridge else self.node.read_security(),
             }
         return {
+            **self.read_back.fields(),
+            **strangers_field(self.node.strangers),
             "clock": {**self.clock_fields, "end": read_adjtimex()},
             **self.load(),
             **realtime_threads(),
             **({"security": security} if security else {}),
         }
+
+    def look_until_pinged(self, thread: PingThread[ResultT]) -> ResultT | None:
+        while not thread.wait(LOOK_S if thread.enough.is_set() else min(LOOK_S, max(self.left_s(), 0))):
+            self.look()
+            if self.error is not None or getattr(self.stop, "is_repeated", False):
+                thread.enough.set()
+                thread.hopeless.set()
+            if self.stop.is_set() or self.node.error is not None or self.left_s() <= 0:
+                thread.enough.set()
+        return thread.result()
 
     def left_s(self) -> float:
         return float("inf") if self.end_ns is None else (self.end_ns - self.clock.monotonic_ns()) / 1e9

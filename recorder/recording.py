@@ -44,15 +44,13 @@ from .tap.recording import TapRecording
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dds_trace.base.errors import TraceError
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace
 
-    from .applied.carried import Traffic
     from .applied.differences import Difference
     from .options import PingOptions, RecordOptions
-    from .roles.progress import PingProgress, RelayProgress, Watch
+    from .roles.ping import AnyPing
+    from .roles.progress import Watch
 
 
 SERVING = "serves domain"
@@ -114,7 +112,7 @@ def record(
 class RelayRecording(BaseRecording):
     ROLE = "relay"
     HAS_FLOOR = True
-    relay: Relay
+    role: Relay
 
     def prepare(self, stack: ExitStack) -> None:
         served = served_data_types(self.options.types)
@@ -123,7 +121,7 @@ class RelayRecording(BaseRecording):
         super().prepare(stack)
 
     def begin(self, stack: ExitStack) -> None:  # noqa: ARG002 - the node closes its endpoints
-        self.relay = Relay(
+        self.role = Relay(
             self.node,
             self.upkeep.sink,
             self.relay_id,
@@ -146,34 +144,27 @@ class RelayRecording(BaseRecording):
 
     def look(self) -> None:
         super().look()
-        relayed = self.progress().relayed
+        relayed = self.role.progress().relayed
         self._quiet = self._quiet + 1 if relayed == self._relayed else 0
         self._relayed = relayed
         if self._quiet % WIRE_LOOKS == WIRE_LOOKS - 1:
             self.write_wire(go_on=True)
         if self._quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
             gc.collect()
-            lines = {line for topic in self.relay.topics for line in self.node.look_at(topic).incompatible}
+            lines = {line for topic in self.role.topics for line in self.node.look_at(topic).incompatible}
             for line in sorted(lines - self._unmatched):
                 self.watch.note(f"these will never match: {line}")
             self._unmatched |= lines
 
     def write_wire(self, *, go_on: bool = False) -> None:
-        self.wire.write_relay(self.progress().relayed, self.session_id, self.upkeep.sink, go_on=go_on)
-
-    @property
-    def traffic(self) -> Traffic:
-        return self.relay.traffic
-
-    def progress(self) -> RelayProgress:
-        return self.relay.progress()
+        self.wire.write_relay(self.role.progress().relayed, self.session_id, self.upkeep.sink, go_on=go_on)
 
 
 class PingRecording(BaseRecording):
     ROLE = "ping"
     HAS_FLOOR = True
+    role: AnyPing
     run: Run
-    error: TraceError | None = None
 
     def __init__(self, options: RecordOptions, *more: object, **named: object) -> None:
         super().__init__(options, *more, **named)  # type: ignore[arg-type]
@@ -202,7 +193,7 @@ class PingRecording(BaseRecording):
         self.measure_costs(min(plan.rate_hz, limits.RATE_HZ.high))
 
     def meet(self, stack: ExitStack) -> bool:
-        self.ping = open_ping(self.node, self._plan, self.clock)
+        self.role = open_ping(self.node, self._plan, self.clock)
         with kept_stdout() as read_error:
             self.node.start()
             self.bridge = open_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type, stack)
@@ -216,7 +207,7 @@ class PingRecording(BaseRecording):
         return not self.stop.is_set()  # a file without a message would block the next try
 
     def _wait_for_echo(self, read_error: Callable[[], str]) -> None:
-        ping, node, ping_options, bridge = self.ping, self.node, self._ping_options, self.bridge
+        ping, node, ping_options, bridge = self.role, self.node, self._ping_options, self.bridge
         data_type = self._plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
         has_echo, waited_s = False, 0.0
@@ -245,9 +236,8 @@ class PingRecording(BaseRecording):
 
     def _probe(self, seconds: float, most_s: float, relays: int) -> bool:
         """Wait for echoes; give up if the middleware does not take a probe within `most_s`, or after a stop."""
-        thread = PingThread(
-            self.ping, lambda *_: self.ping.wait_for_echo(seconds, self.stop, relays), self.node.stop_receiving
-        )
+        ping = self.role
+        thread = PingThread(ping, lambda *_: ping.wait_for_echo(seconds, self.stop, relays), self.node.stop_receiving)
         until_s = time.monotonic() + most_s + LONGEST_SETTLE_NS / 1e9
         while not thread.wait(LOOK_S):
             if self.stop.is_set() or time.monotonic() > until_s:
@@ -255,27 +245,25 @@ class PingRecording(BaseRecording):
         return bool(thread.result())
 
     def begin(self, stack: ExitStack) -> None:  # noqa: ARG002 - the node closes its endpoints
-        self.wire.begin(self.ping.run_id)
+        self.wire.begin(self.role.run_id)
         start_at_s = self._ping_options.start_at_s
         if start_at_s is not None:
             self.stop.wait(max(0.0, start_at_s - time.time()))
 
     def look_until_done(self) -> None:
-        """Run the ping on its own thread, and find why it ended early."""
-        ping, patience_s = self.ping, self._ping_options.patience_s
-        thread = PingThread(ping, partial(ping.run, self.upkeep.sink), self.node.stop_receiving, patience_s)
-        while not thread.wait(LOOK_S if thread.enough.is_set() else min(LOOK_S, max(self.left_s(), 0))):
-            self.error = self.error or self._find_failure(patience_s) or thread.stuck
-            if self.error is not None or getattr(self.stop, "is_repeated", False):
-                thread.enough.set()
-                thread.hopeless.set()
-            self.look()
-            is_over = self.stop.is_set() or self.node.error is not None or self.left_s() <= 0
-            if is_over or self.upkeep.shortage is not None:
-                thread.enough.set()
-        self.run = thread.result() or ping.finish(self.upkeep.sink)
+        ping, patience_s = self.role, self._ping_options.patience_s
+        self._thread = thread = PingThread(
+            ping, partial(ping.run, self.upkeep.sink), self.node.stop_receiving, patience_s
+        )
+        self.run = self.look_until_pinged(thread) or ping.finish(self.upkeep.sink)
         self.raise_error_of_node()
         self.error = self.error or thread.stuck or self.upkeep.shortage or self._find_failure()
+
+    def look(self) -> None:
+        self.error = self.error or self._find_failure(self._ping_options.patience_s) or self._thread.stuck
+        super().look()
+        if self.upkeep.shortage is not None:
+            self._thread.enough.set()
 
     def _find_failure(self, patience_s: float | None = None) -> BridgeError | RelayLostError | None:
         if self.bridge is not None:
@@ -283,15 +271,11 @@ class PingRecording(BaseRecording):
                 self.bridge.check()
             except BridgeError as died:
                 return died
-        data_type, silence = self._plan.payload.data_type, self.ping.silence
+        data_type, silence = self._plan.payload.data_type, self.role.silence
         return find_loss(self.node, data_type, silence, ended=patience_s is None, patience_s=patience_s or 0.0)
 
     def write_wire(self) -> None:
         self.run = self.wire.write_run(self.run, self.upkeep.sink)
-
-    @property
-    def traffic(self) -> Traffic:
-        return self.ping.traffic
 
     def close(self) -> JsonObject:
         described: JsonObject = {"error": None if self.error is None else str(self.error)}
@@ -300,12 +284,6 @@ class PingRecording(BaseRecording):
         self.read_back.note_bridge(self.bridge.read_applied())
         self.bridge.stop()  # its description then says how it ended
         return {**described, "bridge": self.bridge.describe()}
-
-    def progress(self) -> PingProgress:
-        return self.ping.progress()
-
-    def result(self, trace: ClosedTrace) -> Recorded:
-        return Recorded(trace, self.session, self.progress(), self.run, self.error)
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:

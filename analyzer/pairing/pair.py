@@ -217,10 +217,7 @@ def _of_other_senders(
     is_sent: NDArray[np.bool_],
     sent_again: NDArray[np.uint16],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return `second_source` and `unclear`, given whether a message has a T4, and how many beyond the first.
-
-    A writer stamps each sample once, so a middleware that delivers it again gives the same source stamp again.
-    """
+    """Return `second_source` and `unclear`: a sample that is delivered again has the same source stamp."""
     if not extra.any():
         return (np.zeros(len(published), np.bool_),) * 2
     row = published.rows(t2.sequence)

@@ -1,4 +1,4 @@
-"""Quality of service as the Python package of Cyclone DDS has it."""
+"""Quality of service and unknown types as the Python package of Cyclone DDS has them."""
 
 # ruff: noqa: PLC0415 - loaded with a node: other backends run without it
 
@@ -11,6 +11,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Durability, History, Reliability
+from .dds_types import dds_name
 from .qos import duration_extra, requested_durations
 
 FOREVER_NS = (1 << 63) - 1
@@ -64,3 +65,12 @@ def priority_of(writer: Any) -> int:
 
     qos = writer.get_qos()
     return int(qos[Policy.TransportPriority].priority) if Policy.TransportPriority in qos else 0
+
+
+def opaque_type(type_name: str) -> Any:
+    """Return a type of one octet: Cyclone DDS accepts what follows in a message."""
+    from cyclonedds.idl import make_idl_struct
+    from cyclonedds.idl.types import uint8
+
+    name = (dds_name(type_name) if type_name.count("/") == 2 else type_name).replace("::", ".")
+    return make_idl_struct(name.rpartition(".")[2], name, {"octet": uint8})

@@ -23,7 +23,7 @@ from dds_trace.base.units import SECOND_NS
 from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
-from .cyclone_policies import cyclone_qos, priority_of, qos_of
+from .cyclone_policies import cyclone_qos, opaque_type, priority_of, qos_of
 from .cyclone_settings import cyclone_loopback, cyclone_settings, loaded_plugins, security_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
@@ -40,7 +40,7 @@ from .other_side import NOT_TEXT, Strangers, name_of_participant
 from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping
+    from collections.abc import Callable, Hashable, Iterator, Mapping
 
     from dds_trace.tracefile.format.descriptions import Qos
 
@@ -136,10 +136,17 @@ class CycloneNode(ThreadedNode):
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         from cyclonedds.topic import Topic
 
-        def on_sample(message: RawMessage, info: Any) -> None:
-            receive(message, info.source_timestamp, 0, 0, info.publication_handle)
+        is_of_type: dict[int, bool] = {}
 
-        data_type = self._builtin.definition_of(topic, type_name, self._participant) or _opaque_type(type_name)
+        # A writer whose type has another name and the same members matches as well.
+        def on_sample(message: RawMessage, info: Any) -> None:
+            handle = info.publication_handle
+            if handle not in is_of_type:
+                is_of_type[handle] = self._builtin.type_of(handle) in (type_name, None)
+            if is_of_type[handle]:
+                receive(message, info.source_timestamp, 0, 0, handle)
+
+        data_type = self._builtin.definition_of(topic, type_name, self._participant) or opaque_type(type_name)
         with _MAKING_TOPIC:
             tapped = Topic(self._participant, f"rt{topic}" if topic.startswith("/") else topic, data_type)
         return self._open_reader(tapped, qos, None, on_sample)
@@ -324,8 +331,13 @@ class _BuiltinReaders:
         ]
 
     def key_of(self, handle: Hashable) -> str | None:
-        keys = (data.key.hex for data in self._read("publications") if data.sample_info.instance_handle == handle)
-        return next(keys, None)
+        return next((data.key.hex for data in self._written_by(handle)), None)
+
+    def type_of(self, handle: Hashable) -> str | None:
+        return next((ros_name(data.type_name) for data in self._written_by(handle)), None)
+
+    def _written_by(self, handle: Hashable) -> Iterator[Any]:
+        return (data for data in self._read("publications") if data.sample_info.instance_handle == handle)
 
     def definition_of(self, topic: str, type_name: str, participant: Any) -> Any:
         from cyclonedds.dynamic import get_types_for_typeid
@@ -339,15 +351,6 @@ class _BuiltinReaders:
 
 def _shown_topic(name: str) -> str:
     return name.removeprefix("rt") if name.startswith("rt/") else name
-
-
-def _opaque_type(type_name: str) -> Any:
-    """Return a type of one octet: Cyclone DDS accepts what follows in a message."""
-    from cyclonedds.idl import make_idl_struct
-    from cyclonedds.idl.types import uint8
-
-    name = (dds_name(type_name) if type_name.count("/") == 2 else type_name).replace("::", ".")
-    return make_idl_struct(name.rpartition(".")[2], name, {"octet": uint8})
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:

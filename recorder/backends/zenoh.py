@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import SECOND_NS
 
 from ..choices import Call, Discovery, Durability, Reliability, Security, Transport, WhenFull
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
@@ -27,7 +27,7 @@ from .call_node import RELAY_SUFFIX
 from .dds_types import DDS_TYPES
 from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
 from .qos import refuse_durations
-from .zenoh_ros import GRAPH_KEY, Attachment, data_key, parse_attachment, parse_token
+from .zenoh_ros import GRAPH_KEY, data_key, origin_of, parse_token
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping
@@ -83,6 +83,7 @@ class ZenohNode(Node):
         )
         self._secured_by = ""
         self._subscriptions: list[_ZenohSubscription] = []
+        self._own_types: dict[str, set[str]] = {}
         self._started = False
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
@@ -137,7 +138,12 @@ class ZenohNode(Node):
         tokens = (self._key("endpoint", PUBLISHER, "*", "*", "*"), GRAPH_KEY.format(domain_id=self.options.domain_id))
         replies = [reply for token in tokens for reply in liveliness.get(token, timeout=LOOK_S)]
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-        publications = [parse_token(key) or _own_publication(key) for key in sorted(keys)]
+        own = [publication for key in sorted(keys) if (publication := _own_publication(key)) is not None]
+        types = defaultdict[str, set[str]](set)
+        for publication in own:
+            types[publication.topic].add(publication.type_name)
+        self._own_types = dict(types)
+        publications = [*own, *map(parse_token, sorted(keys))]
         return [
             *(publication for publication in publications if publication is not None and matches(publication.topic)),
             *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS
@@ -147,16 +153,21 @@ class ZenohNode(Node):
         def on_sample(sample: Any) -> None:
             if self.error is None:
                 try:
-                    sequence, source_ns, gid = _origin_of(sample, is_ros=is_ros)
+                    sequence, source_ns, gid = origin_of(sample, is_ros=is_ros)
                     receive(sample.payload.to_bytes(), source_ns, 0, sequence, gid)
                 except BaseException as error:  # noqa: BLE001 - a thread has no caller
                     self.error = error
 
+        def on_own(sample: Any) -> None:  # the key of our own messages has no type
+            if type_name in self._own_types.get(f"/{topic.strip('/')}", (type_name,)):
+                on_sample(sample)
+
         is_ros = type_name.count("/") == 2
-        keys = [topic]
+        receivers = {topic: on_sample}
         if is_ros:
-            keys = [data_key(self.options.domain_id, topic, type_name), self._key("data", topic.strip("/"))]
-        subscribers = [self._session.declare_subscriber(key, on_sample) for key in keys]
+            key = data_key(self.options.domain_id, topic, type_name)
+            receivers = {key: on_sample, self._key("data", topic.strip("/")): on_own}
+        subscribers = [self._session.declare_subscriber(key, on_sample) for key, on_sample in receivers.items()]
 
         def close() -> None:
             for subscriber in subscribers:
@@ -279,17 +290,6 @@ def _own_publication(key: str) -> Publication | None:
         return None
     topic, node_name, type_name = parts[-3:]
     return Publication(f"/{topic}", type_name.replace(".", "/"), None, node_name)
-
-
-def _origin_of(sample: Any, *, is_ros: bool) -> Attachment:
-    if is_ros and sample.attachment is not None:
-        return parse_attachment(sample.attachment.to_bytes())
-    source_ns = 0
-    if sample.timestamp is not None:
-        ntp64 = sample.timestamp.get_time_as_ntp64()
-        source_ns = (ntp64 >> 32) * SECOND_NS + ((ntp64 & 0xFFFFFFFF) * SECOND_NS >> 32)
-    source = sample.source_info
-    return Attachment(0 if source is None else source.source_sn + 1, source_ns)
 
 
 @dataclass(frozen=True, slots=True)

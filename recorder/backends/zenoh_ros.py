@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from dds_trace.base.units import SECOND_NS
 
 from .dds_types import dds_name, ros_name
 from .node import Publication
@@ -47,3 +49,14 @@ def parse_attachment(data: bytes) -> Attachment:
         return Attachment()
     (sequence,), (source_ns,) = _NUMBER.unpack_from(data, sequence_at), _NUMBER.unpack_from(data, time_at)
     return Attachment(max(sequence, 0), max(source_ns, 0), data[-_GID_BYTES:].hex())
+
+
+def origin_of(sample: Any, *, is_ros: bool) -> Attachment:
+    if is_ros and sample.attachment is not None:
+        return parse_attachment(sample.attachment.to_bytes())
+    source_ns = 0
+    if sample.timestamp is not None:
+        ntp64 = sample.timestamp.get_time_as_ntp64()
+        source_ns = (ntp64 >> 32) * SECOND_NS + ((ntp64 & 0xFFFFFFFF) * SECOND_NS >> 32)
+    source = sample.source_info
+    return Attachment(0 if source is None else source.source_sn + 1, source_ns)

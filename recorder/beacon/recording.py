@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 from dds_trace.tracefile.format.events import SESSION_TOPIC
 
-from ..base_recording import LOOK_S, BaseRecording, Recorded
-from ..errors import NothingHeardError
+from ..base_recording import BaseRecording, Recorded
 from ..host.clock import read_adjtimex
 from ..options import BEACON_RATE_HZ
 from ..payloads import data_types
@@ -20,7 +19,6 @@ from ..roles.ping import PingThread, open_ping
 from ..roles.plan import RunPlan
 from ..roles.progress import BeaconProgress
 from ..roles.relay import Relay
-from ..roles.session import strangers_field
 from .exchange import NOTES_TOPIC, NOTES_TYPE, ClockNote, Exchanges, NotingSink
 
 if TYPE_CHECKING:
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.destination import ClosedTrace
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..applied.carried import Traffic
     from ..backends.node import Publisher, RawMessage
     from ..roles.ping import AnyPing
 
@@ -91,11 +88,6 @@ SERVICE_S = 60.0
 
 
 class BeaconRecording(BaseRecording):
-    """The recording of a beacon: one node, a ping's and a relay's session.
-
-    With `NothingHeardError` in the result no other beacon answered, and there is no trace.
-    """
-
     ROLE = "beacon"
 
     def describe(self, role: str | None = None, *, session_id: int | None = None, **extra: Json) -> Session:
@@ -105,12 +97,11 @@ class BeaconRecording(BaseRecording):
         options, node = self.options, self.node
         self.exchanges = Exchanges(node.strangers)
         self.pings: list[AnyPing] = []
-        self.run: Run | None = None
         self._reported_s = self._served_s = -float("inf")
         self._relay_session = self.describe("relay", session_id=secrets.randbits(64))
         self.upkeep.sink.write_json(SESSION_TOPIC, self._relay_session.to_dict())
         notes = node.create_publisher(NOTES_TOPIC, NOTES_TYPE, qos=options.node.qos)
-        self.relay = Relay(
+        self.role = Relay(
             node,
             self.upkeep.sink,
             self.relay_id,
@@ -144,13 +135,7 @@ class BeaconRecording(BaseRecording):
             self.pings.append(ping)
             self.exchanges.run_ids.add(ping.run_id)
             thread = PingThread(ping, partial(_run_once_met, ping, noting), self.node.stop_receiving)
-            while not thread.wait(LOOK_S):
-                self.look()
-                if self.stop.is_set() or self.left_s() <= 0 or self.node.error is not None:
-                    thread.enough.set()
-                if getattr(self.stop, "is_repeated", False):
-                    thread.hopeless.set()
-            self.run = thread.result() or self.run
+            self.run = self.look_until_pinged(thread) or self.run
             self.raise_error_of_node()
             ping.close()
 
@@ -179,14 +164,10 @@ class BeaconRecording(BaseRecording):
         for line in self.progress().clocks:
             self.watch.note(line)
 
-    @property
-    def traffic(self) -> Traffic:
-        return self.relay.traffic
-
     def close(self) -> JsonObject:
         sink = self.upkeep.sink
-        fields = {**self.read_back.fields(), **self.fields_at_end(), **strangers_field(self.node.strangers)}
-        sink.write_json(SESSION_TOPIC, self._relay_session.closed(sink.dropped_events, **fields).to_dict())
+        closed = self._relay_session.closed(sink.dropped_events, **self.fields_at_end())
+        sink.write_json(SESSION_TOPIC, closed.to_dict())
         return {}
 
     def progress(self) -> BeaconProgress:
@@ -197,14 +178,15 @@ class BeaconRecording(BaseRecording):
 
     def result(self, trace: ClosedTrace) -> Recorded:
         self._report()
-        progress, session = self.progress(), self.session
-        if not progress.clocks and not self.rehearses:
-            error = NothingHeardError(
-                f"no other beacon answered in domain {self.node.options.domain_id}: start `dds-record --role beacon` on "
-                "another device with the same --domain, --discovery and --backend"
-            )
-            return Recorded(None, session, progress, error=error)
-        return Recorded(trace, session, progress, self.run, self.upkeep.shortage)
+        return super().result(trace)
+
+    def explain_nothing(self) -> str | None:
+        if self.progress().clocks:
+            return None
+        return (
+            f"no other beacon answered in domain {self.node.options.domain_id}: start `dds-record --role beacon` on "
+            "another device with the same --domain, --discovery and --backend"
+        )
 
 
 def _run_once_met(ping: AnyPing, sink: TraceSink, enough: threading.Event, hopeless: threading.Event) -> Run | None:

@@ -12,6 +12,7 @@ import numpy as np
 from dds_trace.base.units import SECOND_NS
 
 if TYPE_CHECKING:
+    from ..applied.carried import Traffic
     from .live import LiveRow
 
 PERCENTILE_SAMPLES = 10_000
@@ -80,6 +81,16 @@ class BeaconProgress:
 
 
 Progress: TypeAlias = "PingProgress | RelayProgress | TapProgress | BeaconProgress"
+
+
+class Role(Protocol):
+    """What a recording runs on its node."""
+
+    @property
+    def traffic(self) -> Traffic:
+        """The messages so far, of which the kernel's counters must know."""
+
+    def progress(self) -> Progress: ...
 
 
 class Watch(Protocol):

@@ -6,15 +6,14 @@ import gc
 import os
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration
 
-from ..applied.carried import Traffic
 from ..backends.node import TapNode, TopicPatterns
 from ..base_recording import BaseRecording, Recorded
-from ..errors import NothingHeardError
 from ..roles.live import LiveTable
 from ..roles.progress import TapProgress
 from .page import open_diagnostics, serve_page
@@ -34,13 +33,8 @@ MOST_REASONS = 5
 
 
 class TapRecording(BaseRecording):
-    """The recording of a tap.
-
-    With `NothingHeardError` in the result no message came, and there is no trace.
-    """
-
     ROLE = "tap"
-    tap: Tap
+    role: Tap
 
     @property
     def _tap_options(self) -> TapOptions:
@@ -59,7 +53,7 @@ class TapRecording(BaseRecording):
         assert isinstance(node, TapNode)
         self._publish = open_diagnostics(self.node, self.options.device or "") if options.diagnostics else None
         self._live = LiveTable(options.expected_hz)
-        self.tap = Tap(
+        self.role = Tap(
             node,
             self.upkeep.sink,
             TopicPatterns(options.topics),
@@ -82,55 +76,49 @@ class TapRecording(BaseRecording):
             self.watch.note(f"listening to {', '.join(options.topics)} in domain {self.options.node.domain_id}")
 
     def look_until_done(self) -> None:
-        self.tap.look()
+        self.role.look()
         super().look_until_done()
-        self.tap.look()
+        self.role.look()
 
     def look(self) -> None:
-        self.tap.look()
+        self.role.look()
         super().look()
         self._looks += 1
         if self._publish is not None and self._looks % 2:
             self._publish(self._live)
-        if not self.tap.messages and not self._is_noted and time.monotonic_ns() - self._start_ns > LONELY_S * 1e9:
+        if not self.role.messages and not self._is_noted and time.monotonic_ns() - self._start_ns > LONELY_S * 1e9:
             self._is_noted = True
             self.watch.note(f"{self._why_nothing()}; the tap joins a topic as soon as it appears")
         if self._looks % COLLECT_LOOKS == 0:
             gc.collect()
 
-    @property
-    def traffic(self) -> Traffic:
-        messages = self.tap.messages
-        return Traffic(0, messages, sum(stream.payload_bytes for stream in self.tap.streams) // max(messages, 1))
-
     def close(self) -> JsonObject:
-        self.tap.close()
+        self.role.close()
         cpu_ns, duration_ns = time.process_time_ns() - self._cpu_ns, time.monotonic_ns() - self._start_ns
         left_out = {"payloads_left_out": self.upkeep.sink.payloads.left_out} if self._tap_options.payload else {}
-        self._own_cost: JsonObject = {"cpu_ns": cpu_ns, "duration_ns": duration_ns, "messages": self.tap.messages}
+        self._own_cost: JsonObject = {"cpu_ns": cpu_ns, "duration_ns": duration_ns, "messages": self.role.messages}
         return {"own_cost": self._own_cost, **left_out}
 
     def progress(self) -> TapProgress:
-        tap, rows = self.tap, self._live.rows() if self._tap_options.live else ()
-        missing = sum(stream.missing for stream in tap.streams)
-        return TapProgress(tap.messages, len(tap.topics), len(tap.streams), missing, rows)
+        return replace(self.role.progress(), rows=self._live.rows() if self._tap_options.live else ())
 
     def result(self, trace: ClosedTrace) -> Recorded:
-        progress, messages = self.progress(), self.tap.messages
-        if self.rehearses:
-            return Recorded(trace, self.session, progress)
-        if not messages:
-            return Recorded(None, self.session, progress, error=NothingHeardError(self._why_nothing()))
+        messages = self.role.messages
+        if self.rehearses or not messages:
+            return super().result(trace)
         left_out = self.upkeep.sink.payloads.left_out
         lost = [f"{counted(left_out, 'payload')} left out: too many waited for the disk"] if left_out else []
         cpu_ns, duration_ns = (int(str(self._own_cost[name])) for name in ("cpu_ns", "duration_ns"))
         used = f"{cpu_ns / max(duration_ns, 1):.1%} of one core, {format_duration(cpu_ns / messages)} for each message"
-        for line in (*summarize(self.tap.streams), *lost, f"the tap itself used {used}"):
+        for line in (*summarize(self.role.streams), *lost, f"the tap itself used {used}"):
             self.watch.note(line)
-        return Recorded(trace, self.session, progress, error=self.upkeep.shortage)
+        return super().result(trace)
+
+    def explain_nothing(self) -> str | None:
+        return None if self.role.messages else self._why_nothing()
 
     def _why_nothing(self) -> str:
-        tap, node = self.tap, self.node
+        tap, node = self.role, self.node
         names, domain_id = ", ".join(self._tap_options.topics), node.options.domain_id
         if tap.refused:
             reasons = [f"{topic}: {why}" for topic, why in sorted(tap.refused.items())]

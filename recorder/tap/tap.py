@@ -22,11 +22,13 @@ from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, 
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 
+from ..applied.carried import Traffic
 from ..backends.dds_types import DDS_TYPES
 from ..backends.node import ROUND_S, Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability
 from ..host.clock import Clock, SystemClock
 from ..roles.live import LiveTable, LiveTopic
+from ..roles.progress import TapProgress
 from .streams import State, Stream
 
 MOST_WAITING = 64
@@ -64,7 +66,6 @@ class Worker:
                     self.error = error
 
     def close(self) -> None:
-        """End after the items so far."""
         self._has_closed = True
         self._queue.put(None)
         self._thread.join()
@@ -162,6 +163,15 @@ class Tap:
     def topics(self) -> list[str]:
         return sorted({topic.name for topic in self._topics.values() if topic.subscription is not None})
 
+    @property
+    def traffic(self) -> Traffic:
+        messages = self.messages
+        return Traffic(0, messages, sum(stream.payload_bytes for stream in self.streams) // max(messages, 1))
+
+    def progress(self) -> TapProgress:
+        missing = sum(stream.missing for stream in self.streams)
+        return TapProgress(self.messages, len(self.topics), len(self.streams), missing)
+
     def look(self) -> None:
         """Join new topics, and report publishers that stopped or are back; at most two looks at the graph a second."""
         if self._worker is not None and self._worker.error is not None:
@@ -223,7 +233,10 @@ class Tap:
                 self.refused[shown] = printable(reason).rstrip(":")
                 self._note(f"{shown} is not joined: {self.refused[shown]}")
             return
-        self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
+        joined = (other for other in self._topics.values() if other.name == name and other.subscription is not None)
+        other = next((other.type_name for other in joined if other is not topic), "")
+        also = f"; the name is also announced as {other}" if other else ""
+        self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}{also}")
 
     def _payload_topic(self, name: str, type_name: str) -> PayloadTopic | None:
         if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:
@@ -289,10 +302,15 @@ class Tap:
 
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         publisher, publication = self._identify(topic, source)
-        heard = (
-            other for other in self.streams if other.publisher == publisher and other.publication.topic == topic.name
+        stream = next(
+            (
+                other
+                for other in self.streams
+                if (other.publisher, other.publication.topic, other.publication.type_name)
+                == (publisher, topic.name, topic.type_name)
+            ),
+            None,
         )
-        stream = next(heard, None)
         if stream is None:
             if len(self.streams) >= MOST_STREAMS:
                 return self.streams[-1]

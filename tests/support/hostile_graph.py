@@ -1,4 +1,4 @@
-"""Announces topics and types that no honest program has, and one good topic, until its standard input ends.
+"""Announces topics and types that no honest program has; after a line on its standard input one good topic, until that ends.
 
 hostile_graph.py cyclonedds|zenoh DOMAIN
 """
@@ -35,6 +35,7 @@ ANNOUNCED = (
     *((f"type{number}", type_name) for number, type_name in enumerate(TYPES)),
     *(("one", f"many::msg::dds_::Type{number}_") for number in range(3)),
     ("not\udcfftext", STRING),
+    (GOOD, "std_msgs::msg::dds_::Header_"),
 )
 
 
@@ -84,9 +85,10 @@ def main() -> None:
     with open_node(backend, options) as node:
         is_zenoh = backend == "zenoh"
         kept = announce_on_zenoh(node._session, domain_id) if is_zenoh else announce_in_dds(node._participant)
-        publisher = node.create_publisher(GOOD, "std_msgs/msg/String")
         node.start()
         print(f"announced {len(kept)}", flush=True)
+        sys.stdin.readline()
+        publisher = node.create_publisher(GOOD, "std_msgs/msg/String")
         while not select.select([sys.stdin], [], [], 0.05)[0]:
             publisher.publish(encode_string("good"))
         os._exit(0)  # names were overwritten in its memory

@@ -26,6 +26,7 @@ from ...choices import Discovery, Transport
 from ...host.process import ending_with_parent
 from ...security.keys import enclave
 from ..base import has_package
+from ..node import Middleware
 from ..qos import requested_durations
 
 if TYPE_CHECKING:
@@ -284,4 +285,25 @@ def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+    )
+
+
+def describe_middleware(options: NodeOptions, rmw: str, executor: str, further: Mapping[str, str]) -> Middleware:
+    facts = ros_middleware(rmw)
+    versions = {name: package_version(name) for name in ("rclpy", *facts.packages)}
+    settings = {
+        "executor": executor,
+        "discovery": options.discovery.value,
+        "transport": options.transport.value,
+        "tuned": str(options.tuned).lower(),
+        "FASTDDS_BUILTIN_TRANSPORTS": os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", ""),
+        **further,
+    }
+    return Middleware(
+        "ros2",
+        facts.vendor,
+        rmw,
+        {name: version for name, version in versions.items() if version},
+        {name: value for name, value in settings.items() if value},
+        facts.label,
     )

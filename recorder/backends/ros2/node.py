@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 import signal
 import threading
 from contextlib import suppress
@@ -13,18 +12,18 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind, Transport
-from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, Publication, ThreadedNode, TopicView
+from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Publication, ThreadedNode, TopicView
 from ..other_side import NOT_TEXT
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
 from .fastdds_profile import publish_unlocked
-from .installation import message_class, package_version
+from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
 GUID_BYTES = 16
 _FAST_DDS, _HOST_BYTES = b"\x01\x0f", 4
 """First bytes of the GUIDs of Fast DDS: the vendor, then a number of the host."""
+MOST_TYPES = 4
+"""Types of a topic that a tap joins, each with a participant of its own."""
 UNKNOWN_SEQUENCE = (1 << 64) - 1
 """RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED of `rmw/types.h`."""
 
@@ -69,18 +70,18 @@ class Ros2Node(ThreadedNode):
             ) from err
         self._executor, executor_name = _make_executor(options.executor, self._context)
         self._executor.add_node(self._node)
-        self._middleware = _describe_middleware(options, executor_name, settings or {})
+        self._middleware = describe_middleware(options, running_rmw(), executor_name, settings or {})
         self._publishers: list[_ObjectPublisher] = []
         # The EventsExecutor takes one message a notification, and Fast DDS notifies once of several (a late fragment).
         self._takes_left = executor_name == "events"
         self._subscriptions: tuple[_Ros2Subscription, ...] = ()
         self._incompatible: dict[str, set[str]] = {}
+        self.tapped: dict[str, str] = {}
+        self._further: tuple[Ros2Node, ...] = ()
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         opened = self._open_publisher(_RawPublisher, topic, type_name, qos)
-        if (
-            self.options.transport is Transport.LARGE_DATA
-        ):  # over TCP, which blocks while the other device does not read
+        if self.options.transport is Transport.LARGE_DATA:  # TCP blocks while the other device does not read
             opened.publish = publish_unlocked(opened.publisher.handle)  # type: ignore[method-assign]
         return opened
 
@@ -114,11 +115,16 @@ class Ros2Node(ThreadedNode):
         self, topic: str, type_name: str, receive: Receive[Any], qos: Qos | None, *, raw: bool
     ) -> _Ros2Subscription:
         on_message = _with_info(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
+        return self._subscribe(topic, type_name, on_message, qos or self.options.qos, raw=raw)
+
+    def _subscribe(
+        self, topic: str, type_name: str, on_message: Callable[..., None], qos: Qos, *, raw: bool = True
+    ) -> _Ros2Subscription:
         subscription = self._node.create_subscription(
             message_class(type_name),
             topic,
             on_message,
-            qos_profile(qos or self.options.qos),
+            qos_profile(qos),
             raw=raw,
             event_callbacks=_events("SubscriptionEventCallbacks", self._on_incompatible(topic, "publisher")),
         )
@@ -127,6 +133,7 @@ class Ros2Node(ThreadedNode):
         return opened
 
     def list_publications(self, matches: TopicPatterns) -> list[Publication]:
+        self.error = next((node.error for node in (self, *self._further) if node.error is not None), None)
         infos = self._infos("/parameter_events") or []
         own_gid = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
         names = ((name, types) for name, types in self._names_and_types(matches.texts) if matches(name))
@@ -168,13 +175,26 @@ class Ros2Node(ThreadedNode):
         ]
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
-        on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
-        subscription = self._node.create_subscription(
-            message_class(type_name), topic, on_message, qos_profile(qos), raw=True
-        )
-        opened = _Ros2Subscription(self, subscription, on_message)
-        self._subscriptions += (opened,)
+        message_class(type_name)
+        free = (node for node in (self, *self._further) if node.tapped.get(topic, type_name) == type_name)
+        return (next(free, None) or self._open_further(topic)).open_tap(topic, type_name, receive, qos)
+
+    def open_tap(self, topic: str, type_name: str, receive: TapReceive, qos: Qos) -> _Ros2Subscription:
+        stamps_reception = ros_middleware(running_rmw()).stamps_reception
+        opened = self._subscribe(topic, type_name, _with_sequence(receive, stamps_reception=stamps_reception), qos)
+        self.tapped[topic] = type_name
         return opened
+
+    def _open_further(self, topic: str) -> Ros2Node:
+        from .. import open_node
+
+        if len(self._further) >= MOST_TYPES - 1:
+            joined = ", ".join(node.tapped[topic] for node in (self, *self._further))
+            raise OptionError(f"it is announced with more than {MOST_TYPES} types, and these are joined: {joined}")
+        node = cast("Ros2Node", open_node("ros2", self.options))
+        node.start()
+        self._further += (node,)
+        return node
 
     def publisher_of(self, source: Hashable) -> str | None:  # noqa: ARG002 - rclpy does not report it
         return None
@@ -239,7 +259,14 @@ class Ros2Node(ThreadedNode):
         if self._thread is not None:
             self._executor.wake()
 
+    def _stop_receiving(self, timeout_s: float | None) -> None:
+        for node in self._further:
+            node.stop_receiving(timeout_s)
+        super()._stop_receiving(timeout_s)
+
     def _leave(self) -> None:
+        for node in self._further:
+            node.close()
         for publisher in self._publishers:
             publisher.wait_until_acknowledged()
         with _python_signal_handlers():
@@ -379,13 +406,9 @@ def _with_sequence(receive: TapReceive, *, stamps_reception: bool) -> Callable[.
         if info is None:
             message, info = message
         sequence = info.get("publication_sequence_number", UNKNOWN_SEQUENCE)
-        receive(
-            message,
-            info["source_timestamp"],
-            info["received_timestamp"] if stamps_reception else 0,
-            0 if sequence == UNKNOWN_SEQUENCE else sequence,
-            None,
-        )
+        sequence = 0 if sequence == UNKNOWN_SEQUENCE else sequence
+        received_ns = info["received_timestamp"] if stamps_reception else 0
+        receive(message, info["source_timestamp"], received_ns, sequence, None)
 
     return _of_two_parameters(on_message)
 
@@ -424,26 +447,4 @@ def _endpoint(info: Any) -> Endpoint:
             profile.depth,
             duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES}),
         ),
-    )
-
-
-def _describe_middleware(options: NodeOptions, executor: str, further: Mapping[str, str]) -> Middleware:
-    rmw = running_rmw()
-    facts = ros_middleware(rmw)
-    versions = {name: package_version(name) for name in ("rclpy", *facts.packages)}
-    settings = {
-        "executor": executor,
-        "discovery": options.discovery.value,
-        "transport": options.transport.value,
-        "tuned": str(options.tuned).lower(),
-        "FASTDDS_BUILTIN_TRANSPORTS": os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", ""),
-        **further,
-    }
-    return Middleware(
-        "ros2",
-        facts.vendor,
-        rmw,
-        {name: version for name, version in versions.items() if version},
-        {name: value for name, value in settings.items() if value},
-        facts.label,
     )

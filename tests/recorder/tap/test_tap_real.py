@@ -293,11 +293,20 @@ def test_names_of_strangers_cost_only_their_topics(tmp_path, domain_id, backend,
         tapping(tmp_path / "tap.mcap", backend, domain_id, "/*", "/good", "*") as (watch, result),
     ):
         assert process.stdout.readline().startswith(b"announced")
-        wait_until(lambda: watch.messages >= 5 and len([note for note in watch.notes if "not joined" in note]) >= 5)
+        wait_until(lambda: any(note.startswith("joined /good (std_msgs/msg/Header)") for note in watch.notes))
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        wait_until(lambda: any(note.startswith("joined /good (std_msgs/msg/String)") for note in watch.notes))
+        enough = watch.messages + 20
+        wait_until(lambda: watch.messages >= enough and sum("not joined" in note for note in watch.notes) >= 5)
         process.stdin.close()
     assert result[0].error is None
-    described = {text["topic"]: text["messages"] for text in read_trace(tmp_path / "tap.mcap").publishers}
-    assert described["/good"] >= 5
+    described = {
+        (text["topic"], text["type"]): text["messages"] for text in read_trace(tmp_path / "tap.mcap").publishers
+    }
+    assert described["/good", "std_msgs/msg/String"] >= 5
+    (both_types,) = (note for note in watch.notes if note.startswith("joined /good (std_msgs/msg/String)"))
+    assert both_types.endswith("also announced as std_msgs/msg/Header")
     refused = [note.partition(" is not joined")[0] for note in watch.notes if "is not joined" in note]
     assert len(refused) == len(set(refused))
     assert all(note.isprintable() for note in watch.notes)

@@ -8,22 +8,28 @@ from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeAlias, TypeVar
 
+from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
-from .backends import load_backend, open_node
-from .choices import Security
+from .applied.carried import LOOPBACK
+from .backends import load_backend, load_backends, open_node
+from .choices import Discovery, Security
 from .errors import NotAppliedError, NothingHeardError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
+from .host.environment import join_environments
+from .host.fingerprint import host_fingerprint, read_boot_id
 from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
+from .kernel.counters import read_interfaces
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
-from .roles.session import default_connectivity, describe_session, strangers_field
 from .roles.wire_record import open_wire
 from .security.keys import public_hash
 from .service.upkeep import Upkeep
@@ -33,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from dds_trace.base.errors import TraceError
-    from dds_trace.tracefile.format.descriptions import Run, Session
+    from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -254,17 +260,28 @@ class BaseRecording(ABC):
         return open_node(self.options.backend, replace(self._node_options, name=name, listens=listens))
 
     def describe(self, role: str | None = None, *, session_id: int | None = None, **extra: Json) -> Session:
-        options, role = self.options, role or self.ROLE
+        options, role, anchor, middleware = self.options, role or self.ROLE, self.clock.anchor(), self.node.middleware
         connectivity = options.connectivity or default_connectivity(options.node.discovery)
-        return describe_session(
-            self.node,
-            self.clock.anchor(),
-            role=role,
+        # Of all backends: ROS middleware reads its vendor's files, and a bridge may have another vendor.
+        environment = join_environments(backend.environment for backend in load_backends())
+        host = host_fingerprint(middleware.versions, environment)
+        return Session(
             session_id=session_id or self.session_id,
-            device=options.device,
-            connectivity=connectivity,
+            role=role,
+            device=options.device or os.uname().nodename,
+            backend=middleware.backend,
+            vendor=middleware.vendor,
+            rmw=middleware.rmw,
+            domain_id=self.node.options.domain_id,
             relay_id=self.relay_id if role == "relay" else None,
+            connectivity=connectivity,
+            wall_anchor_ns=anchor.wall_ns,
+            monotonic_anchor_ns=anchor.monotonic_ns,
+            host={**host, "middleware": dict(middleware.settings)},
             extra={
+                "vendor_label": middleware.vendor_label or load_backend(middleware.backend).label,
+                "recorder_version": __version__,
+                "boot_id": read_boot_id(),
                 **self.privileges,
                 **self.costs,
                 "settings": side_settings(options, connectivity),
@@ -275,7 +292,7 @@ class BaseRecording(ABC):
         )
 
     def fields_at_end(self) -> JsonObject:
-        keys, security = self.options.node.keys, {}
+        keys, security, strangers = self.options.node.keys, {}, self.node.strangers.counts
         if keys is not None:
             security = {
                 "level": self.options.node.security.value,
@@ -284,7 +301,7 @@ class BaseRecording(ABC):
             }
         return {
             **self.read_back.fields(),
-            **strangers_field(self.node.strangers),
+            **({"strangers": dict(sorted(strangers.items()))} if strangers else {}),
             "clock": {**self.clock_fields, "end": read_adjtimex()},
             **self.load(),
             **realtime_threads(),
@@ -307,3 +324,19 @@ class BaseRecording(ABC):
     def raise_error_of_node(self) -> None:
         if self.node.error is not None:
             raise self.node.error
+
+
+def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:
+    """Return `loopback`, also where no interface leads elsewhere; else `wireless` or `wired` by the default route."""
+    if discovery is Discovery.LOCALHOST:
+        return "loopback"
+    try:
+        routes = [line.split() for line in (root / "proc/net/route").read_text().splitlines()[1:]]
+        other_interfaces = read_interfaces(root / "proc").keys() - {LOOPBACK}
+    except OSError:
+        routes, other_interfaces = [], {""}
+    if not routes and not other_interfaces:
+        return "loopback"
+    interface = next((route[0] for route in routes if route[1] == "00000000"), None)
+    is_wireless = interface is not None and (root / "sys/class/net" / interface / "wireless").exists()
+    return "wireless" if is_wireless else "wired"

@@ -5,12 +5,12 @@ import pytest
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.base_recording import default_connectivity
 from dds_trace.recorder.choices import Discovery, Serialization
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import IMU, header_data_type
 from dds_trace.recorder.roles.plan import plan_run
 from dds_trace.recorder.roles.progress import Replies, Silence
-from dds_trace.recorder.roles.session import default_connectivity
 from dds_trace.tracefile.writing.destination import TraceDestination
 
 

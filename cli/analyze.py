@@ -83,8 +83,14 @@ NOT_OF_TOPICS = (
 )
 
 
-def _refuse_with_topics(values: Mapping[str, Any]) -> None:
-    refused = [name for name in NOT_OF_TOPICS if values[name]]
+def _check_topics(values: Mapping[str, Any]) -> None:
+    of_topics = [name for name in ("clock", "write_limits") if values[name] is not None and not values["topics"]]
+    if of_topics:
+        flag = f"--{of_topics[0].replace('_', '-')}"
+        raise OptionError(f"{flag} is for recordings of other tools: dds-analyze bag/ --topics {flag} ...")
+    for path, flag in ((values["limits_file"], "--limits"), (values["write_limits"], "--write-limits")):
+        limits.check(limits.PATH, None if path is None else str(path), flag)
+    refused = [name for name in NOT_OF_TOPICS if values[name] and values["topics"]]
     if refused:
         spelled = {"shows_all": "all"}
         options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in refused)
@@ -179,6 +185,12 @@ def main_command(
             "repeatable.",
         ),
     ] = None,
+    limits_file: Annotated[
+        Path | None, option("--limits FILE", "A limits.toml with limits of topics, as --fail-if has.")
+    ] = None,
+    write_limits: Annotated[
+        Path | None, option("--write-limits FILE", "With --topics: write a limits.toml from good recordings.")
+    ] = None,
     card: Annotated[
         bool,
         option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card."),
@@ -213,8 +225,7 @@ def main_command(
     from dds_trace.recorder.option_values import parse_percentage
     from dds_trace.reports.reporters import write_reports
 
-    if topics:
-        _refuse_with_topics(values)
+    _check_topics(values)
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     traces = expand_paths(paths)
@@ -225,11 +236,10 @@ def main_command(
     least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
     kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
     if topics:
-        _report_topics(traces, target, kinds, export or [], fail_if or [], clock, open_it=open_it)
+        report_limits = fail_if or [], limits_file, write_limits
+        _report_topics(traces, target, kinds, export or [], report_limits, clock, open_it=open_it)
         return
-    if clock is not None:
-        raise OptionError("--clock is for recordings of other tools: dds-analyze bag/ --topics --clock runs/")
-    gates = _parse_limits(fail_if or [])
+    gates = _parse_limits(fail_if or [], limits_file)
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
@@ -271,9 +281,11 @@ def main_command(
         _judge_topics(analysis, gates)
 
 
-def _parse_limits(texts: list[str]) -> list[Gate]:
+def _parse_limits(texts: list[str], limits_file: Path | None) -> list[Gate]:
     from dds_trace.analyzer.model.metrics import METRICS
     from dds_trace.analyzer.verdicts.gate import Against, parse_gates
+
+    from .limits_file import limits_of_one_side, read_limits
 
     gates = parse_gates(texts)
     if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
@@ -281,7 +293,8 @@ def _parse_limits(texts: list[str]) -> list[Gate]:
             "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
             "dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
         )
-    return gates
+    of_file = [] if limits_file is None else limits_of_one_side(read_limits(limits_file))
+    return [*gates, *(gate for gate in of_file if gate.names_topics)]
 
 
 def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
@@ -334,7 +347,7 @@ def _report_topics(
     target: Path,
     kinds: list[str],
     exports: list[str],
-    limits_: list[str],
+    limits_: tuple[list[str], Path | None, Path | None],
     clock: str | None,
     *,
     open_it: bool,
@@ -343,15 +356,18 @@ def _report_topics(
     from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
     from dds_trace.analyzer.verdicts.gate import parse_topic_gate
 
+    from .limits_file import read_limits
     from .topics import report_topics
 
-    gates = [parse_topic_gate(text) for text in limits_]  # before anything is read
+    texts, limits_file, write_limits = limits_
+    gates = [parse_topic_gate(text) for text in texts]  # before anything is read
+    gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
     request = None if clock is None else ClockRequest.parse(clock)
     stamp_clock = None
     if request is not None:
         measured = analyze(request.folder, details=False)
         stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows)
-    code, written = report_topics(paths, target, kinds, exports, gates, stamp_clock)
+    code, written = report_topics(paths, target, kinds, exports, gates, stamp_clock, write_limits)
     for path in written:
         print(f"Wrote {path}")
     _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)

@@ -114,6 +114,7 @@ def compare_command(
     from dds_trace.reports.comparison import terminal
     from dds_trace.reports.comparison.info import comparison_info
 
+    from .limits_file import limits_text
     from .limits_file import write_limits as write_limits_file
 
     paths = ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH))
@@ -131,8 +132,7 @@ def compare_command(
     comparison = compare(before, after, options_for(gates, options))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
     if write_limits is not None:
-        write_limits_file(comparison, write_limits)
-        say(f"Wrote {write_limits}")
+        write_limits_file(limits_text(comparison), write_limits)
     for folder, side in ((base, before), *([] if new is None else [(new, after)])):
         for finding in side.findings:
             if finding.code == "not_applied":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import json
 import math
@@ -9,11 +10,14 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import format_duration
+from dds_trace.base.streams import say
+from dds_trace.base.units import format_duration, three_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.statistics.intervals import Interval
@@ -25,12 +29,13 @@ LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
 
 
-def read_limits(path: Path) -> list[Gate]:
-    """Return the gates of a file of limits.
+def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
+    """Return the gates of a file of limits on results; or those on values of topics in a recording of other tools.
 
     Raises:
         OptionError: it cannot be read, or something in it is not a limit.
     """
+    from dds_trace.analyzer.verdicts.gate import RECEIVED_RATIO, VALUES_OF_TOPICS
     from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable
@@ -51,7 +56,12 @@ def read_limits(path: Path) -> list[Gate]:
         one = replace(table, values=limits)
         result = table.take("result", str, "")
         thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(one)]
-    return gates_of(thresholds, str(path))
+    gates = gates_of(thresholds, str(path))
+    if of_recording:
+        of_topics = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))
+        values = (*VALUES_OF_TOPICS, RECEIVED_RATIO)
+        return [gate for gate in limits_of_one_side(of_topics) if gate.name in values]
+    return [gate for gate in gates if gate.metric not in VALUES_OF_TOPICS]
 
 
 def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
@@ -110,7 +120,30 @@ def limits_text(comparison: Comparison) -> str:
             least = share.value - max(LEAST_LOSS, 2 * (share.value - share.lower))
             line = f'received_ratio = "> {math.floor(1000 * max(0.0, least)) / 10:g} %"'
             sections.setdefault(_section(group_words(row, names)), []).append(line)
-    head = "# Written by `dds-trace compare --write-limits` from good runs; docs/how-to/ci.md says what may be in it.\n"
+    return _text(sections)
+
+
+def topic_limits_text(topics: pl.DataFrame) -> str:
+    """Return limits by topic, with room over the worst of good recordings (rows of `TopicReport.topics`)."""
+    from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
+
+    sections: dict[str, list[str]] = {}
+    high = pl.col("missing_high")
+    worst = topics.group_by("topic", maintain_order=True).agg(
+        pl.col("rate_hz").min(), (high / (pl.col("messages") + high)).max().alias("missing"), pl.col("age_p99_ns").max()
+    )
+    for topic, rate_hz, missing, age_ns in worst.iter_rows():
+        lines = sections.setdefault(_section(topic), [])
+        if missing is not None and rate_hz:
+            lines.append(f'rate = "> {three_digits((1 - LEAST_ROOM) * rate_hz)} Hz"')
+            lines.append(f'missing = "< {math.ceil(1000 * max(LEAST_LOSS, 2 * missing)) / 10:g} %"')
+        if age_ns is not None and 0 < age_ns < OTHER_CLOCK_NS:
+            lines.append(f'age_p99 = "< {_time_above(1.5 * age_ns)}"')
+    return _text({key: lines for key, lines in sections.items() if lines})
+
+
+def _text(sections: Mapping[str, Sequence[str]]) -> str:
+    head = "# Written by `--write-limits` from good runs; docs/how-to/ci.md says what may be in it.\n"
     return head + "".join(f"\n{key}\n" + "".join(f"{line}\n" for line in lines) for key, lines in sections.items())
 
 
@@ -123,18 +156,25 @@ def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
         return
     # Of n runs the reach of the mean, times sqrt(n + 1), is that of a single further run.
     room = max(LEAST_ROOM, (new.upper / new.value) ** math.sqrt(new.units + 1) - 1)
-    limit_ns = new.value * (1 + room)
+    yield f'{metric} = ["< {_time_above(new.value * (1 + room))}", "< +{5 * math.ceil(20 * room):g} %"]'
+
+
+def _time_above(limit_ns: float) -> str:
     digits = 10 ** (math.floor(math.log10(limit_ns)) - 1)
-    time = format_duration(math.ceil(limit_ns / digits) * digits).replace("µs", "us")
-    yield f'{metric} = ["< {time}", "< +{5 * math.ceil(20 * room):g} %"]'
+    return format_duration(math.ceil(limit_ns / digits) * digits).replace("µs", "us")
 
 
-def write_limits(comparison: Comparison, path: Path) -> None:
+def write_limits(text: str, path: Path) -> None:
+    """Write a new file of limits, whole or not at all."""
     from dds_trace.base.errors import OutputError
+    from dds_trace.base.files import replacing
 
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(limits_text(comparison))
+        if path.exists():
+            raise FileExistsError(errno.EEXIST, "it exists already")
+        with replacing(path) as draft:
+            draft.write_text(text, encoding="utf-8")
+        say(f"Wrote {path}")
     except OSError as err:
         raise OutputError(f"{path}: cannot be written ({err.strerror or err}); give another --write-limits") from err
 

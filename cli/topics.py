@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
-from dds_trace.analyzer.recordings.card import DAMAGED, HOLES
-from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport, analyze_topics
+from dds_trace.analyzer.recordings.card import DAMAGED, HOLES, OTHER_CLOCK_NS
+from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import OptionError
+from dds_trace.base.printable import printable
 from dds_trace.base.streams import say
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.reports.topics.words import JudgedTopic
+
+from .limits_file import topic_limits_text, write_limits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.verdicts.gate import TopicGate
+    from dds_trace.analyzer.verdicts.gate import Gate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
 _FILES = {
@@ -35,8 +38,9 @@ def report_topics(
     folder: Path,
     kinds: Sequence[str],
     exports: Sequence[str],
-    gates: Sequence[TopicGate],
+    gates: Sequence[Gate],
     clock: StampCorrector | None = None,
+    limits_out: Path | None = None,
 ) -> tuple[int, list[Path]]:
     """Print the health of recordings and write the reports asked for; return the exit code and the files.
 
@@ -47,7 +51,7 @@ def report_topics(
     if others := sorted({*exports} - EXPORTERS.keys()):
         raise OptionError(f"--topics exports {' and '.join(EXPORTERS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
-    judged = list(_judge(report, gates))
+    judged = list(_judge(report.topics, report.holes, gates))
     print_topics(report, judged)
     for source in report.sources:
         if source.status != "read" or source.detail:
@@ -57,40 +61,62 @@ def report_topics(
     written += [
         write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())) for kind in exports
     ]
-    return _exit_code(report, judged, gates), written
-
-
-def _exit_code(report: TopicReport, judged: Sequence[JudgedTopic], gates: Sequence[TopicGate]) -> int:
+    if limits_out is not None:
+        write_limits(topic_limits_text(report.topics), limits_out)
     if report.verdict == DAMAGED:
-        return DAMAGED_EXIT_CODE
+        return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
-        outcomes = {judgement.outcome for judgement in judged}
-        worst = (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED)
-        return next(outcome for outcome in worst if outcome in outcomes).exit_code
-    return HOLES_EXIT_CODE if report.verdict == HOLES else 0
+        return _worst(judged), written
+    return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
 
 
-def _judge(report: TopicReport, gates: Sequence[TopicGate]) -> Iterator[JudgedTopic]:
+def judge_tap(trace: Path, gates: Sequence[Gate]) -> tuple[int, list[str]]:
+    """Return exit code and lines of what a tap's trace has to meet."""
+    from dds_trace.analyzer.pipeline import analyze
+
+    lost = pl.col("published") - pl.col("received")
+    counts = [lost.alias(name) for name in ("missing", "missing_low", "missing_high")]
+    topics = analyze(trace, details=False).topics.with_columns(
+        *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
+    )
+    judged = list(_judge(topics, None, gates))
+    return _worst(judged), [f"{one.outcome.value}: {one.gate.text}, {printable(one.topic)}" for one in judged]
+
+
+def _worst(judged: Sequence[JudgedTopic]) -> int:
+    outcomes = {judgement.outcome for judgement in judged}
+    worst = (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED)
+    return next((outcome.exit_code for outcome in worst if outcome in outcomes), 0)
+
+
+def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:
     for gate in gates:
-        rows = [row for row in report.topics.iter_rows(named=True) if gate.is_about(row["topic"])]
-        if not rows:
+        rows = [row for row in topics.iter_rows(named=True) if gate.is_about(row["topic"])]
+        if not rows and gate.topic:
             raise OptionError(f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}")
+        if not rows and not gate.unless:  # a file of limits names what there has to be
+            topic = f"{gate.results[0][1]}: no recording has this topic"
+            yield JudgedTopic(gate, "", topic, GateOutcome.REGRESSED)
         for row in rows:
-            low, high = _ends(row, report.holes, gate.metric)
-            yield JudgedTopic(gate, row["recording"], row["topic"], gate.judge(low, high))
+            low, high = _ends(row, holes, gate.name)
+            yield JudgedTopic(gate, row["recording"], row["topic"], gate.judge(low, low, high))
 
 
-def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[float | None, float | None]:
-    if metric == "jitter":
-        return row["jitter_ns"], row["jitter_ns"]
+def _ends(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> tuple[float | None, float | None]:
+    if metric in ("jitter", "rate"):
+        value = row["jitter_ns" if metric == "jitter" else "rate_hz"]
+        return value, value
     if metric.startswith("age"):
         value, bound = row[f"{metric}_ns"], row["age_bound_ns"] or 0
-        return (None, None) if value is None else (value - bound, value + bound)
+        is_known = value is not None and 0 <= value < OTHER_CLOCK_NS
+        return (value - bound, value + bound) if is_known else (None, None)
     if row["missing"] is None:
         return None, None
-    if metric == "missing":
-        low, high = row["missing_low"], row["missing_high"]
-        return low / max(row["messages"] + low, 1), high / max(row["messages"] + high, 1)
+    if metric in ("missing", "received_ratio"):
+        low, high = (row[end] / max(row["messages"] + row[end], 1) for end in ("missing_low", "missing_high"))
+        return (low, high) if metric == "missing" else (1 - high, 1 - low)
+    if holes is None:
+        return None, None
     topic_holes = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
     longest_ns = max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9
     return longest_ns, longest_ns

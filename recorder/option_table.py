@@ -102,6 +102,13 @@ class CommandOptions:
     for_s: float | None = option(
         None, "--for SECONDS", Panel.FILES, "As --duration.", limit=limits.LENGTH_S, roles=(Role.TAP, Role.BEACON)
     )
+    limits_path: Path | None = option(
+        None,
+        "--limits FILE",
+        Panel.TAP,
+        "A limits.toml that the topics have to meet; exit with 20 at the end if one does not (extra analyze).",
+        kind=Path,
+    )
     keep: int | None = option(
         None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int
     )

@@ -33,6 +33,16 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
 }
 _POINTS = "points"
+VALUES_OF_TOPICS = {
+    "missing": "%",
+    "rate": "Hz",
+    "jitter": "time",
+    "hole": "time",
+    "age_p50": "time",
+    "age_p99": "time",
+}
+"""Name of a value of a recorded topic -> the kind of its limit."""
+_UNITS: Mapping[str, Mapping[str, float]] = {"%": {"%": 0.01}, "Hz": {"hz": 1.0}, "time": UNIT_NS}
 _GATE = re.compile(
     r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(\(\s*(?P<topic>/[^()\s]*)\s*\))?\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
 )
@@ -104,6 +114,16 @@ class Gate:
     unless: tuple[Patterns, ...] = ()
     accepted: str = ""
 
+    @property
+    def name(self) -> str:
+        """`age_p99`, `received_ratio`."""
+        return f"{self.metric}_{self.statistic}" if self.statistic else self.metric
+
+    @property
+    def names_topics(self) -> bool:
+        """Whether it judges topics only."""
+        return bool(self.topic) or any(pattern.startswith("/") for _, pattern in self.results)
+
     def applies_to(self, row: Mapping[str, object]) -> bool:
         """Return whether the result with these columns is judged."""
         data_type = row["data_type"]
@@ -111,20 +131,20 @@ class Gate:
             return False
         return _fits(row, self.results) and not any(_fits(row, patterns) for patterns in self.unless)
 
+    def is_about(self, topic: str) -> bool:
+        """Return whether a topic of a recording is judged."""
+        row = {"data_type": topic}
+        return fnmatchcase(topic, self.topic or "*") and (
+            _fits(row, self.results) and not any(_fits(row, patterns) for patterns in self.unless)
+        )
+
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
         """Judge an estimate by its interval; an end that is None may be anywhere."""
-        if value is None:
+        ends = (-math.inf if low is None else low, math.inf if high is None else high)
+        fails = [OPERATORS[self.operator](end, self.limit) for end in ends]
+        if value is None or any(fails) != all(fails):
             return GateOutcome.INCONCLUSIVE
-        return judged_ends(self.operator, self.limit, low, high)
-
-
-def judged_ends(comparison: str, limit: float, low: float | None, high: float | None) -> GateOutcome:
-    """Judge a value from `low` to `high`, which may be anything where it is None."""
-    ends = (-math.inf if low is None else low, math.inf if high is None else high)
-    fails = [OPERATORS[comparison](end, limit) for end in ends]
-    if all(fails):
-        return GateOutcome.REGRESSED
-    return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED
+        return GateOutcome.REGRESSED if all(fails) else GateOutcome.PASSED
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
@@ -170,9 +190,14 @@ def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate
     match = _GATE.fullmatch(f"{metric} {condition}")
     if match is None or match["metric"] != metric:
         raise OptionError(f"{where}: write what passes, for example latency_p99 = '< 20 ms'")
-    name, statistic = _parse_metric(where, metric)
-    against, limit = _parse_limit(where, match["limit"], name)
-    if name not in (*METRICS, RECEIVED_RATIO) and not any(value.startswith("/") for _, value in results):
+    of_topic = any(value.startswith("/") for _, value in results)
+    if of_topic and metric in VALUES_OF_TOPICS and metric not in _SPLIT:
+        name, statistic, against = metric, "", Against.NEW
+        limit = _limit_of_topic(where, metric, match["limit"])
+    else:
+        name, statistic = _parse_metric(where, metric)
+        against, limit = _parse_limit(where, match["limit"], name)
+    if name not in (*METRICS, RECEIVED_RATIO) and not of_topic:
         raise OptionError(f"{where}: a result has {', '.join(METRICS)} and {RECEIVED_RATIO}; choose one of them")
     text = f"{metric} {match['operator']} {match['limit']}"
     return Gate(text, name, statistic, _OPPOSITE[match["operator"]], against, limit)
@@ -206,49 +231,33 @@ def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
     return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
 
 
-VALUES_OF_TOPICS = {"missing": "%", "jitter": "time", "hole": "time", "age_p50": "time", "age_p99": "time"}
-"""Name of a value of a topic -> the kind of its limit: a share in %, or a time."""
-
 _TOPIC_GATE = re.compile(
     r"\s*(?P<metric>\w+)\s*\(\s*(?P<topic>[^()\s]+)\s*\)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
 )
 
 
-@dataclass(frozen=True, slots=True)
-class TopicGate:
-    """A condition under which `--topics` fails; `topic` may have wildcards, `limit` is a share or ns."""
-
-    text: str
-    metric: str
-    topic: str
-    operator: str
-    limit: float
-
-    def is_about(self, topic: str) -> bool:
-        """Return whether a topic is judged."""
-        return fnmatchcase(topic, self.topic)
-
-    def judge(self, low: float | None, high: float | None) -> GateOutcome:
-        """Judge a value from `low` to `high`; one that is not known may be anything."""
-        return judged_ends(self.operator, self.limit, low, high)
-
-
-def parse_topic_gate(text: str) -> TopicGate:
-    """Read a limit on a topic.
+def parse_topic_gate(text: str) -> Gate:
+    """Read a limit on a recorded topic, which may have wildcards.
 
     Raises:
         OptionError: the text is not such a limit.
     """
+    where = f"--fail-if {text!r}"
     match = _TOPIC_GATE.fullmatch(text)
     if match is None:
-        raise OptionError(f"--fail-if {text!r}: write NAME(TOPIC) > LIMIT, for example 'missing(/camera/image) > 1%'")
-    kind = VALUES_OF_TOPICS.get(match["metric"])
-    if kind is None:
-        names = ", ".join(VALUES_OF_TOPICS)
-        raise OptionError(f"--fail-if {text!r}: there is no {match['metric']!r} of a topic; choose from {names}")
-    number, unit = split_quantity(match["limit"]) or (0.0, "")
-    factor = 0.01 if unit == "%" else UNIT_NS.get(unit)
-    if factor is None or (unit == "%") != (kind == "%"):
-        example = "1%" if kind == "%" else "5ms"
-        raise OptionError(f"--fail-if {text!r}: no limit {match['limit']!r} of {match['metric']}; write {example}")
-    return TopicGate(text.strip(), match["metric"], match["topic"], match["operator"], number * factor)
+        raise OptionError(f"{where}: write NAME(TOPIC) > LIMIT, for example 'missing(/camera/image) > 1%'")
+    name = match["metric"]
+    if name not in VALUES_OF_TOPICS:
+        raise OptionError(f"{where}: there is no {name!r} of a topic; choose from {', '.join(VALUES_OF_TOPICS)}")
+    metric, statistic = _SPLIT.get(name, (name, ""))
+    limit = _limit_of_topic(where, name, match["limit"])
+    return Gate(text.strip(), metric, statistic, match["operator"], Against.NEW, limit, match["topic"])
+
+
+def _limit_of_topic(where: str, name: str, limit: str) -> float:
+    number, unit = split_quantity(limit) or (0.0, "")
+    kind = VALUES_OF_TOPICS[name]
+    if unit not in _UNITS[kind]:
+        example = {"%": "1%", "Hz": "9 Hz", "time": "5ms"}[kind]
+        raise OptionError(f"{where}: no limit {limit!r} of {name}; write {example}")
+    return number * _UNITS[kind][unit]

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import NoReturn
 
+    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -115,8 +116,13 @@ LEAVE_S = 10.0
 """Time to leave the middleware once the trace is closed; then the process ends without that."""
 
 
-def record_until_stopped(options: RecordOptions, *, as_json: bool, fail_if_lost: float | None) -> NoReturn:
-    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace."""
+def record_until_stopped(
+    options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
+) -> NoReturn:
+    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace.
+
+    `gates` are what the topics of a tap have to meet.
+    """
     stop = stop_at_signals()
     codes: list[int] = []
     with TerminalWatch() as watch:
@@ -125,15 +131,17 @@ def record_until_stopped(options: RecordOptions, *, as_json: bool, fail_if_lost:
         def leave(end: Recorded | BaseException) -> Iterator[None]:
             watch.stop()
             error = end if isinstance(end, BaseException) else None
+            judged_code = 0
             if isinstance(end, Recorded):
                 try:
                     print_result(end, as_json=as_json, fail_if_lost=fail_if_lost)
+                    judged_code = _judge(end, gates) if gates else 0
                 except TraceError as found:
                     error = found
                 sys.stdout.flush()
             if isinstance(error, TraceError):
                 print_error(f": {error}")
-            codes.append(0 if error is None else error.exit_code if isinstance(error, TraceError) else 1)
+            codes.append(judged_code if error is None else error.exit_code if isinstance(error, TraceError) else 1)
             for number in STOP_SIGNALS:  # also while Python ends, when its own handlers are gone
                 signal.signal(number, signal.SIG_IGN)
             call_off = exit_after(LEAVE_S, codes[0])
@@ -161,6 +169,16 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
         )
     if error is not None:
         raise error
+
+
+def _judge(recorded: Recorded, gates: Sequence[Gate]) -> int:
+    from ..topics import judge_tap
+
+    assert recorded.trace is not None
+    code, lines = judge_tap(recorded.trace.path, gates)
+    for line in lines:
+        say(line)
+    return code
 
 
 def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:

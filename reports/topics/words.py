@@ -8,7 +8,7 @@ from typing import Any
 
 from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
-from dds_trace.analyzer.verdicts.gate import GateOutcome, TopicGate
+from dds_trace.analyzer.verdicts.gate import Gate, GateOutcome
 from dds_trace.base.printable import printable
 from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
 
@@ -37,7 +37,7 @@ _EVIDENCE = {
 
 @dataclass(frozen=True, slots=True)
 class JudgedTopic:
-    gate: TopicGate
+    gate: Gate
     recording: str
     topic: str
     outcome: GateOutcome

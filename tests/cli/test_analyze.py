@@ -228,6 +228,33 @@ def test_limits_on_topics(bag, capsys, gate, code):
     assert analyze(bag, "--fail-if", gate) == 2  # limits of latency are those of a comparison
 
 
+def test_a_file_of_limits_made_from_a_good_bag_judges_others(bag, tmp_path, capsys):
+    file = tmp_path / "limits.toml"
+    assert analyze(bag, "--topics", "--write-limits", file) == 30
+    assert analyze(bag, "--topics", "--write-limits", file) == 6
+    assert analyze(bag, "--write-limits", file) == 2
+    written = file.read_text()
+    assert '[thresholds."/camera"]\nrate = ' in written
+    assert "/event" not in written  # no rhythm
+    capsys.readouterr()
+    for text, code in (
+        (written, 0),
+        (written.replace("/camera", "/c*"), 0),
+        (
+            written + '[thresholds."/cam*"]\nrate = "> 99.5 Hz"\n[thresholds]\nlatency_p50 = "< 1 ns"\n',
+            20,
+        ),  # later ones
+        (written + '[thresholds."/lidar"]\nmissing = "< 1 %"\n', 20),  # what there has to be
+        ('[thresholds."/camera"]\nreceived_ratio = "> 98.5 %"\n', 20),
+        ('[thresholds."/event"]\nhole = "< 1 s"\n', 21),
+        ('[thresholds."/camera"]\nrate = "> 5 ms"\n', 2),
+        ('[thresholds."vendor=x"]\nrate = "> 5 Hz"\n', 2),
+    ):
+        file.write_text(text)
+        assert (text, analyze(bag, "--topics", "--limits", file)) == (text, code)
+    assert analyze(bag, "--topics", "--limits", tmp_path / "none") == 2
+
+
 def test_reports_of_topics(runs, tmp_path, capsys):
     kinds = [f"--{kind}" for kind in ("report=html", "report=md", "report=json", "export=csv", "export=arrow")]
     assert analyze(runs, "--topics", *kinds, "--out", tmp_path / "files") == 0

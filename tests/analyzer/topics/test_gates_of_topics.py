@@ -8,6 +8,8 @@ from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.base.errors import OptionError
 from dds_trace.cli.compare import app
+from dds_trace.cli.limits_file import read_limits
+from dds_trace.cli.topics import judge_tap
 
 SECONDS = 40
 
@@ -57,6 +59,26 @@ def test_gates_are_read(text, topic, metric, statistic, against, limit):
 def test_gates_that_make_no_sense_are_refused(text):
     with pytest.raises(OptionError, match="--fail-if"):
         parse_gate(text)
+
+
+@pytest.mark.parametrize(
+    ("device", "limits", "code"),
+    [
+        ("laptop", 'rate = "> 29 Hz"\nmissing = "< 1 %"', 0),
+        ("laptop", 'rate = "> 31 Hz"', 20),
+        ("laptop", 'missing = "< 0.1 %"', 20),
+        ("laptop", 'hole = "< 1 s"', 21),  # a tap's counts do not say
+        ("laptop", 'age_p99 = "< 50 ms"', 21),  # its clock is two seconds behind that of the stamps
+        ("robot", 'age_p99 = "< 50 ms"', 0),
+        ("robot", 'age_p50 = "< 2 ms"', 20),
+    ],
+)
+def test_a_tap_is_judged_at_its_end_by_a_file_of_limits(one_recording, tmp_path, device, limits, code):
+    (tmp_path / "limits.toml").write_text(f'[thresholds."/camera/*"]\n{limits}\n')
+    gates = read_limits(tmp_path / "limits.toml", of_recording=True)
+    found, lines = judge_tap(one_recording / f"{device}0.mcap", gates)
+    assert (found, len(lines)) == (code, limits.count("=")), lines
+    assert "/camera/image" in lines[0]
 
 
 def test_limits_of_one_recording(one_recording):

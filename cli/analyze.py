@@ -84,12 +84,9 @@ NOT_OF_TOPICS = (
 
 
 def _check_topics(values: Mapping[str, Any]) -> None:
-    of_topics = [name for name in ("clock", "write_limits") if values[name] is not None and not values["topics"]]
-    if of_topics:
-        flag = f"--{of_topics[0].replace('_', '-')}"
-        raise OptionError(f"{flag} is for recordings of other tools: dds-analyze bag/ --topics {flag} ...")
-    for path, flag in ((values["limits_file"], "--limits"), (values["write_limits"], "--write-limits")):
-        limits.check(limits.PATH, None if path is None else str(path), flag)
+    for name, flag in (("clock", "--clock"), ("limits_file", "--limits"), ("write_limits", "--write-limits")):
+        if values[name] is not None and not values["topics"]:
+            raise OptionError(f"{flag} is for recordings of other tools: dds-analyze bag/ --topics {flag} ...")
     refused = [name for name in NOT_OF_TOPICS if values[name] and values["topics"]]
     if refused:
         spelled = {"shows_all": "all"}
@@ -186,7 +183,7 @@ def main_command(
         ),
     ] = None,
     limits_file: Annotated[
-        Path | None, option("--limits FILE", "A limits.toml with limits of topics, as --fail-if has.")
+        Path | None, option("--limits FILE", "With --topics: a limits.toml, with limits by topic.")
     ] = None,
     write_limits: Annotated[
         Path | None, option("--write-limits FILE", "With --topics: write a limits.toml from good recordings.")
@@ -239,7 +236,7 @@ def main_command(
         report_limits = fail_if or [], limits_file, write_limits
         _report_topics(traces, target, kinds, export or [], report_limits, clock, open_it=open_it)
         return
-    gates = _parse_limits(fail_if or [], limits_file)
+    gates = _parse_limits(fail_if or [])
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
@@ -281,11 +278,9 @@ def main_command(
         _judge_topics(analysis, gates)
 
 
-def _parse_limits(texts: list[str], limits_file: Path | None) -> list[Gate]:
+def _parse_limits(texts: list[str]) -> list[Gate]:
     from dds_trace.analyzer.model.metrics import METRICS
     from dds_trace.analyzer.verdicts.gate import Against, parse_gates
-
-    from .limits_file import limits_of_one_side, read_limits
 
     gates = parse_gates(texts)
     if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
@@ -293,8 +288,7 @@ def _parse_limits(texts: list[str], limits_file: Path | None) -> list[Gate]:
             "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
             "dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
         )
-    of_file = [] if limits_file is None else limits_of_one_side(read_limits(limits_file))
-    return [*gates, *(gate for gate in of_file if gate.names_topics)]
+    return gates
 
 
 def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
@@ -360,6 +354,8 @@ def _report_topics(
     from .topics import report_topics
 
     texts, limits_file, write_limits = limits_
+    for path, flag in ((limits_file, "--limits"), (write_limits, "--write-limits")):
+        limits.check(limits.PATH, None if path is None else str(path), flag)
     gates = [parse_topic_gate(text) for text in texts]  # before anything is read
     gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
     request = None if clock is None else ClockRequest.parse(clock)

@@ -177,30 +177,22 @@ def _text(
 ) -> str:
     from dds_trace.reports.comparison import document, markdown, page, terminal
 
-    if report is ComparisonReport.TERMINAL:
-        return terminal.render(info, shows_all=shows_all)
-    if report is ComparisonReport.MD:
-        return markdown.render(info, shows_all=shows_all)
     renders = {
-        ComparisonReport.JUNIT: document.render_junit,
-        ComparisonReport.GITHUB: document.render_annotations,
-        ComparisonReport.BADGE: document.render_badge,
+        ComparisonReport.TERMINAL: lambda: terminal.render(info, shows_all=shows_all),
+        ComparisonReport.MD: lambda: markdown.render(info, shows_all=shows_all),
+        ComparisonReport.JSON: lambda: document.render(info, comparison),
+        ComparisonReport.JUNIT: lambda: document.render_junit(info),
+        ComparisonReport.GITHUB: lambda: document.render_annotations(info),
+        ComparisonReport.BADGE: lambda: document.render_badge(info),
+        ComparisonReport.HTML: lambda: page.render(info, title),
     }
-    if report in renders:
-        return renders[report](info)
-    return document.render(info, comparison) if report is ComparisonReport.JSON else page.render(info, title)
+    return renders[report]()
 
 
 def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
-    from dds_trace.base.errors import OutputError
-    from dds_trace.base.files import write_whole
+    from dds_trace.analyzer.exports.kinds import write_text_file
 
     if out is None:
         getattr(sys.stdout, "write_commands" if has_commands else "write", sys.stdout.write)(text)
-        return
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, text)
-    except OSError as err:
-        raise OutputError(f"{out}: cannot be written ({err.strerror or err}); give another --out") from err
-    print(f"Wrote {out}")
+    else:
+        print(f"Wrote {write_text_file(out, text)}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import glob
 import json
 import math
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.streams import say
 from dds_trace.base.units import format_duration, three_digits
 
@@ -166,17 +165,11 @@ def _time_above(limit_ns: float) -> str:
 
 def write_limits(text: str, path: Path) -> None:
     """Write a new file of limits, whole or not at all."""
-    from dds_trace.base.errors import OutputError
-    from dds_trace.base.files import replacing
+    from dds_trace.analyzer.exports.kinds import write_text_file
 
-    try:
-        if path.exists():
-            raise FileExistsError(errno.EEXIST, "it exists already")
-        with replacing(path) as draft:
-            draft.write_text(text, encoding="utf-8")
-        say(f"Wrote {path}")
-    except OSError as err:
-        raise OutputError(f"{path}: cannot be written ({err.strerror or err}); give another --write-limits") from err
+    if path.exists():
+        raise OutputError(f"{path} exists already; give another --write-limits")
+    say(f"Wrote {write_text_file(path, text)}")
 
 
 def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:

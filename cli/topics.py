@@ -11,8 +11,8 @@ from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_f
 from dds_trace.analyzer.recordings.card import DAMAGED, HOLES, OTHER_CLOCK_NS
 from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.verdicts.gates import overall_outcome
 from dds_trace.base.errors import OptionError
-from dds_trace.base.printable import printable
 from dds_trace.base.streams import say
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.reports.topics.words import JudgedTopic
@@ -66,7 +66,7 @@ def report_topics(
     if report.verdict == DAMAGED:
         return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
-        return _worst(judged), written
+        return overall_outcome(judged).exit_code, written
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
 
 
@@ -80,13 +80,7 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> tuple[int, list[str]]:
         *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
     )
     judged = list(_judge(topics, None, gates))
-    return _worst(judged), [f"{one.outcome.value}: {one.gate.text}, {printable(one.topic)}" for one in judged]
-
-
-def _worst(judged: Sequence[JudgedTopic]) -> int:
-    outcomes = {judgement.outcome for judgement in judged}
-    worst = (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED)
-    return next((outcome.exit_code for outcome in worst if outcome in outcomes), 0)
+    return overall_outcome(judged).exit_code, [one.line for one in judged]
 
 
 def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:

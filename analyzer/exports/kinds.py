@@ -58,7 +58,7 @@ def write_file(path: Path, write: Callable[[Path], object]) -> Path:
         with replacing(path) as draft:
             write(draft)
     except (OSError, PolarsError) as err:
-        raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
+        raise OutputError(f"{path} cannot be written ({err}); give another --out") from err
     return path
 
 

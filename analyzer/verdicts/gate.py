@@ -42,9 +42,13 @@ VALUES_OF_TOPICS = {
     "age_p99": "time",
 }
 """Name of a value of a recorded topic -> the kind of its limit."""
-_UNITS: Mapping[str, Mapping[str, float]] = {"%": {"%": 0.01}, "Hz": {"hz": 1.0}, "time": UNIT_NS}
+_TOPIC_UNITS: Mapping[str, tuple[Mapping[str, float], str]] = {
+    "%": ({"%": 0.01}, "1%"),
+    "Hz": ({"hz": 1.0}, "9 Hz"),
+    "time": (UNIT_NS, "5ms"),
+}
 _GATE = re.compile(
-    r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(\(\s*(?P<topic>/[^()\s]*)\s*\))?\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
+    r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(\(\s*(?P<topic>[^()\s]+)\s*\))?\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
 )
 
 
@@ -119,11 +123,6 @@ class Gate:
         """`age_p99`, `received_ratio`."""
         return f"{self.metric}_{self.statistic}" if self.statistic else self.metric
 
-    @property
-    def names_topics(self) -> bool:
-        """Whether it judges topics only."""
-        return bool(self.topic) or any(pattern.startswith("/") for _, pattern in self.results)
-
     def applies_to(self, row: Mapping[str, object]) -> bool:
         """Return whether the result with these columns is judged."""
         data_type = row["data_type"]
@@ -169,7 +168,7 @@ def parse_gate(text: str) -> Gate:
         raise OptionError(f"{where}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
     metric, statistic = _parse_metric(where, match["metric"])
     topic = match["topic"] or ""
-    if topic and metric in METRICS:
+    if topic and (metric in METRICS or not topic.startswith("/")):
         raise OptionError(
             f"{where}: a topic has {', '.join((*TOPIC_METRICS, RECEIVED_RATIO))}; write 'age_p99({topic}) > 50ms'"
         )
@@ -231,11 +230,6 @@ def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
     return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
 
 
-_TOPIC_GATE = re.compile(
-    r"\s*(?P<metric>\w+)\s*\(\s*(?P<topic>[^()\s]+)\s*\)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
-)
-
-
 def parse_topic_gate(text: str) -> Gate:
     """Read a limit on a recorded topic, which may have wildcards.
 
@@ -243,8 +237,8 @@ def parse_topic_gate(text: str) -> Gate:
         OptionError: the text is not such a limit.
     """
     where = f"--fail-if {text!r}"
-    match = _TOPIC_GATE.fullmatch(text)
-    if match is None:
+    match = _GATE.fullmatch(text)
+    if match is None or not match["topic"]:
         raise OptionError(f"{where}: write NAME(TOPIC) > LIMIT, for example 'missing(/camera/image) > 1%'")
     name = match["metric"]
     if name not in VALUES_OF_TOPICS:
@@ -256,8 +250,7 @@ def parse_topic_gate(text: str) -> Gate:
 
 def _limit_of_topic(where: str, name: str, limit: str) -> float:
     number, unit = split_quantity(limit) or (0.0, "")
-    kind = VALUES_OF_TOPICS[name]
-    if unit not in _UNITS[kind]:
-        example = {"%": "1%", "Hz": "9 Hz", "time": "5ms"}[kind]
+    units, example = _TOPIC_UNITS[VALUES_OF_TOPICS[name]]
+    if unit not in units:
         raise OptionError(f"{where}: no limit {limit!r} of {name}; write {example}")
-    return number * _UNITS[kind][unit]
+    return number * units[unit]

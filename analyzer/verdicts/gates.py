@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from dds_trace.base.units import counted, format_number
 
@@ -149,7 +149,12 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing:
     return results
 
 
-def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
+class _Judged(Protocol):
+    @property
+    def outcome(self) -> GateOutcome: ...
+
+
+def overall_outcome(results: Sequence[_Judged]) -> GateOutcome:
     """Return the worst outcome."""
     for outcome in (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED):
         if any(result.outcome is outcome for result in results):

@@ -120,7 +120,7 @@ def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> Non
                     console.print(Text(f"  {line}"))
         console.print()
     for outcome in judged:
-        console.print(Text(f"{outcome.outcome.value}: {outcome.gate.text}, {printable(outcome.topic)}"))
+        console.print(Text(outcome.line))
     if report.recordings:
         console.print(Text(HOW_TO_READ, style="dim"))
 
@@ -144,7 +144,7 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
             for line in (*hole_lines(row, holes, health), *topic_notes(row))
         ]
         lines += ["", *about, ""]
-    lines += [f"- {markdown(f'{outcome.outcome.value}: {outcome.gate.text}, {outcome.topic}')}" for outcome in judged]
+    lines += [f"- {markdown(outcome.line)}" for outcome in judged]
     return "\n".join([*lines, "", HOW_TO_READ, ""])
 
 

@@ -42,6 +42,10 @@ class JudgedTopic:
     topic: str
     outcome: GateOutcome
 
+    @property
+    def line(self) -> str:
+        return printable(f"{self.outcome.value}: {self.gate.text}, {self.topic}")
+
 
 def seconds_words(seconds: float) -> str:
     if seconds < 120:

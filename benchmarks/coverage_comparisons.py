@@ -204,7 +204,7 @@ def count_default(
             times[:changed] *= change
             sides.append(round_trips(times))
         comparison = compare_roundtrips(*sides, DEFAULT_OPTIONS, passes)
-        outcomes[overall_outcome(judge_gates(comparison, DEFAULT_GATES))] += 1
+        outcomes[overall_outcome(result.outcome for result in judge_gates(comparison, DEFAULT_GATES))] += 1
     return outcomes
 
 

@@ -301,7 +301,7 @@ def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
     results = judge_gates(comparison, gates)
     for gated in comparison_info(comparison, results).gates:
         print(gated.line)
-    outcome = overall_outcome(results)
+    outcome = overall_outcome(result.outcome for result in results)
     print(f"dds-analyze: {outcome.value}", file=sys.stderr)
     if outcome is not GateOutcome.PASSED:
         raise typer.Exit(outcome.exit_code)

@@ -117,13 +117,9 @@ def compare_command(
     from .limits_file import limits_text
     from .limits_file import write_limits as write_limits_file
 
-    paths = ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH))
-    for path, where, limit in (
-        *paths,
-        (limits_file, "--limits", limits.PATH),
-        (write_limits, "--write-limits", limits.PATH),
-    ):
-        limits.check(limit, None if path is None else str(path), where)
+    paths = {"BASE": base, "NEW": new, "--out": out, "--limits": limits_file, "--write-limits": write_limits}
+    for name, path in paths.items():
+        limits.check(limits.PATH if name.startswith("-") else limits.INPUT, None if path is None else str(path), name)
     gates = _read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
     before = analyze(base, details=False)
@@ -140,7 +136,7 @@ def compare_command(
     if comparison.delivery.is_empty():
         outcome = GateOutcome.NOTHING_TO_COMPARE
     else:
-        outcome = overall_outcome(results) if results else GateOutcome.PASSED
+        outcome = overall_outcome(result.outcome for result in results) if results else GateOutcome.PASSED
     info = comparison_info(comparison, results)
     if new is None:
         info = replace(

@@ -164,7 +164,6 @@ def _time_above(limit_ns: float) -> str:
 
 
 def write_limits(text: str, path: Path) -> None:
-    """Write a new file of limits, whole or not at all."""
     from dds_trace.analyzer.exports.kinds import write_text_file
 
     if path.exists():

@@ -66,12 +66,11 @@ def report_topics(
     if report.verdict == DAMAGED:
         return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
-        return overall_outcome(judged).exit_code, written
+        return overall_outcome(one.outcome for one in judged).exit_code, written
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
 
 
-def judge_tap(trace: Path, gates: Sequence[Gate]) -> tuple[int, list[str]]:
-    """Return exit code and lines of what a tap's trace has to meet."""
+def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
     from dds_trace.analyzer.pipeline import analyze
 
     lost = pl.col("published") - pl.col("received")
@@ -80,7 +79,9 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> tuple[int, list[str]]:
         *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
     )
     judged = list(_judge(topics, None, gates))
-    return overall_outcome(judged).exit_code, [one.line for one in judged]
+    for one in judged:
+        say(one.line)
+    return overall_outcome(one.outcome for one in judged).exit_code
 
 
 def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:

@@ -77,20 +77,18 @@ def _half_width_percent(interval: Interval) -> float:
 MOST_DEALS = 64
 """Ways to deal the repeats that are compared at most; of more, this many are drawn."""
 
-_ALARMS = ("better", "worse")
-
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarms:
     measured: int
-    measured_verdicts: int
+    of_measured: int
     dealt: int
-    dealt_verdicts: int
+    of_dealt: int
     deals: int
 
     @property
     def rate(self) -> float:
-        return self.dealt / self.dealt_verdicts if self.dealt_verdicts else 0.0
+        return self.dealt / self.of_dealt if self.of_dealt else 0.0
 
 
 def count_false_alarms(
@@ -108,14 +106,9 @@ def count_false_alarms(
         is_new = pl.col("_is_new") ^ pl.col("_pass").is_in(list(swapped)).fill_null(value=False)
         before, after = (rows.filter(is_new == side).drop("_pass", "_is_new") for side in (False, True))
         verdicts = compare_roundtrips(before, after, options, passes=passes).rows["verdict"]
-        counts.append((int(verdicts.is_in(_ALARMS).sum()), len(verdicts)))
-    return FalseAlarms(
-        measured=counts[0][0],
-        measured_verdicts=counts[0][1],
-        dealt=sum(alarms for alarms, _ in counts),
-        dealt_verdicts=sum(verdicts for _, verdicts in counts),
-        deals=len(counts),
-    )
+        counts.append((int(verdicts.is_in(["better", "worse"]).sum()), len(verdicts)))
+    dealt, of_dealt = (sum(column) for column in zip(*counts, strict=True))
+    return FalseAlarms(*counts[0], dealt, of_dealt, len(counts))
 
 
 def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:

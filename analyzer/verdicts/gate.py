@@ -33,20 +33,12 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
 }
 _POINTS = "points"
-VALUES_OF_TOPICS = {
-    "missing": "%",
-    "rate": "Hz",
-    "jitter": "time",
-    "hole": "time",
-    "age_p50": "time",
-    "age_p99": "time",
+VALUES_OF_TOPICS: Mapping[str, tuple[Mapping[str, float], str]] = {
+    "missing": ({"%": 0.01}, "1%"),
+    "rate": ({"hz": 1.0}, "9 Hz"),
+    **dict.fromkeys(("jitter", "hole", "age_p50", "age_p99"), (UNIT_NS, "5ms")),
 }
-"""Name of a value of a recorded topic -> the kind of its limit."""
-_TOPIC_UNITS: Mapping[str, tuple[Mapping[str, float], str]] = {
-    "%": ({"%": 0.01}, "1%"),
-    "Hz": ({"hz": 1.0}, "9 Hz"),
-    "time": (UNIT_NS, "5ms"),
-}
+"""Name of a value of a recorded topic -> the units of its limit, and an example."""
 _GATE = re.compile(
     r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(\(\s*(?P<topic>[^()\s]+)\s*\))?\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
 )
@@ -250,7 +242,7 @@ def parse_topic_gate(text: str) -> Gate:
 
 def _limit_of_topic(where: str, name: str, limit: str) -> float:
     number, unit = split_quantity(limit) or (0.0, "")
-    units, example = _TOPIC_UNITS[VALUES_OF_TOPICS[name]]
+    units, example = VALUES_OF_TOPICS[name]
     if unit not in units:
         raise OptionError(f"{where}: no limit {limit!r} of {name}; write {example}")
     return number * units[unit]

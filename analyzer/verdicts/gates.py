@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import counted, format_number
 
@@ -149,17 +149,10 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing:
     return results
 
 
-class _Judged(Protocol):
-    @property
-    def outcome(self) -> GateOutcome: ...
-
-
-def overall_outcome(results: Sequence[_Judged]) -> GateOutcome:
+def overall_outcome(outcomes: Iterable[GateOutcome]) -> GateOutcome:
     """Return the worst outcome."""
-    for outcome in (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED):
-        if any(result.outcome is outcome for result in results):
-            return outcome
-    return GateOutcome.NOTHING_TO_COMPARE
+    worst_last = (GateOutcome.NOTHING_TO_COMPARE, GateOutcome.PASSED, GateOutcome.INCONCLUSIVE, GateOutcome.REGRESSED)
+    return max(outcomes, key=worst_last.index, default=worst_last[0])
 
 
 def varying_columns(comparison: Comparison) -> list[str]:

@@ -17,9 +17,7 @@ from . import status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
-    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.options import RecordOptions
 
 BRIDGED_PING_DOMAIN = 5
@@ -95,22 +93,12 @@ def main_command(
     else:
         if command.out.suffix != ".mcap":
             ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")
-        gates = [] if command.limits_path is None else _read_limits(command.limits_path, options)
+        gates = []
+        if command.limits_path is not None:
+            from ..limits_file import read_limits
+
+            gates = read_limits(command.limits_path, of_recording=True)
         record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates)
-
-
-def _read_limits(path: Path, options: RecordOptions) -> list[Gate]:
-    from dds_trace.base import limits
-    from dds_trace.base.errors import OptionError
-
-    from ..limits_file import read_limits
-
-    limits.check(limits.PATH, str(path), "--limits")
-    if options.rotation is not None:
-        raise OptionError(
-            "--limits judge one file: leave out --rotate, or judge the folder with `dds-analyze --limits`"
-        )
-    return read_limits(path, of_recording=True)
 
 
 def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:

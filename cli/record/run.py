@@ -119,10 +119,7 @@ LEAVE_S = 10.0
 def record_until_stopped(
     options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
 ) -> NoReturn:
-    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace.
-
-    `gates` are what the topics of a tap have to meet.
-    """
+    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace."""
     stop = stop_at_signals()
     codes: list[int] = []
     with TerminalWatch() as watch:
@@ -135,7 +132,10 @@ def record_until_stopped(
             if isinstance(end, Recorded):
                 try:
                     print_result(end, as_json=as_json, fail_if_lost=fail_if_lost)
-                    judged_code = _judge(end, gates) if gates else 0
+                    if gates and end.trace is not None:
+                        from ..topics import judge_tap
+
+                        judged_code = judge_tap(end.trace.path, gates)
                 except TraceError as found:
                     error = found
                 sys.stdout.flush()
@@ -169,16 +169,6 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
         )
     if error is not None:
         raise error
-
-
-def _judge(recorded: Recorded, gates: Sequence[Gate]) -> int:
-    from ..topics import judge_tap
-
-    assert recorded.trace is not None
-    code, lines = judge_tap(recorded.trace.path, gates)
-    for line in lines:
-        say(line)
-    return code
 
 
 def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:

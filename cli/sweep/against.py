@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -103,13 +103,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
         result |= {"cells": sides_outcome.base.cells + sides_outcome.new.cells, "missing": missing}
         if alarms is not None:
-            result["false_alarms"] = {
-                "measured": alarms.measured,
-                "of_measured": alarms.measured_verdicts,
-                "dealt": alarms.dealt,
-                "of_dealt": alarms.dealt_verdicts,
-                "deals": alarms.deals,
-            }
+            result["false_alarms"] = asdict(alarms)
         print(json.dumps(result))
     else:
         for side, outcome in sides.items():
@@ -146,7 +140,7 @@ def _false_alarms(sides_outcome: AgainstOutcome) -> FalseAlarms:
 
 def _in_words(alarms: FalseAlarms) -> str:
     return (
-        f"A/A: {alarms.measured} of {counted(alarms.measured_verdicts, 'verdict')} better or worse; with the repeats dealt to "
-        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.dealt_verdicts} "
+        f"A/A: {alarms.measured} of {counted(alarms.of_measured, 'verdict')} better or worse; with the repeats dealt to "
+        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.of_dealt} "
         f"({alarms.rate:.1%}), all false"
     )

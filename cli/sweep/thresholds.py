@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,18 +41,11 @@ class Judged:
         }
 
     def __str__(self) -> str:
-        ends = [_value(self.result.gate, end) for end in (self.result.low, self.result.high)]
-        measured = f"{_value(self.result.gate, self.result.measured)} ({ends[0]} to {ends[1]})"
+        from dds_trace.reports.comparison.words import gate_interval_words, measured_words
+
+        measured = f"{measured_words(self.result, self.result.measured)} ({gate_interval_words(self.result)})"
         reason = f"; {self.result.reason}" if self.result.reason else ""
         return f"{self.outcome}: {self.result.gate.text}: {self.result.where}: {measured}{reason}"
-
-
-def _value(gate: Gate, value: float | None) -> str:
-    if value is None:
-        return "unknown"
-    if not gate.statistic:
-        return f"{100 * value:.6g} %"
-    return "lost" if math.isinf(value) else format_duration(value)
 
 
 def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool) -> list[Gate]:
@@ -91,11 +84,9 @@ def shown(judged: Sequence[Judged]) -> list[str]:
 
 
 def exit_code_of(judged: Sequence[Judged]) -> int:
-    if not judged:
-        return 0
     from dds_trace.analyzer.verdicts.gates import overall_outcome
 
-    return overall_outcome([judgement.result for judgement in judged]).exit_code
+    return overall_outcome(judgement.result.outcome for judgement in judged).exit_code if judged else 0
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:

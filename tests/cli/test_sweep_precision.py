@@ -149,5 +149,5 @@ def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_si
 
 
 def test_the_false_alarm_rate_is_printed_in_words(sentences):
-    alarms = FalseAlarms(measured=1, measured_verdicts=12, dealt=9, dealt_verdicts=192, deals=16)
+    alarms = FalseAlarms(measured=1, of_measured=12, dealt=9, of_dealt=192, deals=16)
     sentences(_in_words(alarms))

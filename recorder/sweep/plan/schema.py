@@ -144,7 +144,6 @@ _LINK = re.compile(r"\[([^]]+)\]\([^)]+\)")
 
 
 def plan_schema() -> Schema:
-    """Return the JSON schema (draft 2020-12) of a plan's TOML file."""
     axes = TABLES["axes"].keys
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -34,8 +34,8 @@ def test_sides_that_differ_alike_in_every_pass_alarm_as_recorded_and_not_once_a_
     alarms = count_false_alarms(base, new, passes(4), P50)
     # pass 1 stays; each of the other three is exchanged or not
     assert alarms.deals == 8
-    assert (alarms.measured, alarms.measured_verdicts) == (1, 1)
-    assert (alarms.dealt, alarms.dealt_verdicts) == (1, 8)
+    assert (alarms.measured, alarms.of_measured) == (1, 1)
+    assert (alarms.dealt, alarms.of_dealt) == (1, 8)
     assert alarms.rate == 1 / 8
 
 
@@ -44,7 +44,7 @@ def test_noise_alarms_only_in_the_deal_that_puts_every_slower_run_on_one_side():
     new = side(200, [1.1, 0.9, 1.05, 1.0])
     # new against base: slower, faster, slower, faster; exchanged in passes 2 and 4 it is always slower
     alarms = count_false_alarms(base, new, passes(4), P50)
-    assert (alarms.measured, alarms.dealt, alarms.dealt_verdicts) == (0, 1, 8)
+    assert (alarms.measured, alarms.dealt, alarms.of_dealt) == (0, 1, 8)
 
 
 def test_by_default_passes_are_compared_as_pairs():
@@ -55,14 +55,14 @@ def test_by_default_passes_are_compared_as_pairs():
     assert count_false_alarms(base, new, passes(5), unpaired).measured == 0
     by_default = count_false_alarms(base, new, passes(5))
     assert by_default.measured > 0
-    assert by_default.measured_verdicts == 2 * (1 + len(PERCENTILES))  # latency and rtt by mean and percentiles
+    assert by_default.of_measured == 2 * (1 + len(PERCENTILES))  # latency and rtt by mean and percentiles
 
 
 def test_of_many_passes_some_ways_to_deal_them_are_drawn():
     rtts = [1.0, 1.1, 0.9, 1.05, 1.2, 0.95, 1.02, 1.08]
     alarms = count_false_alarms(side(100, rtts), side(200, rtts[::-1]), passes(8), P50)
     assert alarms.deals == MOST_DEALS
-    assert alarms.dealt_verdicts == MOST_DEALS
+    assert alarms.of_dealt == MOST_DEALS
 
 
 def rows_of(rtts_ms):

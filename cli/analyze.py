@@ -53,7 +53,6 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""One of these is set on a desktop."""
 
 
 HTML, TERMINAL = "html", "terminal"
@@ -68,10 +67,6 @@ def _kinds_of(table: Mapping[str, object], name: str, help_: str) -> OptionInfo:
         return kinds
 
     return option(name, f"{help_}: {', '.join(table)}; repeatable.", callback=check, autocompletion=starting(table))
-
-
-def _complete_commands(incomplete: str) -> list[str]:
-    return [name for name in COMMANDS if name.startswith(incomplete)]
 
 
 app = command_app(completes=True)
@@ -105,7 +100,7 @@ def main_command(
         argument(
             "PATH...",
             "Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
-            autocompletion=_complete_commands,
+            autocompletion=lambda incomplete: [name for name in COMMANDS if name.startswith(incomplete)],
         ),
     ],
     report: Annotated[

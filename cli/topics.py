@@ -86,7 +86,7 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
 
 def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:
     for gate in gates:
-        rows = [row for row in topics.iter_rows(named=True) if gate.is_about(row["topic"])]
+        rows = [row for row in topics.iter_rows(named=True) if gate.is_about({"data_type": row["topic"]})]
         if not rows and gate.topic:
             raise OptionError(f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}")
         if not rows and not gate.unless:  # a file of limits names what there has to be

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import random
 from collections.abc import Collection, Iterator, Mapping
@@ -75,7 +74,6 @@ def _half_width_percent(interval: Interval) -> float:
 
 
 MOST_DEALS = 64
-"""Ways to deal the repeats that are compared at most; of more, this many are drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +111,9 @@ def count_false_alarms(
 
 def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:
     others = passes[1:]
-    if 2 ** len(others) <= MOST_DEALS:
-        for size in range(len(others) + 1):
-            yield from itertools.combinations(others, size)
-        return
-    yield ()
-    chance = random.Random(0)  # noqa: S311 - an order, not a secret
-    drawn: set[tuple[int, ...]] = {()}
-    while len(drawn) < MOST_DEALS:
-        deal = tuple(number for number in others if chance.random() < 0.5)
-        if deal not in drawn:
-            drawn.add(deal)
-            yield deal
+    every, chance = 1 << len(others), random.Random(0)  # noqa: S311 - an order, not a secret
+    numbers = {0} if every > MOST_DEALS else set(range(every))
+    while len(numbers) < min(every, MOST_DEALS):
+        numbers.add(chance.getrandbits(len(others)))
+    for number in sorted(numbers):
+        yield tuple(other for index, other in enumerate(others) if number >> index & 1)

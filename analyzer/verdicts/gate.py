@@ -55,15 +55,7 @@ class GateOutcome(Enum):
     @property
     def exit_code(self) -> int:
         """Exit code of a command if its gates have this outcome."""
-        return _EXIT_CODES[self]
-
-
-_EXIT_CODES = {
-    GateOutcome.PASSED: 0,
-    GateOutcome.REGRESSED: 20,
-    GateOutcome.INCONCLUSIVE: 21,
-    GateOutcome.NOTHING_TO_COMPARE: 22,
-}
+        return {"passed": 0, "regressed": 20, "inconclusive": 21}.get(self.value, 22)
 
 
 class Against(Enum):
@@ -117,17 +109,12 @@ class Gate:
 
     def applies_to(self, row: Mapping[str, object]) -> bool:
         """Return whether the result with these columns is judged."""
-        data_type = row["data_type"]
-        if self.topic and not (is_topic(data_type) and fnmatchcase(str(data_type), self.topic)):
-            return False
-        return _fits(row, self.results) and not any(_fits(row, patterns) for patterns in self.unless)
+        return (not self.topic or is_topic(row["data_type"])) and self.is_about(row)
 
-    def is_about(self, topic: str) -> bool:
-        """Return whether a topic of a recording is judged."""
-        row = {"data_type": topic}
-        return fnmatchcase(topic, self.topic or "*") and (
-            _fits(row, self.results) and not any(_fits(row, patterns) for patterns in self.unless)
-        )
+    def is_about(self, row: Mapping[str, object]) -> bool:
+        """Return whether a topic of a recording, its `data_type`, is judged."""
+        is_named = fnmatchcase(str(row["data_type"]), self.topic or "*")
+        return is_named and _fits(row, self.results) and not any(_fits(row, one) for one in self.unless)
 
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
         """Judge an estimate by its interval; an end that is None may be anywhere."""

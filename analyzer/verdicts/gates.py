@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
-"""The gate that a missing or dead group fails."""
 
 NOT_APPLIED = "a requested setting was not applied"
 
@@ -39,7 +38,6 @@ class GateResult:
     Attributes:
         where: the group in words.
         measured: the measured value in the unit of the limit.
-        low: lower end of its interval; `high` the upper one.
         reason: why the outcome is inconclusive, and what it takes to decide; or what is missing.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         smallest_drop: the same of a received ratio: the smallest loss of share.
@@ -87,7 +85,6 @@ class _Measured:
     base_ns: float = 0.0
 
     def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
-        """Return the probability of an estimate this far beyond a limit that is the truth."""
         value, end = self.value, self.low if self.value is not None and self.value > limit else self.high
         if value is None or end is None:
             return (1 - confidence) / 2
@@ -107,7 +104,6 @@ class _Measured:
         return max(least, student_cdf(-reach * (far - at) / (far - near), degrees))
 
     def found_from(self, gate: Gate, tests: int, confidence: float) -> float | None:
-        """Return the change in the unit of the limit that fails the gate with a probability of 80 % among so many groups."""
         smallest = self.smallest_drop if self.smallest_ratio is None else self.smallest_ratio
         if smallest is None or self.degrees is None or gate.against is Against.NEW:
             return None

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from dds_trace.recorder.sweep.plan.plan import Plan
 
 SAME = "SAME"
-"""Value of `--against` for an A/A sweep."""
 
 
 @dataclass(frozen=True, slots=True)

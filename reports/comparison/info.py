@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.run_statistics.change import DetectableChange
 
 SHOWN_STATISTICS = ("p50", "p99")
-"""Statistics in the row of a result; its details have all of them."""
 
 WORST_FIRST = (
     "no reply came back",

@@ -34,7 +34,6 @@ from .words import (
 )
 
 Row = Mapping[str, Any]
-"""A row of `Comparison.distributions`."""
 
 
 def render(info: ComparisonInfo, title: str) -> str:

@@ -18,7 +18,6 @@ from ..book.groups import ALL_METRIC_LABELS, STATISTIC_LABELS, format_ratio, joi
 from ..book.verdicts import episodes_words
 
 LOST = "lost"
-"""Replaces a time where too many messages were lost for the statistic."""
 
 VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
 
@@ -66,7 +65,6 @@ def side_words(row: Mapping[str, Any], side: str) -> str:
 
 
 MOST_PERCENT = 1000
-"""Change from which on a factor is written."""
 
 MOST_RATIO = 10.0
 """A smallest visible change beyond which a statistic cannot be judged."""
@@ -75,7 +73,6 @@ TOO_WIDE = 100.0
 """Upper by lower end of an interval that says nothing."""
 
 WIDE = "uncertain"
-"""Replaces such an interval."""
 
 
 def change_words(ratio: float | None) -> str:
@@ -165,7 +162,6 @@ class Gated:
 MARKS = {GateOutcome.PASSED: "✓", GateOutcome.REGRESSED: "✗", GateOutcome.INCONCLUSIVE: "?"}
 GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Found (80 %) from", "Result")
 MOST_ROWS = 10
-"""Rows and notes without `--all`."""
 
 GateCells = tuple[str, str, str, str, str]
 

@@ -15,7 +15,6 @@ from dds_trace.base.units import clock_words, counted, format_duration, format_r
 from ..book.overview import utc_words
 
 Row = Mapping[str, Any]
-"""A row of `TopicReport.topics` or `.holes`."""
 
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")

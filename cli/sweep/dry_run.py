@@ -134,13 +134,14 @@ def _remarks(plan: Plan) -> list[str]:
             for reason, count in left_out
         ),
         *(f"warning: {warning}" for warning in depth_warnings(plan)),
-        *([f"link: {plan.link}"] if plan.link is not None else []),
+        *(f"link: {link}" for link in dict.fromkeys(map(plan.link_of, plan.cells)) if link is not None),
         *(relay_commands(plan) if plan.by_hand else []),
     ]
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:
-    limit_mbit_s = (plan.link.rate_mbit_s if plan.link else 0) or LOOPBACK_MBIT_S
+    link = plan.link_of(cell)
+    limit_mbit_s = (link.rate_mbit_s if link else 0) or LOOPBACK_MBIT_S
     payload_mbit_s = (cell.payload_bit_s or 0) / 1e6
     if payload_mbit_s <= limit_mbit_s:
         return ""

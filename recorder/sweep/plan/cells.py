@@ -104,6 +104,12 @@ AXES: Mapping[str, PlanAxis] = {
         kind=int,
         default=0,
     ),
+    "link": PlanAxis(
+        "emulated link of the result in place of `[link]`: a preset that has only a rate; both sides are in namespaces",
+        default_words="`[link]`",
+        for_relay=True,
+        default="",
+    ),
     "outage": PlanAxis(
         "length of an outage in the middle of the run, 0 for none; the run is then as long as `outage_after_seconds`, the outage and "
         "`outage_limit_seconds` ([coming back](../how-to/axes.md#coming-back-after-an-outage))",
@@ -188,6 +194,7 @@ class Cell:
     security: str = "off"
     environment: str = ""
     queue: int = 0
+    link: str = ""
     outage: float = 0.0
     outage_by: str = OutageBy.LINK.value
     relays: int = 1

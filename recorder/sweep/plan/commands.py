@@ -36,7 +36,7 @@ def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace =
         *_axis_arguments(need, RELAY_AXES),
         *(argument for flow in flows for argument in ("--flow", flow)),
         *(() if is_single else ("--relay-id", str(place.number))),
-        *_common_arguments(plan, device, number, is_single=is_single),
+        *_common_arguments(plan, need, device, number, is_single=is_single),
     ]
 
 
@@ -62,6 +62,7 @@ def ping_arguments(
     hosts = [relay_address, *further][: cell.hosts] if connects_to_relay(cell.backend) else []
     partner = plan.partners.get(replace(cell, repeat=1).name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
+    link = plan.link_of(cell)
     return [
         *("--role", "ping", "--domain", str(domain)),
         *(("--relay-domain", str(plan.run.domain)) if cell.crosses_domains else ()),
@@ -77,7 +78,7 @@ def ping_arguments(
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--setting", f"configuration={Path(cell.configuration).stem}") if cell.configuration else ()),
-        *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
+        *(("--label", f"link={link}", "--setting", f"link={link.setting}") if link else ()),
         *(("--setting", f"queue={cell.queue}ms") if cell.queue else ()),
         *_outage_arguments(plan, cell),
         *(("--flow", cell.flow) if cell.flow and cell.pings == 1 else ()),
@@ -85,7 +86,7 @@ def ping_arguments(
         *(("--relays", str(cell.receivers)) if cell.receivers > 1 else ()),
         *_fan_out_arguments(cell),
         *(("--setting", f"with={'+'.join(cell.with_flows)}") if cell.with_flows else ()),
-        *_common_arguments(plan, plan.ping, cell.repeat, is_single=cell.senders == cell.receivers == 1),
+        *_common_arguments(plan, cell, plan.ping, cell.repeat, is_single=cell.senders == cell.receivers == 1),
     ]
 
 
@@ -110,9 +111,12 @@ def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
     return [*kind, "--setting", f"outage={cell.outage:g}s", "--patience", f"{patience_s:g}"]
 
 
-def _common_arguments(plan: Plan, device: DeviceSettings, number: int, *, is_single: bool = True) -> list[str]:
+def _common_arguments(
+    plan: Plan, cell: Cell, device: DeviceSettings, number: int, *, is_single: bool = True
+) -> list[str]:
     device_name = ["--device", device.name] if device.name else []
-    link = ["--connectivity", plan.connectivity] if plan.connectivity else []
+    connectivity = plan.connectivity_of(cell)
+    link = ["--connectivity", connectivity] if connectivity else []
     wire = ["--wire"] if plan.run.wire else []
     cost = [] if is_single and plan.run.measures_own_cost(number) else ["--no-own-cost"]
     return ["--discovery", plan.discovery, *link, *device_name, *wire, *cost, *device.options]

@@ -140,6 +140,7 @@ PRESETS: Mapping[str, Link] = {
     for link in (
         Link("ethernet-1g", rate_mbit_s=1000),
         Link("ethernet-100m", rate_mbit_s=100),
+        Link("air-30", rate_mbit_s=30, shared=True, queue_ms=400),  # what 802.11n at 2.4 GHz leaves to data
         # 802.11g/a at its highest rate. In the air both directions share it (`shared`); here each has it.
         Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),
         Link("wifi-poor", rate_mbit_s=12, delay_ms=5, jitter_ms=5, loss_percent=2, outage_every_s=10, outage_ms=300),
@@ -147,3 +148,6 @@ PRESETS: Mapping[str, Link] = {
     )
 }
 """Typical links, not standards; a plan's `[link]` may change single values."""
+
+LINES = tuple(name for name, link in PRESETS.items() if link.needs_only_rate)
+"""Values of the axis `link`: one pair of namespaces can change from one to the other."""

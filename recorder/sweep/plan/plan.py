@@ -18,6 +18,7 @@ from ...bridges.base import Halves, load_bridge
 from ...choices import Discovery, Security
 from ...options import DEFAULT_MESSAGES
 from .cells import plan_key
+from .link import PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -233,6 +234,12 @@ class Plan:
         if self.run.discovery is not None:
             return self.run.discovery
         return "subnet" if self.namespaces or self.has_two_devices else "localhost"
+
+    def link_of(self, cell: Cell) -> Link | None:
+        return PRESETS[cell.link] if cell.link else self.link
+
+    def connectivity_of(self, cell: Cell) -> str | None:
+        return PRESETS[cell.link].connectivity if cell.link else self.connectivity
 
     @property
     def has_two_devices(self) -> bool:

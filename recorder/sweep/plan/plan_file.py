@@ -105,7 +105,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         run=run,
         ping=devices.table("ping").fill(DeviceSettings()),
         relay=relay,
-        namespaces=network.namespaces or link is not None,
+        namespaces=network.namespaces or link is not None or any(cell.link for cell in cells),
         link=link,
         connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)),
         by_hand=by_hand,
@@ -293,6 +293,11 @@ def _check(plan: Plan, where: str) -> None:
             any(cell.queue for cell in plan.cells)
             and not (plan.link and plan.link.rate_mbit_s and (plan.link.needs_only_rate or not plan.link.shared)),
             "the axis queue needs a [link] with a rate, without delay and loss if it is shared; change it or remove the axis",
+        ),
+        (
+            any(cell.link for cell in plan.cells)
+            and (plan.link is not None or any(cell.hosts > 1 for cell in plan.cells)),
+            "the axis link is in place of a [link], and joins two hosts; remove [link] and hosts, or the axis",
         ),
         (
             any(cell.outage for cell in plan.cells) and (plan.has_two_devices or bool(plan.flows)),

@@ -16,7 +16,7 @@ from dds_trace.base.units import UNIT_BYTES
 from ...payloads import data_types, sources
 from .cells import AXES, Key
 from .flows import FLOW_KEYS
-from .link import PRESETS, Link
+from .link import LINES, PRESETS, Link
 from .plan import DeviceSettings, Network, RunSettings, Search
 
 if TYPE_CHECKING:
@@ -129,7 +129,8 @@ PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
 
 
 def axis_choices(name: str) -> list[str]:
-    return [*AXES[name].choices, *([INSTALLED] if name == "backend" else [])]
+    further = {"backend": [INSTALLED], "link": ["", *LINES]}
+    return [*AXES[name].choices, *further.get(name, [])]
 
 
 Schema: TypeAlias = "dict[str, object]"

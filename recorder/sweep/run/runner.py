@@ -245,8 +245,9 @@ class Runner:
     def _attempt(
         self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
     ) -> tuple[list[CellResult], LinkReport | None]:
-        if self._station.pair is not None and self.plan.link is not None:
-            self._station.pair.set_queue(next(iter(drafts)).queue)
+        first = next(iter(drafts))
+        if self._station.pair is not None and (shaped := self.plan.link_of(first)) is not None:
+            self._station.pair.shape(replace(shaped, queue_ms=first.queue or shaped.queue_ms))
         self._report_link()  # traffic counts for this attempt from here on
         drive_link = self._station.drive_link
         if drive_link is not None:

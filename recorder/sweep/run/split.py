@@ -27,7 +27,6 @@ from ..plan.link import LinkReport
 from .outage import OutageReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
-"""Longest time from the end of a run to its last host sample: one sampling period."""
 
 
 @dataclass(frozen=True, slots=True)

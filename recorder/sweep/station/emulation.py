@@ -42,7 +42,6 @@ _NEW_LINK, _NEW_DISCIPLINE, _REMOVED_DISCIPLINE = 16, 36, 37
 _UP_AND_CARRIER = 0x1 | 0x10000
 
 DROPPING_HANDLE = 0xFF
-"""Major number of the queue discipline that drops every frame."""
 
 _TBF_BURST_FRAMES_BYTES = 2 * 1514
 _TBF_BURST_S = 0.0002

@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +43,6 @@ _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay|switch|host\d+)")
 _ROLES = ("ping", "relay")
 _LINK_ENDED = "the emulated link ended by itself; run the sweep again"
 OTHER_ADDRESS = "10.213.0.11"
-"""Address of a ping that came back with another one."""
 _AIR = "ifb0"
 _counter = itertools.count()
 
@@ -64,13 +63,17 @@ class Side:
         return [system_ip, "netns", "exec", self.namespace, "sh", "-c", own_memory, "sh"]
 
 
+def _is_air(link: Link | None) -> bool:
+    return link is not None and link.shared and link.needs_only_rate
+
+
 class NamespacePair:
     """A context manager: two namespaces and the link between them, by default a bare veth.
 
     With several `hosts` there is a namespace for each, and all are on a bridge in one more.
     """
 
-    def __init__(self, link: Link | None, hosts: int = 1) -> None:
+    def __init__(self, link: Link | None, hosts: int = 1, *, has_air: bool = False) -> None:
         self.link = self._shaped = link
         number = self._number = next(_counter)
         self.ping, self.relay = (
@@ -83,8 +86,8 @@ class NamespacePair:
                 for host in range(2, hosts + 1)
             ),
         )
-        is_air = link is not None and link.shared and link.needs_only_rate
-        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 or is_air else ""
+        self._has_air = has_air or _is_air(link)
+        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 or self._has_air else ""
         self._shaped_ends: list[tuple[str, str]] = []  # namespace and device with the queue disciplines
         self.applied_by = ""
         self.commands: list[str] = []
@@ -125,14 +128,16 @@ class NamespacePair:
         self._drive_started_ns = time.monotonic_ns() if starts else None
         self._say(f"start {self._drive_started_ns}" if starts else "rest")
 
-    def set_queue(self, queue_ms: float) -> None:
-        assert self.link is not None
-        self._shaped = replace(self.link, queue_ms=queue_ms or self.link.queue_ms)
-        disciplines = queue_disciplines(self._shaped, kernel_does_all=self._forwarder is None)
-        if disciplines != self._disciplines:
-            self._disciplines = disciplines
-            for end in self._shaped_ends:
-                self._renew_disciplines(end)
+    def shape(self, link: Link) -> None:
+        """Change what is shaped: the queue, or of links that only have a rate the whole link."""
+        if link == self._shaped:
+            return
+        self._shaped = link
+        for namespace, device in self._shaped_ends:
+            tc("-n", namespace, "qdisc", "del", "dev", device, "root")
+        if self._has_air:
+            self._redirect(is_air=_is_air(link))
+        self._add_disciplines(link)
 
     def cut(self, by: OutageBy) -> int:
         """Return when the first frame could no longer pass, by CLOCK_MONOTONIC."""
@@ -176,18 +181,26 @@ class NamespacePair:
     def _restore_disciplines(self) -> None:
         for side in (self.ping, self.relay):
             if f"qdisc pfifo {DROPPING_HANDLE:x}:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
-                self._renew_disciplines((side.namespace, INTERFACE))
+                self._renew_disciplines(side.namespace)
 
-    def _renew_disciplines(self, end: tuple[str, str]) -> None:
-        namespace, device = end
-        tc("-n", namespace, "qdisc", "del", "dev", device, "root")
-        if end in self._shaped_ends:
-            self._add_disciplines(end)
+    def _renew_disciplines(self, namespace: str) -> None:
+        tc("-n", namespace, "qdisc", "del", "dev", INTERFACE, "root")
+        if (namespace, INTERFACE) in self._shaped_ends:
+            for discipline in self._disciplines:
+                tc("-n", namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
 
-    def _add_disciplines(self, end: tuple[str, str]) -> None:
-        namespace, device = end
-        for discipline in self._disciplines:
+    def _add_disciplines(self, link: Link) -> None:
+        ends = [(side.namespace, INTERFACE) for side in (self.ping, *self.relays)]
+        if _is_air(link):
+            ends = [(self._switch, _AIR)]
+        self._disciplines = queue_disciplines(link, kernel_does_all=not self._taps)
+        self._shaped_ends = ends if self._disciplines else []
+        for (namespace, device), discipline in itertools.product(self._shaped_ends, self._disciplines):
             tc("-n", namespace, "qdisc", "add", "dev", device, *discipline)
+        applied = ["tap_forwarder" if self._taps else "veth", *(["ifb"] if _is_air(link) else [])]
+        kinds = [discipline[discipline.index("handle") + 2] for discipline in self._disciplines]
+        self.applied_by = "+".join(applied + kinds)
+        self.commands = ["tc qdisc add dev " + " ".join([ends[0][1], *discipline]) for discipline in self._disciplines]
 
     def _traffic_since(self, side: Side) -> EndCounters:
         now = count_traffic(side.namespace)
@@ -223,21 +236,13 @@ class NamespacePair:
         for side in sides:
             ip("-n", side.namespace, "address", "add", f"{side.address}/24", "dev", INTERFACE)
             self._bring_up(side)
-        applied = ["tap_forwarder" if needs_forwarder else "veth"]
+        self.applied_by = "veth"
+        if self._has_air:
+            ip("-n", self._switch, "link", "add", _AIR, "type", "ifb")
+            ip("-n", self._switch, "link", "set", _AIR, "up")
+            self._redirect(is_air=_is_air(link))
         if link is not None:
-            disciplines = queue_disciplines(link, kernel_does_all=not needs_forwarder)
-            applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
-            self._disciplines = disciplines
-            is_air = link.shared and not needs_forwarder
-            self._shaped_ends = [(self._switch, _AIR)] if is_air else [(side.namespace, INTERFACE) for side in sides]
-            if is_air:
-                applied[0] = "veth+ifb"
-                self._redirect_to_air(len(sides))
-            for end in self._shaped_ends:
-                self._add_disciplines(end)
-            device = self._shaped_ends[0][1]
-            self.commands = ["tc qdisc add dev " + " ".join([device, *discipline]) for discipline in disciplines]
-        self.applied_by = "+".join(applied)
+            self._add_disciplines(link)
         if needs_forwarder and link is not None:
             self._forwarder = start_forwarder(self._taps, link)
         self.report()  # the traffic of the setup does not count
@@ -252,14 +257,15 @@ class NamespacePair:
                "peer", "name", port, "netns", self._switch)  # fmt: skip
             ip("-n", self._switch, "link", "set", port, "master", "bridge0", "up")
 
-    def _redirect_to_air(self, ports: int) -> None:
+    def _redirect(self, *, is_air: bool) -> None:
         """Send what comes in at each port through one ifb: redirected on its way out, a sender would feel no full line."""
-        ip("-n", self._switch, "link", "add", _AIR, "type", "ifb")
-        ip("-n", self._switch, "link", "set", _AIR, "up")
-        for number in range(ports):
-            tc("-n", self._switch, "qdisc", "add", "dev", f"port{number}", "clsact")
-            tc("-n", self._switch, *f"filter add dev port{number} ingress protocol all prio 1 u32 match u32 0 0".split(),
-               *f"action mirred egress redirect dev {_AIR}".split())  # fmt: skip
+        for number in range(1 + len(self.relays)):
+            tc("-n", self._switch, "qdisc", "replace", "dev", f"port{number}", "clsact")
+            if is_air:
+                words = f"filter replace dev port{number} ingress protocol all prio 1 handle 800::800 u32 match u32 0 0"
+                tc("-n", self._switch, *words.split(), *f"action mirred egress redirect dev {_AIR}".split())
+            else:
+                tc("-n", self._switch, "filter", "del", "dev", f"port{number}", "ingress")
 
     def _has_netem(self) -> bool:
         try:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from .devices import RelayDevice
 
 PERSON_WAIT_S = 3600.0
-"""Time for a person to start the relay on the other device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +82,9 @@ def open_station(
         yield Station(recorder, device, lock, relay_address=plan.relay.reached_at, further=further)
         return
     with ExitStack() as stack:
+        has_air = any((link := plan.link_of(cell)) is not None and link.shared for cell in plan.cells)
         hosts = max((cell.hosts for cell in plan.cells), default=1)
-        pair = stack.enter_context(NamespacePair(plan.link, hosts)) if plan.namespaces else None
+        pair = stack.enter_context(NamespacePair(plan.link, hosts, has_air=has_air)) if plan.namespaces else None
         keys = stack.enter_context(shared_keys({cell.security for cell in plan.cells}))
         ping_prefix, relay_prefixes = (
             (pair.ping.prefix, [relay.prefix for relay in pair.relays]) if pair else ([], [[]])

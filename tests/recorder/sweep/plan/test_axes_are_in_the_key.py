@@ -26,6 +26,7 @@ OTHER = {
     "relay_rmw": "rmw_cyclonedds_cpp",
     "size": 1000,
     "outage_by": "loss",
+    "link": "air-30",
 }
 """Values of axes without a table of choices, where a plain other value of the kind would not do."""
 

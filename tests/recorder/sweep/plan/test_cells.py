@@ -49,6 +49,7 @@ CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for na
     "load": "cpu",
     "call": "service",
     "security": "sign",
+    "link": "air-30",
     "outage": 3.0,
     "outage_by": "loss",
     "priority": 3,
@@ -96,7 +97,7 @@ def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():
 
 
 def test_presets_are_those_that_are_documented():
-    assert set(PRESETS) == {"ethernet-1g", "ethernet-100m", "wifi-54", "wifi-poor", "5g"}
+    assert set(PRESETS) == {"ethernet-1g", "ethernet-100m", "air-30", "wifi-54", "wifi-poor", "5g"}
 
 
 def test_link_in_words(sentences):

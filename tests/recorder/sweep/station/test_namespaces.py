@@ -78,6 +78,15 @@ def test_bytes_take_the_time_that_the_rate_says(link, applied_by):
 
 
 @skipped
+def test_a_pair_changes_from_one_line_to_another():
+    with NamespacePair(None, has_air=True) as pair, echo(pair):
+        for link, applied_by in ((Link(rate_mbit_s=100), "veth+tbf"), (PRESETS["air-30"], "veth+ifb+tbf")) * 2:
+            pair.shape(link)
+            assert (pair.applied_by, pair.report()["link"]) == (applied_by, link.to_dict())
+            assert min(ask(pair, 25_000, 5)) > 2 * (25_000 - 3_028) * 8 / link.rate_mbit_s / 1e3
+
+
+@skipped
 @needs_tap
 def test_every_round_trip_has_the_delay_and_a_report_counts_since_the_one_before():
     with NamespacePair(Link(delay_ms=20)) as pair, echo(pair):

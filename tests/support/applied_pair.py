@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from waiting import read_past
 
 from dds_trace.recorder.applied.applied import Applied
 from dds_trace.recorder.applied.asked import Asked
@@ -110,7 +111,7 @@ def run_pair(
     }
     with _side({**given, **(relay or {}), "role": "relay"}, variables, (*prefix, *relay_prefix)) as relaying:
         try:
-            _wait_until_ready(relaying)
+            read_past(relaying.stdout, "ready")
             with _side({**given, **(ping or {}), "role": "ping"}, variables, prefix) as pinging:
                 try:
                     said, _ = pinging.communicate(timeout=PATIENCE_S)
@@ -140,18 +141,10 @@ def relaying(backend: str, domain_id: int) -> Iterator[subprocess.Popen[str]]:
     }
     with _side(given, None) as relay:
         try:
-            _wait_until_ready(relay)
+            read_past(relay.stdout, "ready")
             yield relay
         finally:
             relay.kill()
-
-
-def _wait_until_ready(relay: subprocess.Popen[str]) -> None:
-    """Past what the middleware prints: Fast DDS writes to stdout that another process was first at a port of shared memory."""
-    said = []
-    while (line := relay.stdout.readline()) != "ready\n":
-        said.append(line)
-        assert line, f"the relay ended ({relay.wait(PATIENCE_S)}) and said {said}"
 
 
 def _side(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from waiting import read_past
 from wire_truth import truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
@@ -117,7 +118,7 @@ def record_watched(
     with lossy_link(folder, loss, rate_mbit) as link:
         relay = (program, "--role", "relay", *both, "--out", folder / "relay.mcap")
         with running_session(link, 1, *session_of(options, folder / "relay"), *relay) as session:
-            wait_for(session, "serves domain")
+            read_past(session.stderr, "serves domain")
             peer = ("--peer", link.sides[1].address) if backend in ("socket", "zenoh") else ()
             ping = (program, "--role", "ping", *both, "--out", folder / "ping.mcap", *peer, *ping_options)
             link.watch(0, options, folder / "ping", *ping)
@@ -143,16 +144,6 @@ def running_session(link: LossyLink, side: int, *command: object) -> Iterator[su
     finally:
         session.terminate()
         session.communicate(timeout=_PATIENCE_S)
-
-
-def wait_for(command: subprocess.Popen[str], text: str) -> None:
-    assert command.stderr is not None
-    said = []
-    for line in command.stderr:
-        said.append(line)
-        if text in line:
-            return
-    raise AssertionError(f"ended before {text!r}: {said}")
 
 
 def _end(process: subprocess.Popen[str]) -> None:

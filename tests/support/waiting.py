@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 T = TypeVar("T")
 
@@ -28,3 +28,13 @@ def wait_until(
         meanwhile()
         time.sleep(step_s)
     return found
+
+
+def read_past(pipe: Iterable[str] | None, text: str) -> None:
+    """Read up to a line with this text; a middleware prints too (Fast DDS, on stdout: another has a port of shared memory)."""
+    said = []
+    for line in pipe or ():
+        said.append(line)
+        if text in line:
+            return
+    raise AssertionError(f"ended before {text!r}: {said}")

@@ -265,21 +265,27 @@ def test_a_connection_without_a_greeting_is_ended(domain_id, monkeypatch):
 
 
 @pytest.mark.parametrize("sends", [False, True])
-def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends):
-    """One that only subscribes costs a moment, one that sends messages at most `SENDER_PATIENCE_S` and a little."""
-    got = []
+def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends, monkeypatch):
+    """The kernel waits so long for it and no longer, and it is waited for until it is dropped, not once more."""
+    got, patience, shut_down = [], [], tcp._TcpPeer.shut_down
+
+    def dropping(peer):
+        if peer.is_slow and not patience:
+            patience.append(peer._connection.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, tcp._TIME.size))
+        shut_down(peer)
+
+    monkeypatch.setattr(tcp._TcpPeer, "shut_down", dropping)
     with pair(domain_id, lambda *_: None) as (here, there, _):
         here.create_subscription(BINARY.relay_topic, BINARY.type_name, lambda *_: got.append(1))
         replies = there.create_publisher(BINARY.relay_topic, BINARY.type_name)
         sent = [frame(b"x", b"y")] if sends else []
         with connect(domain_id, frame(b"", SUBSCRIBED), *sent):
             wait_until(lambda: len(there.look_at(BINARY.relay_topic).subscriptions) == 2)
-            began_s = time.monotonic()
             for _ in range(100):
                 replies.publish(bytes(500_000))
-            took_s = time.monotonic() - began_s
-        wait_until(lambda: len(got) == 100)
-        assert took_s < (5 if sends else 2)
+            wait_until(lambda: len(got) == 100 and there.strangers.counts)
+        ((seconds, microseconds),) = map(tcp._TIME.unpack, patience)
+        assert seconds + microseconds / 1e6 == pytest.approx(1 if sends else 0.25, abs=0.02)  # in ticks of the kernel
         assert there.strangers.counts == {SLOW: 1}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
-from waiting import PATIENCE_S, wait_until
+from waiting import PATIENCE_S, read_past, wait_until
 
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
@@ -289,12 +289,12 @@ def test_names_of_strangers_cost_only_their_topics(tmp_path, domain_id, backend,
     monkeypatch.syspath_prepend(tmp_path)
     stranger = [sys.executable, STRANGER, "zenoh" if backend == "zenoh" else "cyclonedds", str(domain_id)]
     with (
-        subprocess.Popen(stranger, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process,
+        subprocess.Popen(stranger, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process,
         tapping(tmp_path / "tap.mcap", backend, domain_id, "/*", "/good", "*") as (watch, result),
     ):
-        assert process.stdout.readline().startswith(b"announced")
+        read_past(process.stdout, "announced")
         wait_until(lambda: any(note.startswith("joined /good (std_msgs/msg/Header)") for note in watch.notes))
-        process.stdin.write(b"\n")
+        process.stdin.write("\n")
         process.stdin.flush()
         wait_until(lambda: any(note.startswith("joined /good (std_msgs/msg/String)") for note in watch.notes))
         enough = watch.messages + 20

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
-from lossy_link import lossy_link, running_session, wait_for
+from lossy_link import lossy_link, running_session
 from namespaces import needs_namespaces
 from record_reader import records_of
 from report_schemas import REPORT
+from waiting import read_past
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
@@ -37,7 +38,7 @@ def recorded(tmp_path_factory):
     with lossy_link(folder, 0.01) as link:
         relay = (PROGRAM, "--role", "relay", *both, "--out", folder / "relay.mcap")
         with running_session(link, 1, *relay) as session:
-            wait_for(session, "serves domain")
+            read_past(session.stderr, "serves domain")
             ping = link.start(
                 0, PROGRAM, "--role", "ping", *both, "--out", folder / "ping.mcap", "--size", "10KB",
                 "--messages", 190, "--warmup", 10, "--rate", 40, "--wait", 60, "--seed", 5,

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lossy_link import SUPPORT, lossy_link, record_watched, running_session, wait_for
+from lossy_link import SUPPORT, lossy_link, record_watched, running_session
 from namespaces import needs_namespaces
 from record_reader import events_of
+from waiting import read_past
 from wire_truth import truth_of
 
 from dds_trace.recorder.records import from_json
@@ -164,7 +165,7 @@ def test_cyclones_own_statistics_agree(tmp_path, count, size, unit_bytes):
     pytest.importorskip("cyclonedds")
     program = (sys.executable, SUPPORT / "cyclone_statistics.py")
     with lossy_link(tmp_path, loss=0.03) as link, running_session(link, 1, *program, "read") as reader:
-        assert reader.stdout.readline() == "ready\n"
+        read_past(reader.stdout, "ready")
         said = link.watch(0, OPTIONS, tmp_path / "writer", *program, "write", count, size)
         link.stop()
     counts = from_json(WireCounts, json.loads((tmp_path / "writer.json").read_text()))
@@ -202,7 +203,7 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
         relay = (program, "--role", "relay", *both, "--out", tmp_path / "relay.mcap")
         listener = ("sh", "-c", f'exec "$0" 30 >{heard}', fastdds_statistics)
         with running_session(link, 1, *relay) as session, running_session(link, 0, *listener):
-            wait_for(session, "serves domain")
+            read_past(session.stderr, "serves domain")
             more = ("--size", "10KB", "--messages", 790, "--warmup", 10, "--rate", 50, "--wait", 60)
             ping = (program, "--role", "ping", *both, "--out", tmp_path / "ping.mcap", *more)
             link.watch(0, OPTIONS, tmp_path / "ping", "env", variable, *ping)

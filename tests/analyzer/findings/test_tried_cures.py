@@ -7,14 +7,17 @@ from importlib.util import find_spec
 
 import pytest
 from applied_pair import needs_large_buffers
-from processes import RunningCommand
+from processes import RunningCommand, wait_for_chunks
 from two_devices import needs_devices, two_devices
+from waiting import wait_until
 from wording import numbers
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.backends.ros2.fastdds_profile import requested_profile
 from dds_trace.recorder.choices import Transport
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, tc
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = pytest.mark.middleware
 
@@ -49,6 +52,11 @@ def pinging(start, folder, *options, **variables):
         ping.clean_up()
 
 
+def wait_for_messages(relay):
+    wait_for_chunks(relay)
+    wait_until(lambda: len(read_trace(relay).events[Stage.T3]) >= 10)
+
+
 def local(domain_id, *options):
     return ("--domain", domain_id, "--discovery", "localhost", *options)
 
@@ -73,11 +81,10 @@ def record_with_a_stalling_relay(folder, domain_id, depth):
     options = local(domain_id, "--depth", depth)
     with (
         relaying(RunningCommand, folder, *options) as relay,
-        pinging(RunningCommand, folder, *options, "--rate", 100, "--messages", 600) as ping,
+        pinging(RunningCommand, folder, *options, "--rate", 100, "--messages", 450),
     ):
-        ping.wait_for_line("waiting for an echo")
-        time.sleep(3)
-        for _ in range(3):
+        wait_for_messages(folder / "relay.mcap")
+        for _ in range(2):
             relay.send_signal(signal.SIGSTOP)
             time.sleep(0.5)
             relay.send_signal(signal.SIGCONT)
@@ -99,7 +106,7 @@ def record_large_ones(folder, domain_id, *options):
     sides = local(domain_id, "--transport", "udp", *options)
     with (
         relaying(RunningCommand, folder, *sides),
-        pinging(RunningCommand, folder, *sides, "--size", "2MB", "--rate", 10, "--messages", 60),
+        pinging(RunningCommand, folder, *sides, "--size", "2MB", "--rate", 10, "--messages", 30),
     ):
         pass
 
@@ -123,7 +130,7 @@ def test_without_the_lifespan_late_messages_are_delivered(tmp_path, domain_id):
         sides = local(domain_id, *options)
         with (
             relaying(RunningCommand, tmp_path / name, *sides),
-            pinging(RunningCommand, tmp_path / name, *sides, "--size", "500KB", "--rate", 20, "--messages", 100),
+            pinging(RunningCommand, tmp_path / name, *sides, "--size", "500KB", "--rate", 50, "--messages", 100),
         ):
             pass
     (loss,) = found(tmp_path / "short", "loss")
@@ -140,10 +147,11 @@ def test_a_ping_that_waits_for_both_relays_has_no_late_one(tmp_path, domain_id):
     late.mkdir()
     with ExitStack() as relays:
         relays.enter_context(relaying(RunningCommand, late, *sides, "--device", "a"))
-        with pinging(RunningCommand, late, *sides, "--rate", 20, "--messages", 240) as ping:
-            ping.wait_for_line("waiting for an echo")
-            time.sleep(5)
+        with pinging(RunningCommand, late, *sides, "--rate", 50, "--messages", 6000) as ping:
+            wait_for_messages(late / "relay.mcap")
             relays.enter_context(relaying(RunningCommand, late, *sides, "--device", "b", name="second"))
+            wait_for_messages(late / "second.mcap")
+            ping.send_signal(signal.SIGINT)
     (joined,) = found(late, "relay_joined_late")
     assert " on b" in joined.where
     assert found(late, "loss") == []

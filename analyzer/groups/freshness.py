@@ -10,15 +10,13 @@ from ..model.metrics import frame_schema
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome
 from ..pairing.roundtrips import RoundTrips
 from .batch import Batch, described_exchanges
+from .intervals import ONE_WAY_METRICS
 
 OUTAGE_MESSAGES = 3
 """Lost messages in a row that make an outage: single losses are loss, not an outage."""
 
 RECOVERED_MESSAGES = 5
 """Messages in a row in time that end the recovery from an outage."""
-
-ONE_WAY = ("outbound", "return")
-"""Metrics that are wrong by at most `clock_bound_ns`."""
 
 _NEVER = {"outbound": (Outcome.LOST_OUTBOUND.value,)}
 """Outcomes of messages that surely never arrived; for other metrics all losses."""
@@ -110,7 +108,7 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     planned = pl.coalesce("scheduled_ns", "publish_ns")
     # A message without a schedule responds from T1 on.
     value = pl.coalesce("response_ns", "rtt_ns") if metric == "response" else pl.col(f"{metric}_ns")
-    bound = pl.col("clock_bound_ns") if metric in ONE_WAY else 0
+    bound = pl.col("clock_bound_ns") if metric in ONE_WAY_METRICS else 0
     never = [OUTCOMES.index(Outcome(outcome)) for outcome in _NEVER.get(metric, LOSSES)]
     usual = pl.col("receive_ns") - planned
     in_time = usual <= usual.quantile(0.9, "linear").over("exchange")

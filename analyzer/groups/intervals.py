@@ -37,6 +37,7 @@ ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 
 ONE_WAY_METRICS = ("outbound", "return")
+"""Metrics that are wrong by at most `clock_bound_ns`."""
 _METRICS = (*METRICS, *ONE_WAY_METRICS)
 
 _STATISTICS = [Statistic(percentile.quantile) for percentile in PERCENTILES]

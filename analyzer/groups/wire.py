@@ -13,7 +13,7 @@ import polars as pl
 
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.json_fields import Json, JsonObject, number_of, object_of, objects_of
-from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
+from dds_trace.tracefile.format.wire import AGAIN_CLASSES, DISCOVERY_CLASSES, MESSAGE_ROW, Direction, rows_of_text
 from dds_trace.tracefile.reading.trace import Trace
 
 from ..model.metrics import frame_schema
@@ -43,9 +43,6 @@ WIRE_REPEAT_SCHEMA = frame_schema(
 """A row per group and number of repeats of both ways together, warm-up left out: `returned` came back in these times."""
 
 WIRE_FRAMES = {"wire": WIRE_SCHEMA, "wire_classes": WIRE_CLASS_SCHEMA, "wire_repeats": WIRE_REPEAT_SCHEMA}
-
-DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
-AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
 
 _KEY = ["run_id", "sequence"]
 _RECORD_COLUMNS = (*_KEY, "relay_id", "direction", "first_ns", "repeats", "resent_after_ns", "waited_heartbeats")

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 
 from ..statistics.distributions import student_cdf
 from ..statistics.percentiles import quantile_of
-from .bursts import COSINES, long_run_variance
-
-Float64 = NDArray[np.float64]
-
+from .bursts import COSINES, Float64, long_run_variance
 
 BATCH = 5
 WARM_UP_MIN_MESSAGES = 40 * BATCH

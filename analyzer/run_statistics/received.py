@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from ..statistics.distributions import poisson_cdf, poisson_limits, student_cdf, student_quantile
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, smallest_shift
-from .bursts import COSINES, episode_sizes, share_inflation
+from .bursts import COSINES, Float64, Int64, episode_sizes, share_inflation
 from .change import Verdict
 from .two_samples import StudentTest, mover_ends, welch_test
 
 Bools = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 
 LEAST_VARIANCE_SHARE = 0.25

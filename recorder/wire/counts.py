@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from dds_trace.tracefile.format.wire import AGAIN_CLASSES, DISCOVERY_CLASSES, Direction
+
 from ..kernel.sockets import TcpConnection
 from ..records import to_json
 from .messages import RepeatCount
-from .packets.classes import DISCOVERY, WireClass
+from .packets.classes import WireClass
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.wire import Direction
-
     from .packets.frames import Frame
 
 
@@ -70,12 +70,6 @@ class RunTally:
             if kind is not principal:
                 self.classes[kind, direction].bytes += size
                 self.classes[principal, direction].bytes -= size
-
-
-_DISCOVERY_NAMES = frozenset(kind.value for kind in DISCOVERY)
-_AGAIN_NAMES = frozenset(
-    kind.value for kind in (WireClass.DATA_AGAIN, WireClass.DATA_FRAG_AGAIN, WireClass.TCP_DATA_AGAIN)
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +181,7 @@ class WireCounts:
 
     @property
     def discovery_bytes(self) -> int:
-        return self._bytes_of(_DISCOVERY_NAMES)
+        return self._bytes_of(DISCOVERY_CLASSES)
 
     @property
     def discovery_bytes_per_minute(self) -> float | None:
@@ -196,7 +190,7 @@ class WireCounts:
 
     @property
     def again_bytes_share(self) -> float | None:
-        return self._bytes_of(_AGAIN_NAMES) / self.total_bytes if self.total_bytes else None
+        return self._bytes_of(AGAIN_CLASSES) / self.total_bytes if self.total_bytes else None
 
     @property
     def match_ns(self) -> int | None:

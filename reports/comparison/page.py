@@ -6,13 +6,13 @@ import base64
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
+from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
@@ -37,16 +37,16 @@ Row = Mapping[str, Any]
 
 
 def render(info: ComparisonInfo, title: str) -> str:
-    script = _asset("comparison", "comparison.js")
+    script = asset(__package__, "comparison.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     shown = info.groups[0].shown() if info.groups else ()
-    return environment.from_string(_asset("comparison", "comparison.html.j2")).render(
+    return environment.from_string(asset(__package__, "comparison.html.j2")).render(
         policy=(
             f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
             "base-uri 'none'; form-action 'none'"
         ),
-        style=Markup(_asset("html", "page.css") + _asset("comparison", "comparison.css")),  # noqa: S704 - our own files
+        style=Markup(asset("dds_trace.reports.html", "page.css") + asset(__package__, "comparison.css")),  # noqa: S704 - our own files
         script=Markup(script),  # noqa: S704 - our own file
         title=printable(title),
         info=info,
@@ -72,10 +72,6 @@ def _group(group: ComparedGroup) -> dict[str, object]:
         "shown": [(both_words(row), change_words(row["ratio"]), interval_words(row)) for row in group.shown()],
         "rows": [(*statistic_cells(row), runs_words(row), VERDICTS[row["verdict"]]) for row in group.changes],
     }
-
-
-def _asset(room: str, name: str) -> str:
-    return (files(f"dds_trace.reports.{room}") / "assets" / name).read_text(encoding="utf-8")
 
 
 SIDES = ("base", "new")

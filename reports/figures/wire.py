@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from dds_trace.tracefile.format.wire import AGAIN_CLASSES, DISCOVERY_CLASSES
+
 from ..book.book import Book
 from ..book.numbers import whole_ns
 from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
@@ -19,9 +21,9 @@ PART_LABELS = {
 
 _CLASSES = {
     "data": ("data", "data_frag", "tcp_data", "udp_other", "fragment_unknown"),
-    "again": ("data_again", "data_frag_again", "tcp_data_again"),
+    "again": AGAIN_CLASSES,
     "control": ("heartbeat", "heartbeat_frag", "acknack", "nack_frag", "gap", "tcp_control"),
-    "discovery": ("spdp", "sedp", "liveliness"),
+    "discovery": DISCOVERY_CLASSES,
 }
 PART_OF_CLASS = {name: part for part, names in _CLASSES.items() for name in names}
 """Class of traffic (`docs/reference/wire.md`) -> part of the bar; other classes are `other`. What is not RTPS, and later IP

@@ -12,7 +12,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache, partial
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
@@ -22,7 +21,7 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.base.files import write_whole
+from dds_trace.base.files import asset, write_whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
@@ -176,8 +175,7 @@ def _tint(cell: SizeCell, row: SizeRow) -> int:
     return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 
-def _asset(name: str) -> str:
-    return (files("dds_trace.reports.html") / "assets" / name).read_text(encoding="utf-8")
+_asset = partial(asset, __package__)
 
 
 def _policy(*scripts: str, connect: str) -> str:

@@ -7,7 +7,6 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
@@ -17,6 +16,7 @@ from rich.text import Text
 
 from dds_trace.analyzer.recordings.card import RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
+from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import clock_words
@@ -154,9 +154,9 @@ _THINNEST = 1.0
 
 def render_page(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(_asset("topics", "topics.html.j2")).render(
+    return environment.from_string(asset(__package__, "topics.html.j2")).render(
         policy="default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'",
-        style=Markup(_asset("html", "page.css") + _asset("topics", "topics.css")),  # noqa: S704 - our own files
+        style=Markup(asset("dds_trace.reports.html", "page.css") + asset(__package__, "topics.css")),  # noqa: S704 - our own files
         columns=COLUMNS,
         width=STRIP_WIDTH,
         recordings=[_recording(report, health) for health in report.recordings],
@@ -204,7 +204,3 @@ def _blocks(
             (round(hole["start_s"] * scale, 1), round(max(hole["duration_s"] * scale, _THINNEST), 1), kind, title)
         )
     return drawn
-
-
-def _asset(room: str, name: str) -> str:
-    return (files(f"dds_trace.reports.{room}") / "assets" / name).read_text(encoding="utf-8")

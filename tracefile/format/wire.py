@@ -25,6 +25,10 @@ WIRE_TOPIC = "/dds_trace/wire"
 NEVER_NS = -1
 """`resent_after_ns` of a message that was sent once."""
 
+DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
+AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
+"""Classes of traffic whose bytes are discovery, and repeats."""
+
 MESSAGE_ROW = np.dtype(
     [
         ("run_id", "<u8"),

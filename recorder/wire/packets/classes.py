@@ -37,7 +37,6 @@ class WireClass(str, Enum):
 
 
 RANK = {kind: number for number, kind in enumerate(WireClass)}
-DISCOVERY = frozenset((WireClass.SPDP, WireClass.SEDP, WireClass.LIVELINESS))
 AGAIN = {WireClass.DATA: WireClass.DATA_AGAIN, WireClass.DATA_FRAG: WireClass.DATA_FRAG_AGAIN}
 
 _BUILTIN_KIND = 0xC0

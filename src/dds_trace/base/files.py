@@ -53,6 +53,12 @@ def write_whole(path: Path, text: str) -> Path:
     return path
 
 
+def asset(package: str, name: str) -> str:
+    from importlib.resources import files  # noqa: PLC0415 - only pages have assets
+
+    return (files(package) / "assets" / name).read_text(encoding="utf-8")
+
+
 @contextmanager
 def folder_lock(folder: Path, kind: int, wait_s: float = 0.0) -> Iterator[bool]:
     """Lock a folder (`fcntl.LOCK_SH` or `LOCK_EX`) within the block; yield whether that succeeded within `wait_s`.

@@ -28,7 +28,6 @@ from .figures.costs import Cost, bridge_cost_info
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
-"""Most results in a table."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
     "Latency of a typical run through the bridge less the one in the same domain, its 95 % interval, and the ratio of the two, with "

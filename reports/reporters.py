@@ -22,7 +22,6 @@ REPORT_MODULES = {
     "json": "dds_trace.reports.document",
     "terminal": "dds_trace.reports.terminal",
 }
-"""Kind of report -> the module that is its `Reporter`, imported at first use."""
 
 
 class Reporter(Protocol):

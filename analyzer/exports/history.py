@@ -25,7 +25,6 @@ _OF_A_MACHINE = ("ping_device", "relay_device", "ping_domain_id", "relay_domain_
 """Left out of names where results differ in others: they change from job to job."""
 
 _MOST_NAME, _MOST_MEASURE = 1024, 64
-"""Of Bencher."""
 
 COMMIT_VARIABLES = ("GITHUB_SHA", "CI_COMMIT_SHA")
 

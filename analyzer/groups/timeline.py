@@ -96,7 +96,6 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def points_of_exchange(all_exchanges: int) -> int:
-    """Return the points of each exchange, which change at powers of two of the number of exchanges."""
     low, high = _POINTS_OF_EXCHANGE
     rounded = 1 << max(all_exchanges - 1, 0).bit_length()
     return min(max(_ALL_POINTS // rounded, low), high)

@@ -16,8 +16,6 @@ EventKey = tuple[Stage, int, int]
 
 
 class EventsElsewhere(Protocol):
-    """Events in a file."""
-
     def load(self) -> EventColumns: ...
 
 

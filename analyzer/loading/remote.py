@@ -34,7 +34,6 @@ class _Storage(Protocol):
 
 
 def is_remote(path: Path) -> bool:
-    """Return whether the path names a scheme, as `s3://` does."""
     return _SCHEME.match(os.fspath(path)) is not None
 
 

@@ -36,8 +36,6 @@ _AT_ONCE_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class SavedFile:
-    """A file of the folder: name, size and hexadecimal SHA-256."""
-
     file: str
     bytes: int
     sha256: str

@@ -18,7 +18,6 @@ BACKEND_MODULES = {
     "connext": "dds_trace.recorder.backends.connext",
     "socket": "dds_trace.recorder.backends.socket",
 }
-"""Name -> module with its `BACKEND`."""
 
 
 def load_backend(name: str) -> Backend:

@@ -77,7 +77,6 @@ LATENCY_MEANING = (
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
 
 ALL_METRIC_LABELS = {**METRIC_LABELS, **TOPIC_METRICS}
-"""The same with the times of topics."""
 
 METRIC_MENU = {"intermediate": "Time in relay (the paper's intermediate-process time)"}
 
@@ -100,8 +99,6 @@ DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 
 @dataclass(frozen=True, slots=True)
 class VendorLabels:
-    """Labels of vendors; others are shown as in the trace."""
-
     labels: Mapping[str, str]
 
     def of(self, vendor: str) -> str:

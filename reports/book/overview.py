@@ -21,8 +21,6 @@ MOST_LISTED = 12
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One labelled line, as in `Rates`: `10, 20, 50 Hz`."""
-
     label: str
     value: str
 

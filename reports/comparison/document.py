@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 
 FORMAT_VERSION = 1
-"""A field may be added without a new version."""
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:

@@ -25,8 +25,6 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class OneWay(Faceted):
-    """One panel per data type, setup and device pair."""
-
     ways: Mapping[int, Way]
 
 

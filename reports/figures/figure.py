@@ -20,8 +20,6 @@ Test = Callable[[int], bool]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure that can be drawn."""
-
     name: str
     title: str
     how_to_read: str
@@ -47,8 +45,6 @@ class Scope(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FigureMaker:
-    """One row of the table of figures (`reports.figures.FIGURES`)."""
-
     info: Callable[[Book], Any]
     figure: Callable[[Any], Figure | LeftOut]
     scope: Scope = Scope.CAMPAIGN

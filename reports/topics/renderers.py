@@ -38,7 +38,6 @@ from .words import (
 )
 
 FORMAT_VERSION = 1
-"""A field may be added without a new version."""
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "inside")

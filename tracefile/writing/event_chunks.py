@@ -65,7 +65,6 @@ MESSAGES_AT = 4096
 """Offset of the messages in the builder's buffer, after schemas and channels."""
 
 Positions: TypeAlias = "NDArray[np.intp]"
-"""Indices of slots."""
 
 Index: TypeAlias = "NDArray[np.uint64]"
 """uint64 array of shape (messages, 2): log time, offset in the chunk; the body of a MessageIndex record."""

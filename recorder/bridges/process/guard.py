@@ -25,7 +25,6 @@ from functools import partial
 from pathlib import Path
 
 LOG_LIMIT_BYTES = 128 * 1024
-"""Limit of each of the log's two files."""
 
 READ_BYTES = 64 * 1024
 LAST_READS = 64

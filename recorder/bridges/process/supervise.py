@@ -20,10 +20,8 @@ STOP_PATIENCE_S = 4.0
 """Time to end after SIGINT, then after SIGTERM, before SIGKILL."""
 
 LAST_LINES = 40
-"""Most lines of the log in messages and traces."""
 
 LAST_LINES_BYTES = 8 * 1024
-"""Most bytes of those lines."""
 
 _COLOUR_CODE = re.compile(r"\x1b\[[0-9;]*m")
 

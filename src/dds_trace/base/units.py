@@ -14,7 +14,6 @@ MISSING = "-"
 
 SECOND_NS = 1_000_000_000
 UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
-"""Units of the command line."""
 
 DRIFT_LIMIT_PPB = 1_100_000
 """Largest drift of two clocks: Linux slews each by at most 500 ppm (adjtimex(2)); their crystals part by under 100 ppm more."""

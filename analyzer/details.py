@@ -28,9 +28,8 @@ from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
-from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.cases import GroupRows
-from .verdicts.interference import find_head_of_line, find_interference
+from .verdicts.costs import find_bridge_costs, find_head_of_line, find_interference
 from .verdicts.recommend import Recommendation, recommend_settings
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")

@@ -14,7 +14,7 @@ from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
 from ..pairing.exchanges import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
-from ..verdicts.interference import flows_of
+from ..verdicts.costs import flows_of
 from ..verdicts.judgements import Claim, Reason
 from .evidence import Evidence, Observation, check, percent, some
 

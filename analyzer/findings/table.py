@@ -8,7 +8,7 @@ from dataclasses import replace
 import polars as pl
 
 from ..model.finding import Finding, Severity
-from ..verdicts.interference import Overtaking
+from ..verdicts.costs import Overtaking
 from . import calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
 from .evidence import Check, Evidence
 from .notes import NOTES

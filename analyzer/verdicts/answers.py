@@ -141,13 +141,13 @@ def find_answers(
         outages_ns=outages_ns or {},
     )
     cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
-    losers = judge_losers([case.kind() for case in cases], confidence)
+    losers = judge_losers(cases, confidence)
     cases = [
         case.with_losers({row.subject for row in rows if row.verdict == PROVEN})
         for case, rows in zip(cases, losers, strict=True)
     ]
     excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
-    rankings = rank_setups([case.kind() for case in cases], confidence, options)
+    rankings = rank_setups(cases, confidence, options)
     return tuple(
         _answer(case, ranking, confidence, [*rows, *case.judged_losses(excesses)])
         for case, ranking, rows in zip(cases, rankings, losers, strict=True)
@@ -174,21 +174,9 @@ class _Setup(SetupRuns):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Case:
-    """One kind of message: values of its columns, and its setups by name."""
-
-    columns: dict[str, Any]
+class _Case(Kind):
     setups: Mapping[str, _Setup]
-
-    @property
-    def has_tails(self) -> bool:
-        intervals = (setup.estimates["p99"].interval for setup in self.setups.values())
-        return all(interval.is_two_sided for interval in intervals)
-
-    def kind(self) -> Kind:
-        family = tuple(self.columns[name] for name in FAMILY)
-        percentiles = tuple(_STATISTICS) if self.has_tails else ("p50",)
-        return Kind(family, self.setups, percentiles)
+    columns: dict[str, Any]
 
     def group_of(self, name: str) -> int:
         return (self.setups.get(name) or next(iter(self.setups.values()))).group
@@ -243,7 +231,10 @@ def _measure_case(
             outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
             group=first_groups[name],
         )
-    return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
+    columns = case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True)
+    has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
+    percentiles = tuple(_STATISTICS) if has_tails else ("p50",)
+    return _Case(tuple(columns[name] for name in FAMILY), setups, percentiles, columns)
 
 
 def _outside(run: RunRows, outage_ns: Range | None) -> Bools:

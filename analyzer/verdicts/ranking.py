@@ -148,9 +148,11 @@ def rank_setups(
     kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
-    dependent = {family for family, runs in _logarithms_by_family(kinds, "p50").items() if passes_depend(runs)}
-    for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
-        pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
+    names = dict.fromkeys(name for kind in kinds for name in kind.percentiles)
+    logarithms = {percentile: _logarithms_by_family(kinds, percentile) for percentile in names}
+    dependent = {family for family, runs in logarithms.get("p50", {}).items() if passes_depend(runs)}
+    for percentile, families in logarithms.items():
+        pairs_of = _pairs(kinds, percentile, families, trust_order=options.trust_order)
         for index, pairs in pairs_of.items():
             if kinds[index].family in dependent:
                 pairs_of[index] = [replace(pair, p_value=1.0) for pair in pairs]
@@ -276,12 +278,14 @@ def _reason(
     return Reason.BELOW_MARGIN if is_near else Reason.LOSSES
 
 
-def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
-    means = {
-        key: mean
-        for runs in _logarithms_by_family(kinds, percentile).values()
-        for key, mean in setup_means(runs).items()
-    }
+def _pairs(
+    kinds: Sequence[Kind],
+    percentile: str,
+    families: Mapping[Hashable, Mapping[Key, RunLogarithms]],
+    *,
+    trust_order: bool,
+) -> dict[int, list[SetupPair]]:
+    means = {key: mean for runs in families.values() for key, mean in setup_means(runs).items()}
     compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
     pairs: dict[int, list[SetupPair]] = {}
     for index, kind in compared.items():

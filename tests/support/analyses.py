@@ -33,9 +33,8 @@ from dds_trace.analyzer.run_statistics.runs import Run as Series
 from dds_trace.analyzer.run_statistics.runs import Statistic
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
-from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions
-from dds_trace.analyzer.verdicts.interference import find_head_of_line, find_interference
+from dds_trace.analyzer.verdicts.costs import bridge_cost, find_head_of_line, find_interference
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.run_statistics.change import probability_of_superiority
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.costs import bridge_cost
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))
 

@@ -6,7 +6,7 @@ import pytest
 from roundtrip_frames import MS, S, roundtrips, rows_by_group
 
 from dds_trace.analyzer.findings.surroundings import disturbed_flows, slowed_results
-from dds_trace.analyzer.verdicts.interference import (
+from dds_trace.analyzer.verdicts.costs import (
     Overtaking,
     Sent,
     caught_after,

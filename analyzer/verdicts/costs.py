@@ -1,9 +1,9 @@
-"""What disturbs messages: other flows, for which they may have to wait, or a load; each against itself without them."""
+"""What a bridge, other flows or a load cost: each setup against itself without, for equal parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -12,9 +12,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
-from ..model.parameters import MATCH_COLUMNS
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, MATCH_COLUMNS
 from ..model.setting import FLOW, FLOWS, LOAD, WITH, parse_setting, write_setting
 from ..run_statistics.received import received_interval
+from ..statistics.percentiles import PERCENTILES
 from .cases import GroupRows, is_too_large, partition_groups
 from .compare import CompareOptions, compare_groups
 from .comparison_rows import COMPARISON_SCHEMA
@@ -106,15 +107,16 @@ def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) 
         is `load=KIND`.
     """
     changes = [
-        row
+        frame
         for groups in (_with_flows(rows.groups), _with_loads(rows.groups))
         for case in partition_groups(groups, (*_MATCH, "others", "flow"))
-        for row in _changes(rows, case, passes)
+        for frame in _changes(rows, case, passes)
     ]
-    return with_adjusted_verdicts(pl.DataFrame(changes, INTERFERENCE_SCHEMA), _OPTIONS.confidence)
+    empty = pl.DataFrame(schema=INTERFERENCE_SCHEMA)
+    return with_adjusted_verdicts(pl.concat([empty, *changes]), _OPTIONS.confidence)
 
 
-def _changes(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int] | None) -> Iterator[dict[str, object]]:
+def _changes(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int] | None) -> Iterator[pl.DataFrame]:
     alone = case.filter(pl.col("with_flows") == "")
     if len(alone) != 1 or len(case) == 1 or is_too_large(case):
         return
@@ -122,14 +124,41 @@ def _changes(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int] | No
     for together in case.filter(pl.col("with_flows") != "").partition_by("group", maintain_order=True):
         frame = rows.frame(together)
         comparison = compare_groups(base, match_groups(frame, _MATCH), frame.schema, _OPTIONS, passes)
-        names = {
-            "group": together["group"][0],
-            "alone_group": alone["group"][0],
-            **together.select("flow", "with_flows").row(0, named=True),
-        }
-        delivery = comparison.delivery.select(_DELIVERY).rename({name: f"received_{name}" for name in _DELIVERY})
-        for row in comparison.rows.select(*COMPARISON_SCHEMA).iter_rows(named=True):
-            yield {**names, **row, **delivery.row(0, named=True)}
+        names = together.select("group", alone["group"].alias("alone_group"), "flow", "with_flows")
+        delivery = comparison.delivery.select(pl.col(_DELIVERY).name.prefix("received_"))
+        both = names.join(comparison.rows, how="cross").join(delivery, how="cross")
+        yield both.select(pl.col(name).cast(dtype) for name, dtype in INTERFERENCE_SCHEMA.items())
+
+
+_BRIDGE_OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in PERCENTILES), paired=True)
+
+
+def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
+    across = (pl.col("domain_mode") == "different").any()
+    within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
+    costs = [
+        bridge_cost(rows.frame(case), _BRIDGE_OPTIONS, passes)
+        for case in partition_groups(rows.groups, BRIDGE_MATCH_COLUMNS)
+        if case.select(across & within).item() and not is_too_large(case)
+    ]
+    empty = bridge_cost(rows.frame(rows.groups.head(0)), _BRIDGE_OPTIONS)
+    return pl.concat([empty, *costs]).sort("bridge", maintain_order=True)
+
+
+def bridge_cost(
+    roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
+) -> pl.DataFrame:
+    options = options or CompareOptions()
+    match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
+    within = (pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")
+    same = match_groups(roundtrips.filter(within), match)
+    different = roundtrips.filter(pl.col("domain_mode") == "different")
+    tables = []
+    for bridge in [*different["bridge"].unique().sort(), None]:  # None: no rows, but the columns
+        through = match_groups(different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match)
+        comparison = compare_groups(same, through, roundtrips.schema, replace(options, match=match), passes)
+        tables.append(comparison.rows.select(pl.lit(bridge, pl.String).alias("bridge"), pl.all()))
+    return pl.concat(tables)
 
 
 class Sent(NamedTuple):

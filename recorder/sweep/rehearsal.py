@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -116,17 +116,15 @@ def _check_folder(plan: Plan, folder: Path) -> None:
     SweepState(folder / "state.json", plan.name, plan.digest)
 
 
+@dataclass(slots=True)
 class _Rehearsal:
-    def __init__(
-        self, plan: Plan, station: Station, scratch: Path, check_arguments: CheckArguments, note: Callable[[str], None]
-    ) -> None:
-        self._plan = plan
-        self._station = station
-        self._scratch = scratch
-        self._check_arguments = check_arguments
-        self._note = note
-        self._reasons: dict[Cell, str | None] = {}  # of the pings that were started
-        self._too_old: set[str] = set()  # environments
+    plan: Plan
+    station: Station
+    scratch: Path
+    check_arguments: CheckArguments
+    note: Callable[[str], None]
+    _reasons: dict[Cell, str | None] = field(default_factory=dict, init=False)  # of the pings that were started
+    _too_old: set[str] = field(default_factory=set, init=False)  # environments
 
     def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
         reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
@@ -136,35 +134,35 @@ class _Rehearsal:
         return {cell: reason for cell, reason in reasons.items() if reason is not None}
 
     def _rehearse_relay(self, group: CellGroup) -> str | None:
-        arguments = relay_arguments(self._plan, group.need)
+        arguments = relay_arguments(self.plan, group.need)
         reason = self._refusal(arguments)
-        device = self._station.within(group.need.environment).device
+        device = self.station.within(group.need.environment).device
         if reason is None:
             reason = self._unless_old(group.need.environment, device.rehearse(arguments))
         if reason is None and group.bridge is not None:
-            reason = device.rehearse_half(half_arguments(self._plan, group))
+            reason = device.rehearse_half(half_arguments(self.plan, group))
         return None if reason is None else f"its relay: {reason}"
 
     def _rehearse_ping(self, cell: Cell) -> str | None:
         alike = replace(cell, rate=DEFAULTS["rate"], size=None)
         if alike not in self._reasons:
             sent = replace(cell, data="binary") if is_live(cell.data) else cell
-            command = [*self._station.within(cell.environment).ping_command, *self._ping_arguments(sent)]
-            reason = rehearse_program(command, self._scratch)
+            command = [*self.station.within(cell.environment).ping_command, *self._ping_arguments(sent)]
+            reason = rehearse_program(command, self.scratch)
             self._reasons[alike] = self._unless_old(cell.environment, reason)
         return self._reasons[alike]
 
     def _ping_arguments(self, cell: Cell) -> list[str]:
-        station = self._station
-        return ping_arguments(self._plan, cell, station.wait_s, station.relay_address, station.further)
+        station = self.station
+        return ping_arguments(self.plan, cell, station.wait_s, station.relay_address, station.further)
 
     def _refusal(self, arguments: Sequence[str]) -> str | None:
-        return _refusal(self._check_arguments, arguments, self._scratch)
+        return _refusal(self.check_arguments, arguments, self.scratch)
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
         if environment not in self._too_old:
             self._too_old.add(environment)
-            self._note(f"{environment}: its dds-record has no --check, so nothing was rehearsed with it")
+            self.note(f"{environment}: its dds-record has no --check, so nothing was rehearsed with it")
         return None

@@ -29,19 +29,6 @@ class ClassTally:
 
 
 @dataclass(slots=True)
-class Beginnings:
-    """First announcement of a participant, message with our stamp, and message with a relay's id; CLOCK_MONOTONIC ns."""
-
-    spdp_ns: int | None = None
-    data_ns: int | None = None
-    reply_ns: int | None = None
-
-    def note(self, name: str, time_ns: int) -> None:
-        if getattr(self, name) is None:
-            setattr(self, name, time_ns)
-
-
-@dataclass(slots=True)
 class RunTally:
     """Counters of a run; frames of other domains are only in `foreign_packets`."""
 
@@ -127,7 +114,8 @@ class WireCounts:
 
     Attributes:
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
-        first_spdp_ns, first_data_ns, first_reply_ns: since the capture began, as in `Beginnings` (probes included).
+        first_spdp_ns, first_data_ns, first_reply_ns: of a participant's announcement, of a message with our stamp and of one
+            with a relay's id, since the capture began, probes included.
         unseen_headers: packets with a submessage but not its header; its kind is missing in `classes`, its
             bytes count for the packet's class.
         unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not

@@ -90,7 +90,7 @@ class Capture:
         before, now = self._before, self._now("")
         statistics = self._statistics()
         rows = self._tally.take_rows(int(before.run_id, 16) if before.run_id else None)
-        run, beginnings = self._tally.run, self._tally.beginnings
+        run = self._tally.run
         counts = WireCounts(
             run_id=before.run_id,
             interfaces=self._options.interfaces,
@@ -106,9 +106,7 @@ class Capture:
             sample_bytes=int(rows["sample_bytes"].sum()),
             requests=run.requests,
             heartbeat_gap_p50_ns=run.heartbeat_gap_p50_ns,
-            first_spdp_ns=beginnings.spdp_ns,
-            first_data_ns=beginnings.data_ns,
-            first_reply_ns=beginnings.reply_ns,
+            **self._tally.beginnings,
             ip=ip_counts(now.kernel, before.kernel),
             tcp=tuple(
                 since(connection, before.tcp.get(cookie), *TCP_COUNTERS)

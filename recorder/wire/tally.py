@@ -10,7 +10,7 @@ from typing import NamedTuple
 from dds_trace.tracefile.format.wire import Direction, MessageRows
 
 from ..payloads.stamp import PROBE_RUN_ID, Stamp
-from .counts import Beginnings, RunTally
+from .counts import RunTally
 from .messages import MULTICAST, Copy, SendLedger, SentSample, message_row, message_rows, pack_rows, stamp_at
 from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
 from .packets.frames import TCP, UDP, Frame, FrameBatch, read_frames
@@ -48,14 +48,14 @@ class Datagram(NamedTuple):
 
 
 class WireTally:
-    """Counts frames of all interfaces: `run` since `begin`, `beginnings` since the capture began.
+    """Counts frames of all interfaces: `run` since `begin`, `beginnings` (fields of `WireCounts`) since the capture began.
 
     RTPS of participants that neither use one of `domain_ports` nor talk to one that does is another domain's (empty: all counts).
     """
 
     def __init__(self, domain_ports: Sequence[PortRange] = ()) -> None:
         self.run = RunTally()
-        self.beginnings = Beginnings()
+        self.beginnings: dict[str, int] = {}
         self._tcp = TcpFlows()
         self._domain_ports = frozenset(port for ports in domain_ports for port in range(ports.first, ports.last + 1))
         self._participants: set[bytes] = set()
@@ -224,7 +224,7 @@ class WireTally:
             if kind in AGAIN and self._note_data(submessage, sender, time_ns, memory, seen_end):
                 kind = AGAIN[kind]
             if kind is WireClass.SPDP:
-                self.beginnings.note("spdp_ns", time_ns)
+                self.beginnings.setdefault("first_spdp_ns", time_ns)
             if submessage.asks:
                 self.run.requests += kind in (WireClass.ACKNACK, WireClass.NACK_FRAG)
             elif kind is WireClass.HEARTBEAT:
@@ -242,9 +242,9 @@ class WireTally:
         if submessage.payload_at is not None:
             stamp = stamp_at(memory, submessage.payload_at, seen_end)
         if stamp is not None:
-            self.beginnings.note("data_ns", time_ns)
+            self.beginnings.setdefault("first_data_ns", time_ns)
             if stamp.relay_id:
-                self.beginnings.note("reply_ns", time_ns)
+                self.beginnings.setdefault("first_reply_ns", time_ns)
         copy = Copy(
             submessage.sequence,
             submessage.fragment,

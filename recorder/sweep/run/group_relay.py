@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
@@ -31,45 +32,37 @@ class CellFailedError(Exception):
         self.hopeless = hopeless
 
 
+@dataclass(slots=True)
 class GroupRelay:
     """The relays of a group of cells, or one with its half of a bridge; after one ends by itself new segments follow.
 
     `arguments` are each relay's, by the number of its host; `waits` for them to have started, so that only the ping is new.
     """
 
-    def __init__(
-        self,
-        device: RelayDevice,
-        arguments: Sequence[tuple[int, Sequence[str]]],
-        half: Sequence[str] | None,
-        new_segments: Iterator[str],
-        *,
-        waits: bool = False,
-    ) -> None:
-        self._device = device
-        self._arguments = arguments
-        self._half = half
-        self._new_segments = new_segments
-        self._waits = waits
-        self._segments: list[str] = []
-        self._running: dict[str, StartedProgram] = {}
-        self._killed_ids: set[int | None] = set()
-        self._hopeless: CellFailedError | None = None
+    device: RelayDevice
+    arguments: Sequence[tuple[int, Sequence[str]]]
+    half: Sequence[str] | None
+    new_segments: Iterator[str]
+    waits: bool = False
+    _segments: list[str] = field(default_factory=list, init=False)
+    _running: dict[str, StartedProgram] = field(default_factory=dict, init=False)
+    _killed_ids: set[int | None] = field(default_factory=set, init=False)
+    _hopeless: CellFailedError | None = field(default=None, init=False)
 
     def serve(self) -> str:
         if self._hopeless is not None:
             raise self._hopeless
         if not self._running:
-            segment = next(self._new_segments)
-            for number, (host, arguments) in enumerate(self._arguments, 1):
+            segment = next(self.new_segments)
+            for number, (host, arguments) in enumerate(self.arguments, 1):
                 segment_here = segment_of(segment, number, host)
                 self._segments.append(segment_here)
-                self._running["relay" if number == 1 else f"relay {number}"] = self._device.start(
+                self._running["relay" if number == 1 else f"relay {number}"] = self.device.start(
                     arguments, segment_here
                 )
-            if self._half is not None:
-                self._running["bridge's half"] = self._device.start_half(self._half, segment)
-            until_s = time.monotonic() + DEFAULT_WAIT_S * self._waits
+            if self.half is not None:
+                self._running["bridge's half"] = self.device.start_half(self.half, segment)
+            until_s = time.monotonic() + DEFAULT_WAIT_S * self.waits
             while time.monotonic() < until_s and None in self._relay_ids():
                 self.check()
                 time.sleep(START_POLL_S)
@@ -96,8 +89,8 @@ class GroupRelay:
 
         Ours was slower then, and its trace has nothing of the run. The next attempt waits until ours serves.
         """
-        if relay_ids and not self._device.keeps_traces and not (self._relay_ids() | self._killed_ids) & {*relay_ids}:
-            self._waits = True
+        if relay_ids and not self.device.keeps_traces and not (self._relay_ids() | self._killed_ids) & {*relay_ids}:
+            self.waits = True
             names = ", ".join(f"{relay_id:08x}" for relay_id in relay_ids)
             raise CellFailedError(
                 f"another relay answered ({names}), not this sweep's; end what else serves the domain, or give [run] domain another number"
@@ -105,11 +98,11 @@ class GroupRelay:
 
     @property
     def segment(self) -> str:
-        return self._segments[-len(self._arguments)]
+        return self._segments[-len(self.arguments)]
 
     @property
     def further(self) -> tuple[str, ...]:
-        return tuple(self._segments[len(self._segments) - len(self._arguments) + 1 :])
+        return tuple(self._segments[len(self._segments) - len(self.arguments) + 1 :])
 
     def kill(self) -> None:
         self._killed_ids |= self._relay_ids()
@@ -118,7 +111,7 @@ class GroupRelay:
 
     def end(self) -> None:
         """Stop the programs that still run: several relays at the same time, half of a bridge before its relay."""
-        with ThreadPoolExecutor(1 if self._half is not None else MAX_RELAYS) as pool:
+        with ThreadPoolExecutor(1 if self.half is not None else MAX_RELAYS) as pool:
             list(pool.map(lambda program: program.stop(), reversed(self._running.values())))
         self._running.clear()
 

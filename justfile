@@ -109,7 +109,7 @@ bench-full: setup
 soak minutes="30" *args: setup
     nice -n 10 {{bin}}/python benchmarks/soak.py {{minutes}} {{args}}
 
-# A billion synthetic events through dds-analyze, made and removed again (--events 100000000: a tenth; about 75 bytes of disk each)
+# A billion synthetic events through dds-trace analyze, made and removed again (--events 100000000: a tenth; about 75 bytes of disk each)
 bench-huge *args: setup
     {{bin}}/python benchmarks/huge.py {{args}}
 

@@ -1,4 +1,4 @@
-"""`dds-sweep --advise` on emulated links drawn with a seed: is what it keeps ever worse than the default in runs of its own?
+"""`dds-trace advise` on emulated links drawn with a seed: is what it keeps ever worse than the default in runs of its own?
 
     python benchmarks/bench_advise.py OUT [--seed 39] [--links 6] [--json FILE]
 
@@ -70,7 +70,7 @@ def draw_link(seed: int, number: int) -> dict[str, object]:
 
 
 def _sweep(*arguments: str) -> str:
-    command = [str(Path(sys.executable).with_name("dds-sweep")), *arguments]
+    command = [str(Path(sys.executable).with_name("dds-trace")), *arguments]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode not in (0, 10):
         raise SystemExit(f"{' '.join(command)} ended with {done.returncode}")
@@ -83,7 +83,7 @@ def judge(link: dict[str, object], advice: dict[str, object], out: Path) -> dict
     for name, further in (("default", ""), ("kept", f"configuration = {json.dumps(advice['configuration'])}")):
         plans.append(out / f"{name}-{link['number']}.toml")
         plans[-1].write_text(PLAN.format(**link, further=further))
-    _sweep(str(plans[0]), "--against", str(plans[1]), "--out", str(out))
+    _sweep("sweep", str(plans[0]), "--against", str(plans[1]), "--out", str(out))
     folder = out / f"{plans[0].stem}-against-{plans[1].stem}"
     comparison = compare(
         *(analyze(folder / side, details=False) for side in ("base", "new")), CompareOptions(**COMPARED)
@@ -113,7 +113,7 @@ def main() -> None:
         link = draw_link(options.seed, number)
         plan = options.out / f"link-{number}.toml"
         plan.write_text(PLAN.format(**link, further=""))
-        (advice,) = json.loads(_sweep(str(plan), "--advise", "--json", "--out", str(options.out)))
+        (advice,) = json.loads(_sweep("advise", str(plan), "--json", "--out", str(options.out)))
         judged = judge(link, advice, options.out) if advice["kept"] else None
         results.append(
             {

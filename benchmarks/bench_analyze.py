@@ -1,4 +1,4 @@
-"""What a user waits for who types `dds-analyze FOLDER --report json`, against unpacking the traces and writing the rows.
+"""What a user waits for who types `dds-trace analyze FOLDER --report json`, against unpacking the traces and writing the rows.
 
     python benchmarks/bench_analyze.py            the campaigns at a tenth of their size: a quick look, held against no bar
     python benchmarks/bench_analyze.py --full     at full size, which the bars are for
@@ -74,7 +74,7 @@ class Bar:
 
 
 def analyze(folder: Path, out: Path, checkout: Path = HERE) -> Ran:
-    """Run `dds-analyze FOLDER --report json` of a checkout, without its cache if it has one.
+    """Run `dds-trace analyze FOLDER --report json` of a checkout, without its cache if it has one.
 
     Raises:
         SystemExit: the command fails.

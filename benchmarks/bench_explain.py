@@ -1,4 +1,4 @@
-"""Ten jumps of known cause, each made by one setting, and whether `dds-sweep --explain-size` names it.
+"""Ten jumps of known cause, each made by one setting, and whether `dds-trace explain size` names it.
 
     python benchmarks/bench_explain.py [--repeats 5] [--out FOLDER] [NAME ...]
 
@@ -81,7 +81,7 @@ JUMPS = (
 
 
 def named_cause(jump: Jump, folder: Path, repeats: int) -> dict[str, object]:
-    """Return the answer of `dds-sweep --explain-size` to a jump."""
+    """Return the answer of `dds-trace explain size` to a jump."""
     plan = folder / f"{jump.name}.toml"
     plan.write_text(
         RUN.format(messages=jump.messages, repeats=repeats)
@@ -92,13 +92,9 @@ def named_cause(jump: Jump, folder: Path, repeats: int) -> dict[str, object]:
     command = [
         sys.executable,
         "-m",
-        "dds_trace.cli.sweep",
-        str(plan),
-        "--out",
-        str(folder),
-        "--explain-size",
-        jump.sizes,
-        "--json",
+        "dds_trace",
+        *("explain", "size", jump.sizes, str(plan)),
+        *("--out", str(folder), "--json"),
     ]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     if not done.stdout:

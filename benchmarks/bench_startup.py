@@ -53,7 +53,11 @@ class Startup:
 
 def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
     """Return name -> (arguments, most seconds) of everything that is started."""
-    subcommands = ["dds-record", "dds-sweep", "dds-bridge", "dds-analyze", "dds-analyze compare", "dds-analyze watch"]
+    subcommands = [
+        "dds-record",
+        "dds-analyze",
+        *(f"dds-trace {name}" for name in ("record ping", "sweep", "bridge", "compare", "watch")),
+    ]
     return {
         BARE: ([sys.executable, "-c", "pass"], None),
         "import numpy, polars, pyarrow": ([sys.executable, "-c", "import numpy, polars, pyarrow.parquet"], None),

@@ -1,4 +1,4 @@
-"""How often `dds-analyze compare` errs and finds, by simulation with a known truth: losses, 1 to 50 results, five looks."""
+"""How often `dds-trace compare` errs and finds, by simulation with a known truth: losses, 1 to 50 results, five looks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A billion events through `dds-analyze`: rate, memory, and the floor of unpacking and writing alone.
+"""A billion events through `dds-trace analyze`: rate, memory, and the floor of unpacking and writing alone.
 
     python benchmarks/huge.py                          1,000 M events in files of 10 M: 35 GB of traces, removed at the end
     python benchmarks/huge.py --events 100000000       a tenth of it
@@ -81,7 +81,7 @@ def write_file(folder: Path, events: int, number: int) -> Path:
 
 
 def analyze_folder(folder: Path, out: Path) -> Ran:
-    """Run `dds-analyze` on a folder to its end.
+    """Run `dds-trace analyze` on a folder to its end.
 
     Raises:
         SystemExit: it failed.

@@ -2,7 +2,7 @@
 
     python benchmarks/soak.py [MINUTES] [--backend ros2] [--out FILE.json]
 
-Each run has a run id and endpoints of its own, every tenth a new node, as another `dds-record --role ping` has; four processes
+Each run has a run id and endpoints of its own, every tenth a new node, as another `dds-trace record ping` has; four processes
 send them side by side, new ones after every hundred runs. The relay is the command itself, with `--rotate 2min --keep 3`. Ends with
 1 if the slope behind the first fifth is above `MOST_KB_PER_1000_RUNS`, or open files or shared memory grew.
 """

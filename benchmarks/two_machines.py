@@ -3,7 +3,7 @@
     sudo python benchmarks/two_machines.py OUT SECONDS [KBIT]
 
 A camera of 100 KB at 15 Hz on the robot, a detector on the laptop that answers with the same stamp; a tap and a beacon on each. KBIT
-limits the link in both directions. The traces are in OUT; `dds-analyze OUT` joins them. Needs root, iproute2, and ROS 2 or its wheels.
+limits the link in both directions. The traces are in OUT; `dds-trace analyze OUT` joins them. Needs root, iproute2, and ROS 2 or its wheels.
 """
 
 from __future__ import annotations

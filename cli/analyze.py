@@ -1,4 +1,4 @@
-"""`dds-analyze runs/`: a folder of traces becomes tables, reports and Parquet files."""
+"""`dds-trace analyze runs/`, and `choose`: a folder of traces becomes tables, reports and Parquet files."""
 
 from __future__ import annotations
 
@@ -18,13 +18,11 @@ from dds_trace.base.threads import tune_gc
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
-from . import compare, watch
-from .program import ask_about_folder, run_program
-from .quick_help import Version, argument, command_app, declare_command, option, starting
+from .program import Version, argument, ask_about_folder, command, make_app, option, run_command, starting
 from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from typer.models import OptionInfo
 
@@ -33,12 +31,6 @@ if TYPE_CHECKING:
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:
-    """Return the paths that exist or match a pattern.
-
-    Raises:
-        OptionError: a text cannot be a path.
-        MissingEventsError: nothing matches a pattern.
-    """
     paths: list[Path] = []
     for text in texts:
         limits.check(limits.INPUT, text, "PATH")
@@ -47,7 +39,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
             continue
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - pathlib's takes no absolute pattern
         if not matches:
-            raise MissingEventsError(f"{text}: no file or folder matches; give the folder that dds-record wrote into")
+            raise MissingEventsError(f"{text}: no file or folder matches; give the folder with the traces")
         paths += map(Path, matches)
     return paths
 
@@ -59,7 +51,7 @@ HTML, TERMINAL = "html", "terminal"
 """Kinds of report: `--open` opens a page, and the answer is always printed."""
 
 
-def _kinds_of(table: Mapping[str, object], name: str, help_: str) -> OptionInfo:
+def kinds_of(table: Collection[str], name: str, help_: str) -> OptionInfo:
     def check(kinds: list[str] | None) -> list[str] | None:
         for kind in kinds or ():
             if kind not in table:
@@ -69,50 +61,31 @@ def _kinds_of(table: Mapping[str, object], name: str, help_: str) -> OptionInfo:
     return option(name, f"{help_}: {', '.join(table)}; repeatable.", callback=check, autocompletion=starting(table))
 
 
-app = command_app(completes=True)
+app, choose = make_app(completes=True), make_app()
+
+Paths = Annotated[
+    list[str],
+    argument(
+        "PATH...",
+        "Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
+    ),
+]
+Reports = Annotated[
+    list[str] | None, kinds_of(REPORT_MODULES, "--report KIND", "Report to write in addition to the answer")
+]
+Out = Annotated[
+    Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces")
+]
+ShowsAll = Annotated[bool, option("--all", "Print findings and tables of all results, too, and the answer last.")]
+Opens = Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")]
 
 
-NOT_OF_TOPICS = (
-    *("cluster", "sketch", "deadline", "recommend", "margin", "trust_order"),
-    *("derived_mcap", "card", "shows_all"),
-)
-
-
-def _check_topics(values: Mapping[str, Any]) -> None:
-    for name, flag in (("clock", "--clock"), ("limits_file", "--limits"), ("write_limits", "--write-limits")):
-        if values[name] is not None and not values["topics"]:
-            raise OptionError(f"{flag} is for recordings of other tools: dds-analyze bag/ --topics {flag} ...")
-    refused = [name for name in NOT_OF_TOPICS if values[name] and values["topics"]]
-    if refused:
-        spelled = {"shows_all": "all"}
-        options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in refused)
-        raise OptionError(f"--topics reads recordings, not traces of ours; leave out {options}")
-
-
-@declare_command(
-    app,
-    "analyze",
-    lambda values: dict.fromkeys(NOT_OF_TOPICS if values.get("topics") else (), "default: not of --topics"),
-)
-def main_command(
-    paths: Annotated[
-        list[str],
-        argument(
-            "PATH...",
-            "Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
-            autocompletion=lambda incomplete: [name for name in COMMANDS if name.startswith(incomplete)],
-        ),
-    ],
-    report: Annotated[
-        list[str] | None, _kinds_of(REPORT_MODULES, "--report KIND", "Report to write in addition to the answer")
-    ] = None,
-    shows_all: Annotated[
-        bool, option("--all", "Print findings and tables of all results, too, and the answer last.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces"),
-    ] = None,
+@command(app, "analyze", table="analyze", often=("report", "shows_all", "out", "deadline", "fail_if", "open_it"))
+def analyze_command(
+    paths: Paths,
+    report: Reports = None,
+    shows_all: ShowsAll = False,
+    out: Out = None,
     cluster: Annotated[
         str | None,
         option(
@@ -132,13 +105,6 @@ def main_command(
             "Count messages later than this, e.g. 20ms from planned send to reply, or '20ms metric=outbound'.",
         ),
     ] = None,
-    recommend: Annotated[
-        str | None,
-        option(
-            "--recommend JOB",
-            "Rank the setups for a job: 'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
-        ),
-    ] = None,
     margin: Annotated[
         str | None,
         option(
@@ -149,115 +115,142 @@ def main_command(
         bool, option("--trust-order", "Compare setups that were recorded one after the other, too.")
     ] = False,
     export: Annotated[
-        list[str] | None, _kinds_of(EXPORT_KINDS, "--export KIND", "Further file to write in addition to Parquet")
+        list[str] | None, kinds_of(EXPORT_KINDS, "--export KIND", "Further file to write in addition to Parquet")
     ] = None,
     derived_mcap: Annotated[
         bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
     ] = False,
-    topics: Annotated[
-        bool,
-        option(
-            "--topics",
-            "For recordings of other tools: is the bag whole? What is missing of every topic, when, rate, jitter and age.",
-        ),
-    ] = False,
-    clock: Annotated[
-        str | None,
-        option(
-            "--clock FOLDER",
-            "With --topics: correct the ages by the clocks in traces of ping and relay between both devices: runs/, or "
-            "'runs/ stamped=robot recorded=laptop topics=/camera/*'.",
-        ),
-    ] = None,
     fail_if: Annotated[
         list[str] | None,
         option(
-            "--fail-if LIMIT",
-            "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; with --topics: 'missing(/camera) > 1%'; "
-            "repeatable.",
+            "--fail-if LIMIT", "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; repeatable."
         ),
-    ] = None,
-    limits_file: Annotated[
-        Path | None, option("--limits FILE", "With --topics: a limits.toml, with limits by topic.")
-    ] = None,
-    write_limits: Annotated[
-        Path | None, option("--write-limits FILE", "With --topics: write a limits.toml from good recordings.")
     ] = None,
     card: Annotated[
         bool,
         option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card."),
     ] = False,
-    open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
-    version: Version = False,
+    open_it: Opens = False,
+    version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
     Writes roundtrips.parquet and summary.parquet and the reports asked for; earlier ones are
     replaced. Results go to stdout, progress and warnings to stderr:
 
-        dds-analyze runs/ --report html
-
-    Compare two sets of traces, and show a page that follows a running sweep:
-
-        dds-analyze compare BASE NEW
-
-        dds-analyze watch runs/
-
-    Is this bag whole? Exit code 30 with holes, 31 if it is damaged:
-
-        dds-analyze drive/ --topics
+        dds-trace analyze runs/ --report html
     """
-    values = locals()
+    from dds_trace.recorder.option_values import parse_percentage
+
+    limits.check(limits.SCHEDULER, cluster, "--cluster")
+    deadline_ns, deadline_metric = _parse_deadline(deadline)
+    gates = _parse_limits(fail_if or [])
+    more = {
+        "cluster": cluster,
+        "sketch": sketch,
+        "deadline_ns": deadline_ns,
+        "deadline_metric": deadline_metric,
+        "margin": 0.05 if margin is None else parse_percentage("--margin", margin),
+        "trust_order": trust_order,
+    }
+    analysis = _analyze(
+        paths,
+        out,
+        report,
+        more,
+        exports=export,
+        derived_mcap=derived_mcap,
+        card=card,
+        open_it=open_it,
+        shows_all=shows_all,
+    )
+    if gates:
+        _judge_topics(analysis, gates)
+
+
+@command(choose, "choose", often=("size", "rate", "deadline", "reliability", "data", "report", "out", "open_it"))
+def choose_command(
+    paths: Paths,
+    size: Annotated[str, option("--size SIZE", "Size of a message: 33KB, 4MB.")],
+    rate: Annotated[str, option("--rate HZ", "Messages a second.")],
+    deadline: Annotated[str, option("--deadline TIME", "Time within which a reply has to come, e.g. 50ms.")],
+    reliability: Annotated[
+        str, option("--reliability SHARE", "Share of the messages that have to come in time.", show_default=True)
+    ] = "0.99",
+    data: Annotated[
+        str, option("--data KIND", "Data of the messages: binary, string, imu.", show_default=True)
+    ] = "binary",
+    domain: Annotated[
+        str | None, option("--domain MODE", "same or different: only setups of one domain, or of two. Default: both")
+    ] = None,
+    metric: Annotated[
+        str,
+        option(
+            "--metric NAME",
+            "What the deadline is for: response (planned send to reply), or another.",
+            show_default=True,
+        ),
+    ] = "response",
+    report: Reports = None,
+    shows_all: ShowsAll = False,
+    out: Out = None,
+    open_it: Opens = False,
+) -> None:
+    """Rank the setups of traces for a job: messages of a size and rate, and a deadline for them.
+
+    dds-trace choose runs/ --size 502KB --rate 20 --deadline 50ms
+    """
+    from dds_trace.analyzer.verdicts.job import make_job
+
+    words = {
+        "data": data,
+        "size": size,
+        "rate": rate,
+        "deadline": deadline,
+        "reliability": reliability,
+        "metric": metric,
+    }
+    job = make_job({**words, **({} if domain is None else {"domain": domain})})
+    _analyze(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
+
+
+def _analyze(
+    paths: Sequence[str],
+    out: Path | None,
+    report: Sequence[str] | None,
+    more: Mapping[str, Any],
+    *,
+    exports: Sequence[str] | None = None,
+    derived_mcap: bool = False,
+    card: bool = False,
+    open_it: bool = False,
+    shows_all: bool = False,
+) -> Analysis:
     from dds_trace.analyzer.exports.kinds import export as write_export
     from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pairing.parquet import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
-    from dds_trace.analyzer.verdicts.job import parse_job
-    from dds_trace.recorder.option_values import parse_percentage
     from dds_trace.reports.reporters import write_reports
 
-    _check_topics(values)
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
-    limits.check(limits.SCHEDULER, cluster, "--cluster")
     traces = expand_paths(paths)
     target = default_output(traces) if out is None else out
     ask_about_folder(target, "for all files")
-    deadline_ns, deadline_metric = _parse_deadline(deadline)
-    job = None if recommend is None else parse_job(recommend)
-    least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
     kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
-    if topics:
-        report_limits = fail_if or [], limits_file, write_limits
-        _report_topics(traces, target, kinds, export or [], report_limits, clock, open_it=open_it)
-        return
-    gates = _parse_limits(fail_if or [])
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
         bar.step(WRITING, 0.0)
         reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
-        exported = [path for kind in export or [] for path in write_export(analysis, kind, folder)]
+        exported = [path for kind in exports or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         cards = _write_card(analysis, folder) if card else []
         written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)
 
     earlier = read_provenance(target)
     with AnalysisBar() as bar:
-        analysis = analyze(
-            traces,
-            out=target,
-            progress=bar.reading,
-            step=bar.step,
-            cluster=cluster,
-            sketch=sketch,
-            deadline_ns=deadline_ns,
-            deadline_metric=deadline_metric,
-            job=job,
-            margin=least_lead,
-            trust_order=trust_order,
-            write_more=write_more,
-        )
+        analysis = analyze(traces, out=target, progress=bar.reading, step=bar.step, **more, write_more=write_more)
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
             say(f"{finding.where}: {finding.what} {finding.action}")
@@ -268,9 +261,8 @@ def main_command(
     stale = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]
     if stale and earlier is not None and earlier != read_provenance(target):
         say(f"{target}: {', '.join(stale)}: of an earlier analysis of other traces, and not replaced")
-    _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
-    if gates:
-        _judge_topics(analysis, gates)
+    show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
+    return analysis
 
 
 def _parse_limits(texts: list[str]) -> list[Gate]:
@@ -281,7 +273,7 @@ def _parse_limits(texts: list[str]) -> list[Gate]:
     if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
         raise OptionError(
             "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
-            "dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
+            "dds-trace compare RUNS --fail-if 'latency_p99 > 20ms'"
         )
     return gates
 
@@ -297,12 +289,12 @@ def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
     for gated in comparison_info(comparison, results).gates:
         print(gated.line)
     outcome = overall_outcome(result.outcome for result in results)
-    print(f"dds-analyze: {outcome.value}", file=sys.stderr)
+    print(f"dds-trace analyze: {outcome.value}", file=sys.stderr)
     if outcome is not GateOutcome.PASSED:
         raise typer.Exit(outcome.exit_code)
 
 
-def _show_page(pages: list[Path], *, open_it: bool) -> None:
+def show_page(pages: list[Path], *, open_it: bool) -> None:
     import webbrowser
 
     for page in pages:
@@ -329,41 +321,6 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
             f"--deadline {text!r}: there is no metric {metric!r}; write metric= and one of {', '.join(DEADLINE_METRICS)}"
         )
     return parse_duration(time, "--deadline"), metric
-
-
-def _report_topics(
-    paths: list[Path],
-    target: Path,
-    kinds: list[str],
-    exports: list[str],
-    limits_: tuple[list[str], Path | None, Path | None],
-    clock: str | None,
-    *,
-    open_it: bool,
-) -> None:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
-    from dds_trace.analyzer.verdicts.gate import parse_topic_gate
-
-    from .limits_file import read_limits
-    from .topics import report_topics
-
-    texts, limits_file, write_limits = limits_
-    for path, flag in ((limits_file, "--limits"), (write_limits, "--write-limits")):
-        limits.check(limits.PATH, None if path is None else str(path), flag)
-    gates = [parse_topic_gate(text) for text in texts]  # before anything is read
-    gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
-    request = None if clock is None else ClockRequest.parse(clock)
-    stamp_clock = None
-    if request is not None:
-        measured = analyze(request.folder, details=False)
-        stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows)
-    code, written = report_topics(paths, target, kinds, exports, gates, stamp_clock, write_limits)
-    for path in written:
-        print(f"Wrote {path}")
-    _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
-    if code:
-        raise typer.Exit(code)
 
 
 def _write_card(analysis: Analysis, folder: Path) -> list[Path]:
@@ -426,15 +383,22 @@ class AnalysisBar:
             self._progress.update(self._progress.tasks[0].id, completed=self.share, description=words)
 
 
-COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run `dds-analyze`."""
+    from .trace import main as dds_trace
+    from .trace import refuse_moved
 
-
-def main(
-    arguments: Sequence[str] | None = None, *, name: str = "dds-analyze", adapt: Callable[[Any], object] | None = None
-) -> None:
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] in (["compare"], ["watch"]):
+        dds_trace(words)
     tune_gc()
     avoid_slow_sorts()
-    run_program(name, app, COMMANDS, arguments, adapt=adapt)
+
+    def run() -> None:
+        refuse_moved(["analyze", *words])
+        app(words, prog_name="dds-analyze")
+
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -1,44 +1,38 @@
-"""`dds-bridge`: run one bridge between two DDS domains, or show what it would run with."""
+"""`dds-trace bridge`: run one bridge between two DDS domains, or show what it would run with."""
 
 from __future__ import annotations
 
-import json
 import sys
-import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Bridge, BridgeOptions
 from dds_trace.recorder.choices import Side
 
-from .program import run_program
-from .quick_help import Version, argument, command_app, declare_command, option, starting
+from .program import argument, command, make_app, option, starting
 from .table_options import default_discovery, given_values, read_record, with_options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from dds_trace.recorder.bridges.process.running import RunningBridge
 
 LOOK_S = 0.2
 
-app = command_app(completes=True)
+app = make_app()
 
 
 _SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifespan", "tuned")
 
 
-@declare_command(app, "bridge")
-@with_options(_SHARED, in_panels=False)
-def main_command(
-    name: Annotated[
-        str | None, argument("[NAME]", f"{', '.join(BRIDGE_MODULES)}.", autocompletion=starting(BRIDGE_MODULES))
-    ] = None,
-    list_them: Annotated[
-        bool, option("--list", "Show which bridges are installed, and how to get the others.")
-    ] = False,
-    as_json: Annotated[bool, option("--json", "Print the --list as JSON.")] = False,
-    print_config: Annotated[
-        bool, option("--config", "Print the bridge's configuration and run nothing.", also="--print-config")
+@command(
+    app,
+    "bridge",
+    table="bridge",
+    often=("shows_configuration", "check", "from_domain", "to_domain", "topics", "half", "listen", "peer"),
+)
+@with_options(_SHARED)
+def bridge_command(
+    name: Annotated[str, argument("NAME", f"{', '.join(BRIDGE_MODULES)}.", autocompletion=starting(BRIDGE_MODULES))],
+    shows_configuration: Annotated[
+        bool, option("--config", "Print the bridge's configuration and run nothing.")
     ] = False,
     check: Annotated[
         bool, option("--check", "Check that the program is here and takes these options; run nothing.")
@@ -57,26 +51,19 @@ def main_command(
     peer: Annotated[
         list[str] | None, option("--peer HOST:PORT", "Address at which the other half waits; repeatable.")
     ] = None,
-    version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,
 ) -> None:
     """Run a bridge between the domains of a ping and a relay until Ctrl-C.
 
-    `dds-record --bridge NAME` does this around a recording. A bridge of two halves runs one on each device:
+    `dds-trace record ping --bridge NAME` does this around a recording, `dds-trace doctor` lists the installed ones. A bridge of two halves runs one on each device:
 
-        dds-bridge zenoh-bridge-dds --half ping --listen 0.0.0.0:7447
+        dds-trace bridge zenoh-bridge-dds --half ping --listen 0.0.0.0:7447
 
-        dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
+        dds-trace bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
     """
-    from dds_trace.base.errors import OptionError
     from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.recorder.option_table import CommandOptions
 
-    if list_them:
-        _list(as_json=as_json)
-        return
-    if name is None:
-        raise OptionError("name a bridge, as in `dds-bridge builtin`; `dds-bridge --list` shows all of them")
     chosen = given_values(values)
     options = BridgeOptions(
         from_domain,
@@ -91,42 +78,10 @@ def main_command(
     )
     if check:
         _check(load_bridge(name), options)
-    elif print_config:
+    elif shows_configuration:
         _print_configuration(load_bridge(name), options)
     else:
         _run(name, options)
-
-
-def _list(*, as_json: bool) -> None:
-    from dds_trace.recorder.bridges.base import load_bridge
-
-    rows = []
-    for bridge in map(load_bridge, BRIDGE_MODULES):
-        program = bridge.find()
-        rows.append(
-            {
-                "name": bridge.name,
-                "installed": program is not None,
-                "program": None if program is None else str(program),
-                "version": None if program is None else bridge.version(program),
-                "install": bridge.install,
-                "tried": bridge.tried,
-            }
-        )
-    if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    width = max(len(str(row["name"])) for row in rows)
-    for row in rows:
-        state = "installed" if row["installed"] else "not installed"
-        detail = (row["version"] or row["program"]) if row["installed"] else row["install"]
-        detail = f"{detail} (tried: {row['tried']})"
-        line = f"{row['name']:<{width}}  {state:<13}  {detail}"
-        lines = textwrap.wrap(line, 80, break_on_hyphens=False, break_long_words=False)
-        if len(lines) > 1:  # the detail below its name
-            lines = textwrap.wrap(str(detail), 76, break_on_hyphens=False, break_long_words=False)
-            lines = [f"{row['name']:<{width}}  {state}", *(f"    {line}" for line in lines)]
-        print("\n".join(lines))
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
@@ -169,13 +124,3 @@ def _describe(bridge: RunningBridge) -> str:
         domains = " and ".join(str(side.domain_id) for side in part.sides())
         parts.append(f"domain {domains}, pid {pid}")
     return "; ".join(parts)
-
-
-def main(
-    arguments: Sequence[str] | None = None, *, name: str = "dds-bridge", adapt: Callable[[Any], object] | None = None
-) -> None:
-    run_program(name, app, {}, arguments, adapt=adapt)
-
-
-if __name__ == "__main__":
-    main()

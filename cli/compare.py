@@ -1,4 +1,4 @@
-"""`dds-analyze compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
+"""`dds-trace compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
 
 import sys
 from dataclasses import replace
@@ -11,7 +11,7 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.streams import say
 
-from .quick_help import argument, command_app, declare_command, option
+from .program import argument, command, make_app, option
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
@@ -29,10 +29,10 @@ class ComparisonReport(str, Enum):
     HTML = "html"
 
 
-app = command_app()
+app = make_app()
 
 
-@declare_command(app, "compare")
+@command(app, "compare", table="compare", often=("fail_if", "limits_file", "report", "paired", "out"))
 def compare_command(
     base: Annotated[Path, argument("BASE", "Traces before the change.")],
     new: Annotated[
@@ -102,7 +102,7 @@ def compare_command(
     exit code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 nothing to compare
     (no result in common).
 
-        dds-analyze compare main/ branch/ --fail-if default --report md
+        dds-trace compare main/ branch/ --fail-if default --report md
     """
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.statistics.power import confidence_at_each

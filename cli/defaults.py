@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperOption
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -20,24 +19,13 @@ FILE_NAME = "dds-trace.toml"
 VARIABLE = "DDS_TRACE_CONFIG"
 """Variable that names the file instead of all others; empty for none."""
 
+PRINT_CONFIG = "print_config"
+"""Parameter of each command with a table: whether it only prints what is in force."""
+
 TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
 
 _WITHOUT_DEFAULT = frozenset(
-    (
-        "force",
-        "recover",
-        "self-test",
-        "check",
-        "dry-run",
-        "rehearse",
-        "print",
-        "print-config",
-        "config",
-        "version",
-        "help",
-        "list",
-        "write-limits",
-    )
+    ("force", "check", "dry-run", "rehearse", "print", "print-config", "config", "version", "help", "write-limits")
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
 
@@ -49,7 +37,6 @@ _ACTING = frozenset(("keep", "open", "payload"))
 
 
 def is_own_only(option: Any) -> bool:
-    """Return whether an option has no default in a working folder, by its metavar."""
     return bool(_OF_THE_USER & set(str(option.metavar).split(":"))) or _key(option) in _ACTING
 
 
@@ -60,7 +47,7 @@ class Default:
 
 
 def find_files() -> list[Path]:
-    """Return the files of defaults, the first one counts most; only the file of `VARIABLE` if it is set."""
+    """Return the files of defaults, the first one counts most."""
     variable = os.environ.get(VARIABLE)
     if variable is not None:
         return [Path(variable)] if variable else []
@@ -75,26 +62,18 @@ def _own_file() -> Path | None:
     return config / "dds-trace" / FILE_NAME if config.is_absolute() else None
 
 
-def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, Any]) -> dict[str, Default]:
-    """Return option -> its default, for one command.
-
-    Args:
-        files: the first one counts most.
-        table: the command's table.
-        options: name without dashes -> the command's option.
-
-    Raises:
-        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one that
-            `is_own_only` in a working folder.
-    """
+def read_defaults(
+    files: Sequence[Path], table: str, options: Mapping[str, Any], ignored: Collection[str] = ()
+) -> dict[str, Default]:
+    """Return option -> its default; of the files the first one counts most, and `ignored` are keys of other commands."""
     defaults: dict[str, Default] = {}
     for path in reversed(files):
-        for key, value in _read(path, table, options).items():
+        for key, value in _read(path, table, options, ignored).items():
             defaults[key] = Default(value, path)
     return defaults
 
 
-def _read(path: Path, table: str, options: Mapping[str, Any]) -> dict[str, object]:
+def _read(path: Path, table: str, options: Mapping[str, Any], ignored: Collection[str]) -> dict[str, object]:
     from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable  # not loaded where there is no file
 
@@ -108,10 +87,11 @@ def _read(path: Path, table: str, options: Mapping[str, Any]) -> dict[str, objec
     root.allow(*TABLES)
     entries = root.table(table)
     allowed = [name for name in options if name not in _WITHOUT_DEFAULT]
-    for key, value in entries.values.items():
+    values = {key: value for key, value in entries.values.items() if key in options or key not in ignored}
+    for key, value in values.items():
         if key in _WITHOUT_DEFAULT and key in options:
             raise OptionError(f"{entries.where}: {key} has no default; give --{key} each time")
-        entries.allow(*allowed)
+        entries.allow(*allowed, *ignored)
         if isinstance(value, dict) or (isinstance(value, list) and not options[key].multiple):
             raise OptionError(f"{entries.where}: {key} is {limits.shown(value)}; write one value")
         names_source = key == "data" and ":" in str(value)  # a file, a bag or a running topic
@@ -121,8 +101,7 @@ def _read(path: Path, table: str, options: Mapping[str, Any]) -> dict[str, objec
                 f"{_own_file() or VARIABLE}; {VARIABLE}= in the environment ignores this file"
             )
     return {
-        key: value if isinstance(value, list) or not options[key].multiple else [value]
-        for key, value in entries.values.items()
+        key: value if isinstance(value, list) or not options[key].multiple else [value] for key, value in values.items()
     }
 
 
@@ -148,99 +127,83 @@ def _home() -> str:
     return os.path.expanduser("~")  # noqa: PTH111 - Path.home() raises where there is none
 
 
-class DefaultedCommand(TyperCommand):
-    """A command with defaults in `dds-trace.toml`.
-
-    Attributes:
-        table: its table; empty for none.
-    """
-
-    table = ""
-    overridden: Callable[[Mapping[str, Any]], Mapping[str, str]] = staticmethod(lambda _: {})
-    defaults: Mapping[str, object] = {}
-    in_file: Mapping[str, Default] = {}
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        params = super().get_params(ctx)
-        return [*params[:-1], _print_config_option(), params[-1]] if self._prints_config else params
-
-    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
-        if files:
-            options = {_key(option): option for option in self._options()}
-            values = read_defaults(files, self.table, options)
-            self.in_file = {options[key].name: default for key, default in values.items()}
-            extra["default_map"] = {name: default.value for name, default in self.in_file.items()}
-        return super().make_context(info_name, args, parent, **extra)
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        prints_config = "--print-config" in args and self._prints_config
-        # Nothing will be done, so nothing may be missing.
-        ctx.resilient_parsing = ctx.resilient_parsing or prints_config
-        try:
-            remainder: list[str] = super().parse_args(ctx, args)
-        except typer.BadParameter as err:
-            parameter: Any = err.param
-            if parameter is None or not _is_from_file(ctx, parameter.name):
-                raise
-            path = self.in_file[parameter.name].path
-            raise OptionError(f"{path}: [{self.table}]: {_key(parameter)}: {err.message}") from err
-        overridden = self.overridden(ctx.params)
-        from_file = {name for name in self.in_file if _is_from_file(ctx, name)}
-        in_force = {name: value for name, value in self.in_file.items() if name in from_file - set(overridden)}
-        options = {option.name: option for option in self._options()}
-        for name in from_file & set(overridden):
-            ctx.params[name] = options[name].default
-        if prints_config:
-            self._print_config(ctx, in_force, overridden)
-            ctx.exit()
-        if in_force and not ctx.resilient_parsing:
-            for path in dict.fromkeys(default.path for default in in_force.values()):
-                keys = [_key(options[name]) for name in in_force if in_force[name].path == path]
-                typer.echo(f"{ctx.info_name}: defaults of {path}: {', '.join(keys)}", err=True)
-        return remainder
-
-    @property
-    def _prints_config(self) -> bool:
-        return bool(self.table) and not any("--print-config" in option.opts for option in self.params)
-
-    def _options(self) -> list[Any]:
-        options = [parameter for parameter in self.params if parameter.param_type_name == "option"]
-        return [option for option in options if option.expose_value and not option.is_eager]
-
-    def _print_config(self, ctx: Any, in_force: Mapping[str, Default], overridden: Mapping[str, str]) -> None:
-        rows = []
-        for option in self._options():
-            if option.name in in_force:
-                value, source = in_force[option.name].value, str(in_force[option.name].path)
-            else:
-                is_given = ctx.get_parameter_source(option.name).name == "COMMANDLINE"
-                value = ctx.params.get(option.name)
-                source = "option" if is_given else overridden.get(option.name, "default")
-                if value is None and source == "default":
-                    value = self.defaults.get(option.name)
-            rows.append((f"--{_key(option)}", _shown(value), source))
-        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
-        for name, value, source in rows:
-            typer.echo(f"{name:{widths[0]}}  {value:{widths[1]}}  {source}")
+def configurable(command: Any) -> dict[str, Any]:
+    options = [parameter for parameter in command.params if parameter.param_type_name == "option"]
+    return {_key(option): option for option in options if option.expose_value and not option.is_eager}
 
 
-def _print_config_option() -> Any:
-    return TyperOption(
-        param_decls=["print_config", "--print-config"],
-        is_flag=True,
-        expose_value=False,
-        help="Show the value in force of each option and where it is from, and exit.",
-    )
+def set_defaults(table: str, ignored: Collection[str]) -> Callable[[typer.Context, bool], bool]:
+    def read(context: typer.Context, prints: bool) -> bool:
+        if context.resilient_parsing:  # a shell completes
+            return prints
+        files = [] if context.obj is not None else find_files()  # a plan says all that is measured
+        options = configurable(context.command)
+        defaults = read_defaults(files, table, options, ignored) if files else {}
+        for key, default in defaults.items():
+            _check_value(context, options[key], default, f"[{table}]: {key}")
+        context.default_map = {options[key].name: default.value for key, default in defaults.items()}
+        context.meta[__name__] = {options[key].name: default for key, default in defaults.items()}
+        context.resilient_parsing = prints  # nothing will be done, so nothing may be missing
+        return prints
+
+    return read
+
+
+def _check_value(context: typer.Context, option: Any, default: Default, where: str) -> None:
+    try:
+        option.process_value(context, default.value)
+    except typer.BadParameter as err:
+        raise OptionError(f"{default.path}: {where}: {err.message}") from err
+
+
+def values_in_force(
+    context: typer.Context, values: Mapping[str, Any], overridden: Mapping[str, str], defaults: Mapping[str, object]
+) -> Mapping[str, Any]:
+    from_file = {
+        name: default for name, default in context.meta[__name__].items() if _source(context, name) == "DEFAULT_MAP"
+    }
+    options = {option.name: option for option in configurable(context.command).values()}
+    values = {**values, **{name: options[name].default for name in from_file if name in overridden}}
+    in_force = {name: default for name, default in from_file.items() if name not in overridden}
+    if values[PRINT_CONFIG]:
+        _print_config(context, options, values, in_force, overridden, defaults)
+        raise typer.Exit
+    for path in dict.fromkeys(default.path for default in in_force.values()):
+        keys = [_key(options[name]) for name in in_force if in_force[name].path == path]
+        typer.echo(f"{context.command_path}: defaults of {path}: {', '.join(keys)}", err=True)
+    return values
+
+
+def _print_config(
+    context: typer.Context,
+    options: Mapping[str, Any],
+    values: Mapping[str, Any],
+    in_force: Mapping[str, Default],
+    overridden: Mapping[str, str],
+    defaults: Mapping[str, object],
+) -> None:
+    rows = []
+    for name, option in options.items():
+        if name in in_force:
+            value, source = in_force[name].value, str(in_force[name].path)
+        else:
+            source = "option" if _source(context, name) == "COMMANDLINE" else overridden.get(name, "default")
+            value = values[name]
+            if value is None and source == "default":
+                value = defaults.get(name)
+        rows.append((f"--{_key(option)}", _shown(value), source))
+    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    for key, value, source in rows:
+        typer.echo(f"{key:{widths[0]}}  {value:{widths[1]}}  {source}")
 
 
 def _key(parameter: Any) -> str:
     return str(max(parameter.opts, key=len)).lstrip("-")
 
 
-def _is_from_file(ctx: Any, name: str) -> bool:
-    source = ctx.get_parameter_source(name)
-    return source is not None and source.name == "DEFAULT_MAP"
+def _source(context: typer.Context, name: str) -> str:
+    source = context.get_parameter_source(name)
+    return "" if source is None else source.name
 
 
 def _shown(value: object) -> str:

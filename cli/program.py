@@ -1,97 +1,140 @@
-"""A program of several commands, also as the shell completes it: the first word chooses one."""
+"""What commands share: their options and help, their defaults from a file, and an error as one line."""
 
 from __future__ import annotations
 
 import errno
+import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from difflib import get_close_matches
+import textwrap
+from functools import wraps
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
 from dds_trace.base.streams import plain_streams, say
+from dds_trace.base.version import __version__
 
-BASH_WORDS, BASH_POSITION, OTHER_WORDS = "COMP_WORDS", "COMP_CWORD", "_TYPER_COMPLETE_ARGS"
-"""Variables of typer's scripts: words with line breaks and the cursor's position (bash), or the line (zsh, fish)."""
+from .defaults import PRINT_CONFIG, set_defaults, values_in_force
 
-CLOSE_ENOUGH = 0.7
-"""From this similarity (`difflib`: 1 is equal) a word is a misspelt command."""
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
+    from typer.models import ArgumentInfo, OptionInfo
 
-class Adapt(Protocol):
-    """Changes a command in place before it runs."""
-
-    def __call__(self, command: Any, /) -> object:
-        """Change it."""
+SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
+SHORT_COLUMNS = 46
+"""Columns of what an option means in `-h`."""
 
 
-def run_program(
-    name: str,
+def option(name: str, help: str, *, also: str = "", show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
+    flag, _, metavar = name.partition(" ")
+    flags = (flag, also) if also else (flag,)
+    info: OptionInfo = typer.Option(*flags, metavar=metavar or None, help=help, show_default=show_default, **more)
+    return info
+
+
+def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A002 - typer's word
+    info: ArgumentInfo = typer.Argument(metavar=metavar, help=help, show_default=False, **more)
+    return info
+
+
+def starting(names: Iterable[str]) -> Callable[[str], list[str]]:
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names if name.startswith(incomplete)]
+
+    return complete
+
+
+def make_app(*, completes: bool = False, **more: Any) -> typer.Typer:
+    return typer.Typer(add_completion=completes, pretty_exceptions_enable=False, rich_markup_mode=None, **more)
+
+
+def command(
     app: typer.Typer,
-    commands: Mapping[str, typer.Typer],
-    arguments: Sequence[str] | None,
+    name: str,
     *,
-    adapt: Adapt | None = None,
-    needs_stdout: bool = True,
-) -> None:
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    completed = take_completed_command(name, app, commands)
+    table: str = "",
+    ignored: Collection[str] = (),
+    often: Collection[str] = (),
+    overridden: Callable[[Mapping[str, Any]], Mapping[str, str]] = lambda _: {},
+    defaults: Mapping[str, object] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function a command of an app.
 
-    def run() -> None:
-        chosen = completed or (words[0] if words and words[0] in commands else None)
-        if chosen is None:
-            refuse_misspelt(name, commands, words)
-        command = typer.main.get_command(app if chosen is None else commands[chosen])
-        if adapt is not None:
-            adapt(command)
-        if completed is not None or chosen is None:
-            command(words, prog_name=name)
-        else:
-            command(words[1:], prog_name=f"{name} {chosen}")
+    Args:
+        table: its table in `dds-trace.toml`, where `ignored` are keys of other commands.
+        often: parameters that `-h` shows; none for all.
+        overridden: returns why configured defaults do not count.
+        defaults: shown by `--print-config` where a value is None.
+    """
 
-    run_command(run, needs_stdout=needs_stdout)
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        declared = inspect.signature(function, eval_str=True).parameters
+        context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        parameters = {"context": context, **declared}
+        parameters["is_short"] = _flag("is_short", "-h", "Show the most used options, in short.", _short_help(often))
+        if table:
+            parameters[PRINT_CONFIG] = _flag(
+                PRINT_CONFIG,
+                "--print-config",
+                "Show the value in force of each option and where it is from, and exit.",
+                set_defaults(table, ignored),
+            )
+
+        @wraps(function)
+        def run(context: typer.Context, **values: Any) -> None:
+            in_force = values_in_force(context, values, overridden(values), defaults or {}) if table else values
+            arguments = {"context": context, **in_force}
+            function(**{parameter: value for parameter, value in arguments.items() if parameter in declared})
+
+        run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters.values()]
+        )
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters.values()}
+        app.command(name, context_settings=SETTINGS)(run)
+        return function
+
+    return decorate
 
 
-def refuse_misspelt(name: str, commands: Collection[str], words: Sequence[str], *, takes_paths: bool = True) -> None:
-    word = words[0] if words else "-"
-    meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
-    if word.startswith("-") or (takes_paths and (not meant or Path(word).exists())):
-        return
-    what = "file or folder" if takes_paths else "command"
-    raise OptionError(
-        f"there is no {what} {word}; " + (f"did you mean `{name} {meant[0]}`?" if meant else "see --help")
-    )
+def _flag(name: str, flag: str, help: str, callback: Callable[..., object]) -> inspect.Parameter:  # noqa: A002 - typer's word
+    info = typer.Option(flag, callback=callback, is_eager=True, help=help)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, info])
 
 
-def take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
-    """Take the command from the words to complete; None if there is none."""
-    if f"_{program}_COMPLETE".replace("-", "_").upper() not in os.environ:
-        return None
-    variable = BASH_WORDS if BASH_WORDS in os.environ else OTHER_WORDS
-    text = os.environ.get(variable, "")
-    first, _, others = text.partition("\n" if "\n" in text else " ")
-    name = next(iter(others.split()), "")
-    remainder = others[len(name) :]
-    if name not in commands or not remainder[:1].isspace():  # without a space after it the word itself is being typed
-        return None
-    typer.main.get_command(app)  # an app that completes sets it up for all
-    os.environ[variable] = first + remainder
-    if BASH_POSITION in os.environ:
-        os.environ[BASH_POSITION] = str(int(os.environ[BASH_POSITION]) - 1)
-    return name
+def _short_help(often: Collection[str]) -> Callable[[typer.Context, bool], None]:
+    def show(context: typer.Context, is_given: bool) -> None:
+        if not is_given:
+            return
+        parameters: list[Any] = context.command.params
+        for parameter in parameters:
+            is_rare = often and parameter.param_type_name == "option" and parameter.name not in often
+            parameter.hidden = parameter.hidden or is_rare
+            parameter.help = textwrap.shorten(parameter.help or "", SHORT_COLUMNS, placeholder="...")
+        print(context.get_help())
+        raise typer.Exit
+
+    return show
+
+
+def _print_version(context: typer.Context, is_given: bool) -> None:
+    if is_given:
+        print(f"{context.info_name} {__version__}")
+        raise typer.Exit
+
+
+ShortHelp = Annotated[
+    bool, typer.Option("-h", callback=_short_help(("version",)), is_eager=True, help="Show this in short.")
+]
+Version = Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")]
 
 
 def ask_about_folder(path: Path, what: str) -> None:
-    """Ask whether a new folder is meant by a name that looks like a file's; without a terminal, print that it is one.
-
-    Raises:
-        OptionError: it is not meant.
-    """
+    """Ask whether a folder is meant by a name that looks like a file's; without a terminal, print that it is one."""
     if not path.suffix[1:].isalpha() or path.exists():
         return
     text = f"{path.name} becomes a folder, {what}"

@@ -9,64 +9,39 @@ from dataclasses import fields
 from enum import Enum
 from typing import Annotated, Any, TypeVar
 
-import typer
-
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.recorder.choices import Discovery, Role
-from dds_trace.recorder.option import Panel
 from dds_trace.recorder.option_table import OPTIONS, choices_of, help_of
 
-from .quick_help import starting
+from .program import option, starting
 
 _Record = TypeVar("_Record")
 
-_COMMON = (
-    *("--role", "--out", "--data", "--size", "--rate", "--messages", "--duration", "--backend", "--rmw", "--bridge"),
-    *("--domain", "--peer", "--discovery", "--device", "--force", "--json"),
-)
-"""Options that come first in a help with panels, in this order."""
 
-
-def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    order = list(Panel)
-
-    def rank(name: str) -> tuple[int, int]:
-        row = OPTIONS[name]
-        is_first = in_panels and row.name in _COMMON
-        return (_COMMON.index(row.name) if is_first else len(_COMMON)), order.index(row.panel)
-
-    options = [_parameter(name, in_panels) for name in sorted(names, key=rank)]
+def with_options(names: Iterable[str]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the decorator that gives a function with `**values` the options of these rows."""
+    options = [_parameter(name) for name in names]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        own_parameters = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
-        version = own_parameters[-1].replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        parameters = [*own_parameters[:-1], *options, version]
-        function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        declared = inspect.signature(function, eval_str=True).parameters.values()
+        parameters = [parameter for parameter in declared if parameter.kind is not inspect.Parameter.VAR_KEYWORD]
+        function.__signature__ = inspect.Signature([*parameters, *options])  # type: ignore[attr-defined]
         return function
 
     return decorate
 
 
-def _parameter(name: str, in_panels: bool) -> inspect.Parameter:
+def _parameter(name: str) -> inspect.Parameter:
     row = OPTIONS[name]
     kind: Any = list[row.kind] if row.is_repeatable else row.kind  # type: ignore[name-defined]
-    panel = "Common options" if row.name in _COMMON else row.panel.value
     values = [] if issubclass(row.kind, Enum) else choices_of(row)
-    option = typer.Option(
-        row.name,
-        metavar=row.metavar,
-        help=help_of(row),
-        rich_help_panel=panel if in_panels else None,
-        show_default=False,
-        autocompletion=starting(values) if values else None,
-    )
+    info = option(f"{row.name} {row.metavar}", help_of(row), autocompletion=starting(values) if values else None)
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
         default=None if row.metavar else False,
-        annotation=Annotated[kind | None if row.metavar else bool, option],
+        annotation=Annotated[kind | None if row.metavar else bool, info],
     )
 
 
@@ -92,9 +67,7 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
     reasons = {}
     for name, row in OPTIONS.items():
         variable = next((variable for variable in row.variables if os.environ.get(variable)), None)
-        if name == "duration_s" and values.get("for_s") is not None:
-            reasons[name] = "option: --for"
-        elif role and row.roles and role not in row.roles:
+        if role and row.roles and role not in row.roles:
             reasons[name] = f"default: not of a {role.value}"
         # The domain of a ping with a bridge is never from the environment.
         elif variable is not None and not (name == "domain_id" and is_bridged):

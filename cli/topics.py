@@ -1,4 +1,4 @@
-"""`dds-analyze --topics`: the health of other tools' recordings, its files, limits and exit code."""
+"""`dds-trace bag`: the health of other tools' recordings, its files, limits and exit code."""
 
 from __future__ import annotations
 
@@ -42,14 +42,8 @@ def report_topics(
     clock: StampCorrector | None = None,
     limits_out: Path | None = None,
 ) -> tuple[int, list[Path]]:
-    """Print the health of recordings and write the reports asked for; return the exit code and the files.
-
-    Raises:
-        OptionError: a limit names no topic of the recordings.
-        OutputError: a file cannot be written.
-    """
     if others := sorted({*exports} - EXPORTERS.keys()):
-        raise OptionError(f"--topics exports {' and '.join(EXPORTERS)}; leave out --export {others[0]}")
+        raise OptionError(f"a bag exports {' and '.join(EXPORTERS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report.topics, report.holes, gates))
     print_topics(report, judged)

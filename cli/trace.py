@@ -1,62 +1,77 @@
-"""`dds-trace`: the four programs as commands of one."""
+"""`dds-trace`: all commands; of a line, only the modules of its command are loaded."""
 
 from __future__ import annotations
 
-import re
+import os
 import sys
 from collections.abc import Sequence
-from functools import partial
 from importlib import import_module
-from typing import Annotated, Any
+from typing import TYPE_CHECKING
 
-from dds_trace.recorder.choices import Role
-from dds_trace.recorder.option_table import OPTIONS
+from dds_trace.base.errors import OptionError
+from dds_trace.base.threads import tune_gc
 
-from .program import refuse_misspelt, run_command, take_completed_command
-from .quick_help import Version, argument, command_app, declare_command, starting
+from .program import SETTINGS, ShortHelp, Version, make_app, run_command
+from .vector_sorts import avoid_slow_sorts
+
+if TYPE_CHECKING:
+    import typer
 
 PROGRAM = "dds-trace"
 
-_COMMANDS = {
-    "record ping": "Send messages on a schedule, and record their replies.",
-    "record relay": "Send messages back, and record them.",
-    "record tap": "Record how late, how old and how complete topics of others arrive.",
-    "record beacon": "Compare the clocks of the devices that run one.",
-    "record status": "List the recordings that run on this machine.",
-    "sweep": "Record all runs of a plan; `sweep new` writes a plan.",
-    "bridge": "Run a bridge between two domains, or list the installed ones.",
-    "analyze": "Make tables and reports of a folder of traces.",
-    "bag": "Say whether a recording of other tools is whole, topic by topic.",
-    "compare": "Compare two folders of traces; fail in CI where one is slower.",
-    "watch": "Show a page that follows a running sweep.",
+COMMANDS = {
+    "record ping": "record.command:ping",
+    "record relay": "record.command:relay",
+    "record tap": "record.command:tap",
+    "record beacon": "record.command:beacon",
+    "record status": "record.status:app",
+    "sweep": "sweep.command:app",
+    "sweep new": "sweep.new:app",
+    "capacity": "sweep.command:capacity",
+    "explain rates": "sweep.explain:rates",
+    "explain size": "sweep.explain:size",
+    "advise": "sweep.advise:app",
+    "analyze": "analyze:app",
+    "choose": "analyze:choose",
+    "compare": "compare:app",
+    "watch": "watch:app",
+    "bag": "bag:app",
+    "recover": "recover:app",
+    "bridge": "bridge:app",
+    "doctor": "doctor:app",
 }
-_MODULES = {
-    "record": ".record.command",
-    "sweep": ".sweep.command",
-    "bridge": ".bridge",
-    "analyze": ".analyze",
-    "bag": ".analyze",
+"""Words of a command -> module and app."""
+
+_GROUPS = {
+    "record": "Record a ping and its relay, topics of others, or clocks; list what records now.",
+    "explain": "Explain why latency rises at slow rates, or around a size.",
+    "sweep": "Write a plan.",
 }
-_OF_ANALYZE = ("compare", "watch")
-_RECORDINGS = ("ping", "relay", "tap", "beacon", "status")
 
-app = command_app(completes=True)
-_record_app = command_app(completes=True)
-"""Completes the word after `record`."""
+MOVED = {
+    "record --recover": "recover FILE",
+    "record --self-test": "doctor",
+    "record --for": "record ROLE --duration SECONDS",
+    "sweep --explain-rates": "explain rates PLAN",
+    "sweep --explain-size": "explain size SIZE PLAN",
+    "sweep --advise": "advise PLAN",
+    "sweep --max-rate": "capacity PLAN",
+    "analyze --recommend": "choose RUNS --size 502KB --rate 20 --deadline 50ms",
+    "analyze --topics": "bag DRIVE",
+    "bridge --list": "doctor",
+    "bridge --print-config": "bridge NAME --config",
+}
+"""Command and option that went -> what does it now."""
 
 
-@declare_command(app, commands=_COMMANDS)
-def main_command(
-    command: Annotated[
-        str,
-        argument(
-            "COMMAND",
-            "A command with its options; each has a --help.",
-            autocompletion=starting((*_MODULES, *_OF_ANALYZE)),
-        ),
-    ],
-    version: Version = False,
-) -> None:
+def refuse_moved(words: Sequence[str]) -> None:
+    for word in words[1:]:
+        option = word.partition("=")[0]
+        if now := MOVED.get(f"{words[0]} {option}"):
+            raise OptionError(f"{option} went; use `{PROGRAM} {now}`")
+
+
+def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
     """Record and analyze the latency of ROS 2 / DDS messages.
 
     On two devices, or in two terminals, then the answer:
@@ -66,101 +81,53 @@ def main_command(
         dds-trace record ping --out runs/ping.mcap
 
         dds-trace analyze runs/
-
-    dds-record, dds-sweep, dds-bridge and dds-analyze are the same programs.
     """
 
 
-@declare_command(_record_app)
-def _record_command(role: Annotated[str, argument("ROLE", "", autocompletion=starting(_RECORDINGS))]) -> None:
-    """Do nothing: only its completion is used."""
+def build(words: Sequence[str]) -> typer.Typer:
+    """Return the program with the commands that its first words may mean."""
+    chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in COMMANDS][:1]
+    chosen = chosen or [name for name in COMMANDS if words and name.startswith(f"{words[0]} ")]
+    root = make_app(completes=True)
+    root.callback(context_settings=SETTINGS)(_show_help)
+    groups: dict[str, typer.Typer] = {}
+    for name in chosen or [name for name in COMMANDS if name != "sweep new"]:
+        group = name.rpartition(" ")[0]
+        if group and group not in groups:
+            groups[group] = make_app()
+            settings = {"help_option_names": ["-h", "--help"]}
+            root.add_typer(
+                groups[group], name=group, help=_GROUPS[group], no_args_is_help=True, context_settings=settings
+            )
+        (groups[group] if group else root).add_typer(app_of(name))
+    return root
+
+
+def app_of(name: str) -> typer.Typer:
+    module, _, app = COMMANDS[name].partition(":")
+    loaded: typer.Typer = getattr(import_module(f".{module}", __package__), app)
+    return loaded
+
+
+def _words_to_complete() -> list[str]:
+    """Return the words of a line that the shell completes, from the variables of typer's scripts."""
+    if f"_{PROGRAM}_COMPLETE".replace("-", "_").upper() not in os.environ:
+        return []
+    return os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split()[1:]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if arguments is None else arguments)
-    completed = take_completed_command(PROGRAM, app, (*_MODULES, *_OF_ANALYZE))
-    word = completed or (words[0] if words else "--help")
-    if completed in _OF_ANALYZE:
-        _complete("analyze", completed)
-    elif word in _OF_ANALYZE:
-        _main_of("analyze")(words, name=PROGRAM, adapt=_adapt)
-    elif word not in _MODULES:
+    is_recording = words[:1] == ["record"]
+    if not is_recording:
+        tune_gc()
+        avoid_slow_sorts()
 
-        def show_help() -> None:
-            refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), words or [word], takes_paths=False)
-            app(words or [word], prog_name=PROGRAM)
+    def run() -> None:
+        refuse_moved(words)
+        build(_words_to_complete() or words)(words or ["--help"], prog_name=PROGRAM)
 
-        run_command(show_help)
-    elif word == "record":
-        _record(words[1:], is_completed=completed is not None)
-    else:
-        is_bag = word == "bag" and not completed
-        given = ["--topics", *words[1:]] if is_bag else words[1:]
-        _main_of(word)(
-            given, name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt_bag if is_bag else _adapt
-        )
-
-
-def _record(given: list[str], *, is_completed: bool) -> None:
-    completed = take_completed_command(PROGRAM, app, _RECORDINGS)
-    role = completed or next((word for word in given[:1] if word in _RECORDINGS), None)
-    if completed == "status":
-        _complete("record", completed)
-    if role not in (None, "status"):
-        name, words, adapt = f"{PROGRAM} record {role}", ["--role", role, *given[1:]], partial(_adapt, role=Role(role))
-    else:
-        name, words, adapt = f"{PROGRAM} record", given, partial(_adapt)
-    if is_completed and role is None:
-        run_command(partial(_record_app, [], prog_name=PROGRAM))
-    else:
-        _main_of("record")([] if is_completed else words, name=PROGRAM if is_completed else name, adapt=adapt)
-
-
-def _complete(word: str, command: str) -> None:
-    run_command(partial(import_module(_MODULES[word], __package__).COMMANDS[command], [], prog_name=PROGRAM))
-
-
-def _main_of(word: str) -> Any:
-    return import_module(_MODULES[word], __package__).main
-
-
-_NAMES = (
-    (r"dds-record --role (ping|relay|tap|beacon) *", rf"{PROGRAM} record \1 "),
-    (r"dds-analyze (compare|watch)", rf"{PROGRAM} \1"),
-    (r"dds-(record|sweep|bridge|analyze)\b", rf"{PROGRAM} \1"),
-)
-
-
-def _adapt(command: Any, role: Role | None = None) -> None:
-    command.help = _renamed(command.help)
-    command.params = [
-        parameter for parameter in command.params if parameter.name not in ("install_completion", "show_completion")
-    ]
-    for parameter in command.params:
-        parameter.help = _renamed(parameter.help or "")
-        row = OPTIONS.get(parameter.name)
-        if role is not None and row is not None:
-            parameter.hidden = parameter.name == "role" or (bool(row.roles) and role not in row.roles)
-        if "--config" in getattr(parameter, "opts", ()):  # --print-config shows the values in force, as everywhere
-            parameter.opts = ["--config"]
-
-
-def _adapt_bag(command: Any) -> None:
-    from .analyze import NOT_OF_TOPICS
-
-    _adapt(command)
-    command.help = (
-        "Say whether a recording of other tools is whole: what is missing of each topic, when, its rate, jitter and age. Exit code 30 "
-        "with holes, 31 if it is damaged.\n\n    dds-trace bag drive/ --report html --fail-if 'missing(/camera) > 1%'"
-    )
-    for parameter in command.params:
-        parameter.hidden = parameter.name == "topics" or parameter.name in NOT_OF_TOPICS
-
-
-def _renamed(text: str) -> str:
-    for name, new in _NAMES:
-        text = re.sub(name, new, text)
-    return text
+    run_command(run, needs_stdout=not is_recording)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`dds-analyze watch FOLDER`: the HTML report on a local address, updated whenever a trace changes."""
+"""`dds-trace watch FOLDER`: the HTML report on a local address, updated whenever a trace changes."""
 
 import signal
 import time
@@ -9,15 +9,15 @@ from typing import Annotated
 
 from dds_trace.base import limits
 
-from .quick_help import argument, command_app, declare_command, option
+from .program import argument, command, make_app, option
 
 LOOK_SECONDS = 3.0
 """Default time between two checks of the files."""
 
-app = command_app()
+app = make_app()
 
 
-@declare_command(app, "watch")
+@command(app, "watch", table="watch")
 def watch_command(
     folder: Annotated[Path, argument("FOLDER", "Folder that a sweep writes into.", exists=True)],
     host: Annotated[
@@ -40,7 +40,7 @@ def watch_command(
 
     For example:
 
-        dds-analyze watch runs/
+        dds-trace watch runs/
     """
     from dds_trace.reports.html.live import Watcher, WatchOptions
 

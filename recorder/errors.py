@@ -1,4 +1,4 @@
-"""Errors of a recording, each with the exit code of `dds-record`."""
+"""Errors of a recording, each with its exit code."""
 
 from __future__ import annotations
 

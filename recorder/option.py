@@ -22,22 +22,6 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 
-class Panel(str, Enum):
-    OUTPUT = "Role and output"
-    MESSAGE = "Message (ping)"
-    SCHEDULE = "Schedule (ping)"
-    MIDDLEWARE = "Middleware"
-    CALL = "Call (ping and relay)"
-    QOS = "Quality of service (equal on both sides)"
-    BRIDGE = "Bridge (ping)"
-    RELAY = "Relay"
-    FILES = "Files (relay, tap and beacon)"
-    TAP = "Topics of others (tap)"
-    PROCESS = "Process"
-    DESCRIPTION = "Description in the trace"
-    TOOLS = "Instead of recording"
-
-
 @dataclass(frozen=True, slots=True)
 class Axis:
     """An option as a key of `[axes]`; what is empty is the option's."""
@@ -51,17 +35,16 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One option of `dds-record`.
+    """One option of a recording.
 
     Attributes:
         metavar: name of the value; empty for a flag.
         kind: type on the command line; an Enum's values are the choices.
-        roles: the only roles that take it; empty for all.
+        roles: the only roles that take it; empty for all that have its record.
         variables: variables of ROS 2 that override a configured default.
     """
 
     name: str
-    panel: Panel
     help: str
     metavar: str
     kind: type
@@ -86,15 +69,6 @@ class Option:
         return tuple(text) if self.is_repeatable else text
 
 
-_ROLES = {
-    **dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), (Role.PING,)),
-    Panel.CALL: (Role.PING, Role.RELAY),
-    Panel.RELAY: (Role.RELAY,),
-    Panel.FILES: (Role.RELAY, Role.TAP, Role.BEACON),
-    Panel.TAP: (Role.TAP,),
-}
-"""Panels with options that only some roles take."""
-
 OUTSIDE_OF_KEY = {"in_key": False}
 """Metadata of a field that is no option and no setting."""
 
@@ -102,7 +76,6 @@ OUTSIDE_OF_KEY = {"in_key": False}
 def option(
     default: _T,
     name: str,
-    panel: Panel,
     help: str,  # noqa: A002 - typer's word
     *,
     kind: type | None = None,
@@ -118,22 +91,8 @@ def option(
         kind = str if parse is not None else {Whole: int, Real: float}.get(type(limit), str)
     name, _, metavar = name.partition(" ")
     text, _, default_words = help.partition(" Default: ")
-    roles = roles or _ROLES.get(panel, ())
     row = Option(
-        *(
-            name,
-            panel,
-            text,
-            metavar,
-            kind or type(default),
-            limit,
-            parse,
-            default_words,
-            roles,
-            in_key,
-            axis,
-            variables,
-        ),
+        *(name, text, metavar, kind or type(default), limit, parse, default_words, roles, in_key, axis, variables),
         field_default=default,
     )
     if isinstance(default, dict):
@@ -141,8 +100,8 @@ def option(
     return field(default=default, metadata={"option": row})
 
 
-def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  # noqa: A002 - typer's word
-    return option(default, name, panel, help, in_key=False, **row)
+def detail(default: _T, name: str, help: str, **row: Any) -> _T:  # noqa: A002 - typer's word
+    return option(default, name, help, in_key=False, **row)
 
 
 def options_of(record: Any) -> dict[str, Option]:

@@ -1,9 +1,9 @@
-"""The table of `dds-record`'s options, with choices and help."""
+"""The table of a recording's options, with choices and help."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
@@ -15,72 +15,56 @@ from .backends import BACKEND_MODULES
 from .backends.node import NodeOptions
 from .bridges.base import BRIDGE_MODULES
 from .choices import Durability, FileMode, History, Reliability, Role
-from .option import Axis, Option, Panel, option, options_of
+from .option import Axis, Option, option, options_of
 from .option_values import parse_percentage
 from .options import PingOptions, RecordOptions, TapOptions
 
 
 @dataclass(frozen=True, slots=True)
 class CommandOptions:
-    """Options of `dds-record` that are not a field of the other records."""
+    """Options of a recording that are not a field of the other records."""
 
     role: Role | None = option(
         None,
         "--role ROLE",
-        Panel.OUTPUT,
         "ping sends messages, relay sends them back, tap listens to --topics of others, beacon compares clocks.",
         kind=Role,
     )
     out: Path | None = option(
-        None, "--out PATH", Panel.OUTPUT, "Trace to write: a .mcap file, or the name of a rosbag2 folder.", kind=Path
+        None, "--out PATH", "Trace to write: a .mcap file, or the name of a rosbag2 folder.", kind=Path
     )
-    force: bool = option(False, "--force", Panel.OUTPUT, "Overwrite an existing trace.")
+    force: bool = option(False, "--force", "Overwrite an existing trace.")
     fsync: bool = option(
         False,
         "--fsync",
-        Panel.OUTPUT,
         "Flush the trace to the disk twice a second, so that a power loss costs less than the last second.",
     )
     file_mode: FileMode = option(
-        FileMode.GROUP,
-        "--file-mode MODE",
-        Panel.OUTPUT,
-        "Rights of the trace: 0640 (you write, your group reads) or 0600.",
+        FileMode.GROUP, "--file-mode MODE", "Rights of the trace: 0640 (you write, your group reads) or 0600."
     )
-    as_json: bool = option(False, "--json", Panel.OUTPUT, "Print the result as JSON.")
+    as_json: bool = option(False, "--json", "Print the result as JSON.")
     fail_if_lost: float | None = option(
         None,
         "--fail-if-lost PERCENT",
-        Panel.OUTPUT,
         "Exit with 13 if a ping loses more than this share of its messages, e.g. 1%.",
         parse=lambda text: parse_percentage("--fail-if-lost", text),
         roles=(Role.PING,),
     )
     reliability: Reliability = option(
-        Reliability.RELIABLE,
-        "--reliability QOS",
-        Panel.QOS,
-        "Delivery:",
-        axis=Axis(meaning="QoS reliability of both sides"),
+        Reliability.RELIABLE, "--reliability QOS", "Delivery:", axis=Axis(meaning="QoS reliability of both sides")
     )
     durability: Durability = option(
         Durability.VOLATILE,
         "--durability QOS",
-        Panel.QOS,
         "Messages for late subscribers:",
         axis=Axis(meaning="QoS durability of both sides"),
     )
     history: History = option(
-        History.KEEP_LAST,
-        "--history QOS",
-        Panel.QOS,
-        "Messages in the queue:",
-        axis=Axis(meaning="QoS history of both sides"),
+        History.KEEP_LAST, "--history QOS", "Messages in the queue:", axis=Axis(meaning="QoS history of both sides")
     )
     depth: int = option(
         10,
         "--depth N",
-        Panel.QOS,
         "Length of the queue with keep_last.",
         limit=limits.DEPTH,
         axis=Axis(meaning="messages that `keep_last` keeps, of both sides"),
@@ -88,42 +72,32 @@ class CommandOptions:
     deadline: int | None = option(
         None,
         "--deadline TIME",
-        Panel.QOS,
         "Maximum period between two messages, e.g. 20ms.",
         parse=lambda text: parse_duration(text, "--deadline"),
     )
     lifespan: int | None = option(
         None,
         "--lifespan TIME",
-        Panel.QOS,
         "Maximum age of a message at delivery, e.g. 1.5s.",
         parse=lambda text: parse_duration(text, "--lifespan"),
-    )
-    for_s: float | None = option(
-        None, "--for SECONDS", Panel.FILES, "As --duration.", limit=limits.LENGTH_S, roles=(Role.TAP, Role.BEACON)
     )
     limits_path: Path | None = option(
         None,
         "--limits FILE",
-        Panel.TAP,
         "A limits.toml that the topics have to meet; exit with 20 at the end if one does not (extra analyze).",
         kind=Path,
+        roles=(Role.TAP,),
     )
     keep: int | None = option(
-        None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int
-    )
-    recover_path: Path | None = option(
         None,
-        "--recover PATH",
-        Panel.TOOLS,
-        "Turn what a killed recorder left, or a damaged bag of another program, into a whole copy.",
-        kind=Path,
+        "--keep N",
+        "With --rotate: keep only the newest N files of this recording.",
+        kind=int,
+        roles=(Role.RELAY, Role.TAP, Role.BEACON),
     )
-    self_test: bool = option(False, "--self-test", Panel.TOOLS, "Measure what recording itself costs on this machine.")
     check: bool = option(
         False,
         "--check",
-        Panel.TOOLS,
         "Start with these options and stop before the first message; keep no trace. Exit with 0 if recording can begin.",
     )
 
@@ -140,8 +114,14 @@ class CommandOptions:
 
 
 OPTIONS: Mapping[str, Option] = {
-    name: row
-    for record in (CommandOptions, PingOptions, TapOptions, RecordOptions, NodeOptions)
+    name: replace(row, roles=row.roles or roles)
+    for record, roles in (
+        (CommandOptions, ()),
+        (PingOptions, (Role.PING,)),
+        (TapOptions, (Role.TAP,)),
+        (RecordOptions, ()),
+        (NodeOptions, ()),
+    )
     for name, row in options_of(record).items()
 }
 """Rows by field; no two records share a name."""

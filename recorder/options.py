@@ -1,4 +1,4 @@
-"""The options of a recording: each field with `option(...)` or `detail(...)` is one of `dds-record`."""
+"""The options of a recording: each field with `option(...)` or `detail(...)` is one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 
 from .choices import Discovery, Load, Role, Serialization
-from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, changed_settings, detail, option
+from .option import OUTSIDE_OF_KEY, Axis, Option, changed_settings, detail, option
 from .option_values import KeepFree, Rotation, check_call, parse_pairs, parse_rate_or_max, parse_rates, parse_topics
 from .payloads import check_data
 
@@ -39,7 +39,6 @@ class PingOptions:
     data: str = detail(
         "binary",
         "--data KIND",
-        Panel.MESSAGE,
         "What is sent: binary, string, imu, imu:FILE (recorded values), file:PATH (or the files of a folder), "
         "bag:PATH#TOPIC, or topic:/NAME (live).",
         axis=Axis(
@@ -51,7 +50,6 @@ class PingOptions:
     size_bytes: int | None = detail(
         None,
         "--size SIZE",
-        Panel.MESSAGE,
         "Size of a message: a number of bytes, 33KB or 4MB (1000), 1KiB (1024). Default: 33KB; string 91; imu always 296",
         limit=limits.SIZE_BYTES,
         parse=lambda text: parse_size(text, "--size"),
@@ -62,13 +60,10 @@ class PingOptions:
             unit="bytes",
         ),
     )
-    seed: int | None = detail(
-        None, "--seed N", Panel.MESSAGE, "Seed of the random content. Default: drawn", limit=limits.SEED
-    )
+    seed: int | None = detail(None, "--seed N", "Seed of the random content. Default: drawn", limit=limits.SEED)
     rate_hz: float | None = detail(
         None,
         "--rate HZ",
-        Panel.SCHEDULE,
         f"Messages per second, or max: as fast as they are taken. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
         limit=limits.RATE_HZ_OR_MAX,
         parse=parse_rate_or_max,
@@ -80,7 +75,6 @@ class PingOptions:
     ping_share: float | None = option(
         None,
         "--ping-share SHARE",
-        Panel.SCHEDULE,
         f"Share of the messages that is sent back, at --rate max. Default: {MAX_RATE_PING_SHARE:g}",
         limit=limits.PING_SHARE,
         axis=Axis(for_relay=False),
@@ -88,80 +82,60 @@ class PingOptions:
     messages: int | None = detail(
         None,
         "--messages N",
-        Panel.SCHEDULE,
         f"Messages to measure. Default: {DEFAULT_MESSAGES}, or what fits --duration",
         limit=limits.MESSAGES,
     )
-    warmup: int = detail(
-        DEFAULT_WARMUP, "--warmup N", Panel.SCHEDULE, "Messages before them, which do not count.", limit=limits.WARMUP
-    )
+    warmup: int = detail(DEFAULT_WARMUP, "--warmup N", "Messages before them, which do not count.", limit=limits.WARMUP)
     wait_s: float = detail(
-        DEFAULT_WAIT_S, "--wait SECONDS", Panel.SCHEDULE, "How long to wait for the first echo.", limit=limits.WAIT_S
+        DEFAULT_WAIT_S, "--wait SECONDS", "How long to wait for the first echo.", limit=limits.WAIT_S
     )
     patience_s: float = detail(
         3.0,
         "--patience SECONDS",
-        Panel.SCHEDULE,
         "How long a relay that is no longer seen may be silent before the run ends.",
         limit=limits.WAIT_S,
     )
     start_at_s: float | None = detail(
         None,
         "--start-at SECONDS",
-        Panel.SCHEDULE,
         "Do not send before this time (seconds since 1970), so that several pings start together. Default: at the first echo",
         limit=limits.UNIX_S,
     )
-    wake_ms: int = option(
-        0, "--wake MS", Panel.SCHEDULE, WAKE_HELP, limit=limits.WAKE_MS, axis=Axis(for_relay=False, unit="ms")
-    )
+    wake_ms: int = option(0, "--wake MS", WAKE_HELP, limit=limits.WAKE_MS, axis=Axis(for_relay=False, unit="ms"))
     clients: int = option(
         1,
         "--clients N",
-        Panel.CALL,
         "Clients that call at one time; --rate counts the calls of all.",
         limit=limits.CLIENTS,
-        roles=(Role.PING,),
         axis=Axis(for_relay=False),
     )
     call_timeout_s: float = detail(
-        10.0,
-        "--call-timeout SECONDS",
-        Panel.CALL,
-        "Count calls that take longer; they go on.",
-        limit=limits.LENGTH_S,
-        roles=(Role.PING,),
+        10.0, "--call-timeout SECONDS", "Count calls that take longer; they go on.", limit=limits.LENGTH_S
     )
-    relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
+    relays: int = detail(1, "--relays N", "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
         "none",
         "--bridge BRIDGE",
-        Panel.BRIDGE,
         "Start this bridge to the domain of the relay:",
         limit=limits.NAME,
         axis=Axis(for_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
     )
-    bridge_running: bool = detail(
-        False, "--bridge-running", Panel.BRIDGE, "The bridge is running already: start nothing."
-    )
+    bridge_running: bool = detail(False, "--bridge-running", "The bridge is running already: start nothing.")
     bridge_listen: str | None = option(
         None,
         "--bridge-listen ADDRESS",
-        Panel.BRIDGE,
-        "Start only the ping's half; it waits at HOST:PORT for the relay's half (dds-bridge --half relay).",
+        "Start only the ping's half; it waits at HOST:PORT for the relay's half (dds-trace bridge --half relay).",
         limit=limits.ADDRESS,
     )
     bridge_peers: tuple[str, ...] = detail(
         (),
         "--bridge-peer ADDRESS",
-        Panel.BRIDGE,
         "Start only the ping's half; it connects to the relay's half at HOST:PORT; repeatable.",
         limit=limits.ADDRESS,
     )
     relay_domain_id: int | None = detail(
         None,
         "--relay-domain ID",
-        Panel.BRIDGE,
         "DDS domain of the relay. Default: ROS_DOMAIN_ID, else 10",
         limit=limits.DOMAIN_ID,
         variables=("ROS_DOMAIN_ID",),
@@ -169,18 +143,14 @@ class PingOptions:
     labels: Mapping[str, str] = detail(
         {},
         "--label KEY=VALUE",
-        Panel.DESCRIPTION,
         "A note on the run; repeatable.",
         parse=lambda texts: parse_pairs("--label", texts, "site=lab"),
-        roles=(Role.PING,),
     )
     settings: Mapping[str, str] = option(
         {},
         "--setting KEY=VALUE",
-        Panel.DESCRIPTION,
         "What you set around the run, such as a load or a link; results with different settings are not mixed; repeatable.",
         parse=lambda texts: parse_pairs("--setting", texts, "cpu_load=50%"),
-        roles=(Role.PING,),
     )
 
     def check(self) -> None:
@@ -204,30 +174,22 @@ class TapOptions:
     topics: tuple[str, ...] = detail(
         (),
         "--topics NAMES",
-        Panel.TAP,
         "Topics to listen to, with commas: /camera/image,/tf; * and ? stand for any characters: '/camera/*'; repeatable.",
         parse=parse_topics,
     )
-    live: bool = detail(False, "--live", Panel.TAP, "Show rate, age, loss and state of each topic while it runs.")
+    live: bool = detail(False, "--live", "Show rate, age, loss and state of each topic while it runs.")
     live_port: int | None = detail(
-        None,
-        "--live-port PORT",
-        Panel.TAP,
-        "Show the same on http://127.0.0.1:PORT, for this device's users.",
-        limit=limits.PORT,
+        None, "--live-port PORT", "Show the same on http://127.0.0.1:PORT, for this device's users.", limit=limits.PORT
     )
     expected_hz: Mapping[str, float] = detail(
         {},
         "--expect TOPIC=HZ",
-        Panel.TAP,
         "Rate below which a topic is LATE in the live view: /camera/image=30; repeatable. Default: learnt",
         parse=parse_rates,
     )
-    diagnostics: bool = detail(
-        False, "--diagnostics", Panel.TAP, "Publish the state of each topic on /diagnostics once a second."
-    )
+    diagnostics: bool = detail(False, "--diagnostics", "Publish the state of each topic on /diagnostics once a second.")
     payload: bool = detail(
-        False, "--payload", Panel.TAP, "Keep the messages themselves too, as a bag has them; without it, never."
+        False, "--payload", "Keep the messages themselves too, as a bag has them; without it, never."
     )
 
     def check(self) -> None:
@@ -251,14 +213,12 @@ class RecordOptions:
     duration_s: float | None = detail(
         None,
         "--duration SECONDS",
-        Panel.OUTPUT,
         "Stop after this many seconds; a relay, tap or beacon without it runs until stopped.",
         limit=limits.LENGTH_S,
     )
     keep_free: KeepFree = detail(
         KeepFree(),
         "--keep-free SIZE",
-        Panel.OUTPUT,
         "Stop writing when free disk space falls below SIZE: 500MB, 10%, or 0. Default: 5% of the disk, at most 1GB",
         kind=str,
         parse=KeepFree.parse,
@@ -266,7 +226,6 @@ class RecordOptions:
     backend: str = detail(
         "ros2",
         "--backend NAME",
-        Panel.MIDDLEWARE,
         "API that carries the messages:",
         limit=limits.NAME,
         axis=Axis(
@@ -277,41 +236,42 @@ class RecordOptions:
     serialization: Serialization = option(
         Serialization.RAW,
         "--serialization KIND",
-        Panel.MIDDLEWARE,
         "What the client library gets: raw (serialized bytes) or typed (message objects).",
         axis=Axis(),
     )
     rotation: Rotation | None = detail(
         None,
         "--rotate LIMIT",
-        Panel.FILES,
         "Start a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h; --out NAME.mcap becomes NAME.00001.mcap and so on.",
         parse=Rotation.parse,
+        roles=(Role.RELAY, Role.TAP, Role.BEACON),
     )
     flows: tuple[str, ...] = detail(
         (),
         "--flow NAME",
-        Panel.MIDDLEWARE,
         "Name of a flow, which has topics of its own, so that several pings of one kind of data share a relay; for a relay repeatable.",
         limit=limits.FLOW_NAME,
     )
     types: tuple[str, ...] = detail(
         (),
         "--type TYPE",
-        Panel.RELAY,
         "Send back this message type too, such as sensor_msgs/msg/PointCloud2; repeatable.",
         limit=limits.NAME,
+        roles=(Role.RELAY,),
     )
     relay_id: int | None = detail(
-        None, "--relay-id N", Panel.RELAY, "Number of the relay in the trace. Default: drawn", limit=limits.RELAY_ID
+        None,
+        "--relay-id N",
+        "Number of the relay in the trace. Default: drawn",
+        limit=limits.RELAY_ID,
+        roles=(Role.RELAY,),
     )
     cpu_affinity: str | None = option(
-        None, "--cpu-affinity CPUS", Panel.PROCESS, "Run only on these CPUs: 3, or 0,2-3.", limit=limits.CPUS
+        None, "--cpu-affinity CPUS", "Run only on these CPUs: 3, or 0,2-3.", limit=limits.CPUS
     )
     realtime_priority: int | None = option(
         None,
         "--realtime PRIORITY",
-        Panel.PROCESS,
         "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
         limit=limits.REALTIME_PRIORITY,
         axis=Axis(),
@@ -319,7 +279,6 @@ class RecordOptions:
     load: Load = option(
         Load.NONE,
         "--load KIND",
-        Panel.PROCESS,
         "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends:",
         axis=Axis(
             meaning="load of the machine of each side while it records: every processor, copies in memory, 100 Mbit/s of UDP "
@@ -329,7 +288,6 @@ class RecordOptions:
     load_to: str | None = detail(
         None,
         "--load-to HOST",
-        Panel.PROCESS,
         "Where the UDP of --load network goes. Default: the first --peer, else this machine",
         limit=limits.HOST,
         roles=(Role.PING,),
@@ -337,33 +295,23 @@ class RecordOptions:
     strict: bool = detail(
         False,
         "--strict",
-        Panel.PROCESS,
         "Exit with 11 if the middleware does not use a requested setting (--transport, --tuned ...); without it, warn.",
     )
     wire: bool = option(
         False,
         "--wire",
-        Panel.PROCESS,
         "Count packets, retransmissions and bytes on the interfaces: lo with localhost discovery, else all that are up. "
         "Needs CAP_NET_RAW.",
     )
     own_cost: bool = detail(
-        True,
-        "--no-own-cost",
-        Panel.PROCESS,
-        "Start a second sooner: do not measure the cost of recording and of the client library.",
+        True, "--no-own-cost", "Start a second sooner: do not measure the cost of recording and of the client library."
     )
     device: str | None = detail(
-        None,
-        "--device NAME",
-        Panel.DESCRIPTION,
-        "Name of this device in the trace. Default: host name",
-        limit=limits.NAME,
+        None, "--device NAME", "Name of this device in the trace. Default: host name", limit=limits.NAME
     )
     connectivity: str | None = detail(
         None,
         "--connectivity NAME",
-        Panel.DESCRIPTION,
         "Link of this device: loopback, wired, wireless, or a word of yours. Default: detected",
         limit=limits.NAME,
     )

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds zenoh-bridge-dds and zenoh-bridge-ros2dds as zenoh's router with its plugins for DDS and for ROS 2, from the crates
-# `zenohd`, `zenoh-plugin-dds` and `zenoh-plugin-ros2dds`, and puts the three where `dds-bridge` finds them. Takes cargo 1.85
+# `zenohd`, `zenoh-plugin-dds` and `zenoh-plugin-ros2dds`, and puts the three where `dds-trace bridge` finds them. Takes cargo 1.85
 # or newer, a C compiler, cmake and libclang, and about 20 minutes on one core (ZENOH_BUILD_JOBS to use more), 1.3 GB on
 # disk meanwhile.
 #

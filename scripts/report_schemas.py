@@ -254,7 +254,7 @@ def report_schema() -> Schema:
         "deadline_metric": {"type": "string", "description": words["deadline_metric"]},
         "recommendation": {
             **or_null(of_record(Recommendation)),
-            "description": "the ranking that --recommend asked for, best first; null without it",
+            "description": "the ranking that `dds-trace choose` asked for, best first; null without it",
         },
         "own_cost": a_list(of_record(OwnCost), " ".join((getdoc(OwnCost) or "").partition("\n")[0].split())),
     }
@@ -267,7 +267,7 @@ def report_schema() -> Schema:
         "$schema": DIALECT,
         "title": f"dds-trace report, format {document.FORMAT_VERSION}",
         "description": (
-            "What `dds-analyze --report json` writes. Times are in ns, sizes in bytes; `group` is an index of `groups`; null "
+            "What `dds-trace analyze --report json` writes. Times are in ns, sizes in bytes; `group` is an index of `groups`; null "
             "means that there is no such number, never 0. A later version of the same format may add fields."
         ),
         **an_object(properties, added | {"recommendation", "own_cost"}),
@@ -302,7 +302,7 @@ RUN_FIELDS = (
 
 
 def comparison_schema() -> Schema:
-    """Return the schema of `dds-analyze compare --report json`."""
+    """Return the schema of `dds-trace compare --report json`."""
     words, text = described(ComparisonInfo), {"type": "string"}
     level = {"type": "number", "minimum": 0, "maximum": 1, "description": "share of the messages that were due"}
     time = {"type": "number", "description": "time within which that share was received, ns"}
@@ -364,7 +364,7 @@ def comparison_schema() -> Schema:
         "$schema": DIALECT,
         "title": f"dds-trace comparison, format {comparison_document.FORMAT_VERSION}",
         "description": (
-            "What `dds-analyze compare --report json` writes. A field may be added within a format; none is renamed or removed, "
+            "What `dds-trace compare --report json` writes. A field may be added within a format; none is renamed or removed, "
             "and none changes its meaning."
         ),
         **an_object(properties, {"changed"}),

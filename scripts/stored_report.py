@@ -34,7 +34,7 @@ def keep(page: str) -> str:
         ValueError: the page does not hold the installed plotly.js once.
     """
     if page.count(script()) != 1:
-        raise ValueError(f"no page of `dds-analyze --report html` with plotly.js {get_plotlyjs_version()}")
+        raise ValueError(f"no page of `dds-trace analyze --report html` with plotly.js {get_plotlyjs_version()}")
     stand_in = STAND_IN.format(hash=policy_hash(get_plotlyjs()), version=get_plotlyjs_version())
     return page.replace(script(), stand_in)
 

@@ -8,7 +8,7 @@ from analyses import small_campaign
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import TraceError
 from dds_trace.cli import topics
-from dds_trace.cli.sweep import command as sweep_command
+from dds_trace.cli.sweep import common as sweep_command
 from dds_trace.recorder import errors as recorder_errors
 from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.book.book import Book

@@ -82,9 +82,8 @@ def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_reposit
     "command",
     [
         ["dds-record", "--help"],
-        ["dds-record", "--self-test"],
-        ["dds-sweep", "--help"],
-        ["dds-bridge", "--list"],
+        ["dds-trace", "doctor"],
+        ["dds-trace", "sweep", "--help"],
         ["dds-analyze", str(ROOT / "sample_traces" / "same_domain"), "--report", "html", "--report", "md"],
     ],
     ids=lambda command: " ".join(command[:2]) if command[1].startswith("-") else command[0],

@@ -59,7 +59,7 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
     "recorded_in_sequence",
     Severity.WARNING,
     Subject.RESULT,
-    "Record the setups in turn (dds-sweep does, with repeats), or compare them as they are with --trust-order.",
+    "Record the setups in turn (dds-trace sweep does, with repeats), or compare them as they are with --trust-order.",
 )
 def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
     """Setups were recorded one after the other."""

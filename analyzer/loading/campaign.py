@@ -45,7 +45,7 @@ class Place:
         arguments = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
         parts = tuple(dict.fromkeys(Path(path) for path in arguments))
         if not parts:
-            raise OptionError("no path; give the folder that dds-record wrote into")
+            raise OptionError("no path; give the folder with the traces")
         if len(parts) == 1:
             return cls(parts[0], parts)
         if any(map(is_remote, parts)):
@@ -85,7 +85,7 @@ Progress = Callable[[int, int, Path], None]
 
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
-"""Files of `dds-sweep` are not listed as skipped."""
+"""Files of `dds-trace sweep` are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
 
@@ -254,5 +254,5 @@ def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     archive = next((path / source.path for source in skipped if _is_archive(Path(source.path))), None)
     listed += "" if archive is None else f"; {archive} is {_archive_words(archive)}"
     return f"{path}: no trace here" + (
-        f": looked at {listed}" if listed else ", the folder is empty; give the folder that dds-record wrote into"
+        f": looked at {listed}" if listed else ", the folder is empty; give the folder with the traces"
     )

@@ -1,4 +1,4 @@
-"""A job, as `--recommend` reads it, and guesses of its time."""
+"""A job, as `dds-trace choose` reads it, and guesses of its time."""
 
 from __future__ import annotations
 
@@ -52,14 +52,12 @@ class _Key(Generic[Value]):
     example: str
     parse: Callable[[str], Value | None]
 
-    def value(self, words: dict[str, str], text: str) -> Value:
+    def value(self, words: Mapping[str, str]) -> Value:
         with suppress(OptionError):
             value = self.parse(words[self.name])
             if value is not None:
                 return value
-        raise OptionError(
-            f"--recommend {text!r}: {self.name}={words[self.name]} is not understood; write {self.name}={self.example}"
-        )
+        raise OptionError(f"{self.name} {words[self.name]!r} is not understood; give one as {self.name} {self.example}")
 
 
 def _share(text: str) -> float | None:
@@ -91,28 +89,37 @@ def parse_job(text: str) -> Job:
         name, equals, value = word.partition("=")
         if name not in _KEYS:
             near = difflib.get_close_matches(name, _KEYS, n=1, cutoff=0)[0]
-            raise OptionError(f"--recommend {text!r}: no key {name!r}; did you mean {near!r}?")
+            raise OptionError(f"job {text!r}: no key {name!r}; did you mean {near!r}?")
         if not equals or not value:
-            raise OptionError(f"--recommend {text!r}: {name} has no value; write {name}={_KEYS[name].example}")
+            raise OptionError(f"job {text!r}: {name} has no value; write {name}={_KEYS[name].example}")
         if name in words:
-            raise OptionError(f"--recommend {text!r}: {name} is given twice")
+            raise OptionError(f"job {text!r}: {name} is given twice")
         words[name] = value
-        _KEYS[name].value(words, text)  # here, to report the first of several errors
+        _KEYS[name].value(words)  # here, to report the first of several errors
+    return make_job(words)
+
+
+def make_job(words: Mapping[str, str]) -> Job:
+    """Return the job of key -> value in words.
+
+    Raises:
+        OptionError: a key is missing, or a value is of another kind.
+    """
+    words = {_RELIABILITY.name: DEFAULT_RELIABILITY, _METRIC.name: "response", **words}
     if words.get(_DATA.name) == "imu":
         words.setdefault(_SIZE.name, str(IMU_BYTES))
-    words.setdefault(_RELIABILITY.name, DEFAULT_RELIABILITY)
-    missing = [name for name in _KEYS if name not in words and name not in (_DOMAIN.name, _METRIC.name)]
+    missing = [name for name in _KEYS if name not in words and name != _DOMAIN.name]
     if missing:
-        examples = " ".join(f"{name}={_KEYS[name].example}" for name in missing)
-        raise OptionError(f"--recommend {text!r}: {', '.join(missing)} missing; add {examples}")
+        examples = ", ".join(f"{name} {_KEYS[name].example}" for name in missing)
+        raise OptionError(f"{', '.join(missing)} missing; add {examples}")
     return Job(
-        data_type=_DATA.value(words, text),
-        payload_bytes=_SIZE.value(words, text),
-        rate_hz=_RATE.value(words, text),
-        deadline_ns=_DEADLINE.value(words, text),
-        reliability=_RELIABILITY.value(words, text),
-        domain_mode=_DOMAIN.value(words, text) if _DOMAIN.name in words else None,
-        metric=_METRIC.value(words, text) if _METRIC.name in words else "response",
+        data_type=_DATA.value(words),
+        payload_bytes=_SIZE.value(words),
+        rate_hz=_RATE.value(words),
+        deadline_ns=_DEADLINE.value(words),
+        reliability=_RELIABILITY.value(words),
+        domain_mode=_DOMAIN.value(words) if _DOMAIN.name in words else None,
+        metric=_METRIC.value(words),
     )
 
 

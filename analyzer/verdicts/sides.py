@@ -116,7 +116,7 @@ def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
     first, second = ("base", "new side") if max(before) < min(after) else ("new side", "base")
     return (
         f"the {first} was recorded before the {second}: a machine that changes with time looks like a change; "
-        "`dds-sweep --against` interleaves the two."
+        "`dds-trace sweep --against` interleaves the two."
     )
 
 

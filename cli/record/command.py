@@ -1,7 +1,8 @@
-"""`dds-record`: record as a ping, a relay, a tap or a beacon into a trace."""
+"""`dds-trace record ROLE`, and `dds-record --role ROLE`: record as a ping, a relay, a tap or a beacon into a trace."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,8 @@ import typer  # noqa: TC002 - it reads the annotation
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS, CommandOptions
 
-from ..program import ask_about_folder, run_program
-from ..quick_help import Version, command_app, declare_command
+from ..program import Version, ask_about_folder, command, make_app, run_command
 from ..table_options import default_discovery, default_domain, given_values, overridden, read_record, with_options
-from . import status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -22,74 +21,117 @@ if TYPE_CHECKING:
 
 BRIDGED_PING_DOMAIN = 5
 
-app = command_app(completes=True)
-
-
 _DEFAULTS = {name: row.field_default for name, row in OPTIONS.items() if row.metavar and not row.default}
+_OFTEN = (
+    *(
+        "out",
+        "data",
+        "size_bytes",
+        "rate_hz",
+        "messages",
+        "duration_s",
+        "backend",
+        "rmw",
+        "bridge",
+        "domain_id",
+        "peers",
+    ),
+    *("discovery", "topics", "live", "rotation", "force", "as_json"),
+)
+
+app = make_app(completes=True)
 
 
-@declare_command(app, "record", overridden, _DEFAULTS)
-@with_options(OPTIONS, in_panels=True)
-def main_command(
+@command(app, "record", table="record", often=("role", *_OFTEN), overridden=overridden, defaults=_DEFAULTS)
+@with_options(OPTIONS)
+def record_command(
     context: typer.Context,
     version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,
 ) -> None:
-    """Record latency of ROS 2 / DDS messages as a ping or as a relay, or of the topics of others as a tap.
+    """Record latency of ROS 2 / DDS messages, as `dds-trace record ROLE` does.
 
-    A ping sends messages on a fixed schedule, a relay sends them back; each writes a trace of its time stamps.
-    Start one of each, on one device or on two, then run `dds-analyze` on the folder with the traces:
+    For example:
 
         dds-record --role relay --out relay.mcap
-
-        dds-record --role ping  --out ping.mcap
-
-    On any device of a running system, its own topics:
-
-        dds-record --role tap --topics /scan --out tap.mcap
-
-    What records on this machine now:
-
-        dds-record status
     """
-    from dds_trace.base import limits
+    _record(context, given_values(values))
+
+
+_HELP = {
+    Role.PING: """Send messages on a schedule, and record their replies.
+
+    A relay on this or another device sends them back:
+
+        dds-trace record relay --out runs/relay.mcap
+
+        dds-trace record ping --out runs/ping.mcap
+
+        dds-trace analyze runs/
+    """,
+    Role.RELAY: """Send messages back, and record them; Ctrl-C ends.
+
+    For example:
+
+        dds-trace record relay --out runs/relay.mcap
+    """,
+    Role.TAP: """Record how late, how old and how complete topics of others arrive; Ctrl-C ends.
+
+    For example:
+
+        dds-trace record tap --topics /scan,/tf --out runs/tap.mcap
+    """,
+    Role.BEACON: """Compare the clocks of the devices that run one; Ctrl-C ends.
+
+    For example:
+
+        dds-trace record beacon --out runs/beacon.mcap
+    """,
+}
+
+
+def _role_app(role: Role) -> typer.Typer:
+    role_app = make_app()
+    names = [name for name, row in OPTIONS.items() if name != "role" and role in (row.roles or Role)]
+
+    def overridden_of_role(values: Mapping[str, Any]) -> dict[str, str]:
+        return overridden({"role": role, **values})
+
+    def record_role(context: typer.Context, **values: Any) -> None:
+        _record(context, {"role": role, **given_values(values)})
+
+    record_role.__doc__ = _HELP[role]
+    keys = [row.name.lstrip("-") for row in OPTIONS.values()]
+    settings: Any = {"table": "record", "ignored": keys, "often": _OFTEN, "defaults": _DEFAULTS}
+    command(role_app, role.value, overridden=overridden_of_role, **settings)(with_options(names)(record_role))
+    return role_app
+
+
+ping, relay, tap, beacon = map(_role_app, Role)
+
+
+def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
-    from dds_trace.recorder.backends.node import NodeOptions
-    from dds_trace.recorder.options import check_fields
 
-    from .run import record_until_stopped
-    from .tools import check_start, recover_trace, report_own_cost
+    from .run import check_start, record_until_stopped
 
-    chosen = given_values(values)
-    if recover_path := chosen.get("recover_path"):
-        limits.check(limits.INPUT, str(recover_path), "--recover")
-        out = chosen.get("out")
-        limits.check(limits.PATH, None if out is None else str(out), "--out")
-        recover_trace(recover_path, out)
-        return
     command = read_record(CommandOptions, chosen)
     backend = load_backend(chosen.get("backend", OPTIONS["backend"].field_default))
     # Where a relay listens at an address, other devices reach it only on request.
     is_open = backend.meeting is not Meeting.PEERS or bool(chosen.get("peers"))
     chosen.setdefault("discovery", default_discovery(is_open=is_open))
-    if command.self_test:
-        chosen.setdefault("domain_id", default_domain())
-        node = read_record(NodeOptions, chosen)
-        limits.check(limits.PATH, None if command.out is None else str(command.out), "--out")
-        check_fields(node)
-        report_own_cost(command.out, backend.name, node)
-        return
     if command.role is None or command.out is None:
-        raise OptionError("give --role ping, relay, tap or beacon, and --out PATH for its trace (see --help)")
+        role = "" if command.role else "--role ping, relay, tap or beacon, and "
+        raise OptionError(f"give {role}--out PATH for its trace (see --help)")
     _refuse_other_role(command.role, chosen)
     options = _record_options(command, chosen)
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # a sweep checks all recordings before the first
         take(options)
     elif command.check:
-        check_start(options)
+        check_start(options, command.role.value)
     else:
         if command.out.suffix != ".mcap":
             ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")
@@ -121,10 +163,6 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None
-    if command.for_s is not None:
-        if "duration_s" in chosen:
-            raise OptionError("--for is another name of --duration: give one of them")
-        chosen["duration_s"] = command.for_s
     is_bridged = chosen.get("bridge", "none") != "none"
     chosen.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain())
     if is_bridged:
@@ -150,14 +188,19 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
     return replace(options, rotation=replace(options.rotation, keep=command.keep))
 
 
-COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
-"""Any other first argument belongs to the command without a name."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    from ..trace import main as dds_trace
+    from ..trace import refuse_moved
 
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["status"]:
+        dds_trace(["record", *words])
 
-def main(
-    arguments: Sequence[str] | None = None, *, name: str = "dds-record", adapt: Callable[[Any], object] | None = None
-) -> None:
-    run_program(name, app, COMMANDS, arguments, adapt=adapt, needs_stdout=False)
+    def run() -> None:
+        refuse_moved(["record", *words])
+        app(words, prog_name="dds-record")
+
+    run_command(run, needs_stdout=False)
 
 
 if __name__ == "__main__":

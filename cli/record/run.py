@@ -22,7 +22,7 @@ from dds_trace.base.units import MISSING, counted, format_duration
 from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
-from dds_trace.recorder.recording import record
+from dds_trace.recorder.recording import record, rehearse
 from dds_trace.recorder.roles.live import Health, LiveRow
 from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
@@ -112,6 +112,12 @@ def live_table(rows: Sequence[LiveRow]) -> Table:
     return table
 
 
+def check_start(options: RecordOptions, role: str) -> None:
+    with TerminalWatch() as watch:
+        rehearse(options, watch)
+    print(f"a {role} can begin")
+
+
 LEAVE_S = 10.0
 """Time to leave the middleware once the trace is closed; then the process ends without that."""
 
@@ -197,7 +203,7 @@ def _trace_error(trace: ClosedTrace, error: OutputError) -> OutputError:
         return OutputError(f"{error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
     return OutputError(
         f"{error}; {counted(trace.ring_events, 'event waits', 'events wait')} in its ring file: make "
-        f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"
+        f"room or copy both files to another disk, then `dds-trace recover {trace.path}`"
     )
 
 

@@ -1,4 +1,4 @@
-"""`dds-record status`: the recordings that run on this machine, and what killed ones left."""
+"""`dds-trace record status`: the recordings that run on this machine, and what killed ones left."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
-from ..quick_help import command_app, declare_command, option
+from ..program import command, make_app, option
 
 if TYPE_CHECKING:
     from dds_trace.recorder.service.running import Listed
 
-app = command_app()
+app = make_app()
 
 
-@declare_command(app)
+@command(app, "status")
 def status_command(as_json: Annotated[bool, option("--json", "Print the list as JSON.")] = False) -> None:
     """List the recordings that run on this machine: role, domain, process, messages so far, file.
 
@@ -53,7 +53,7 @@ def _lines(listed: Listed) -> list[str]:
     lines = [f"{first}{counted(entry.messages, 'message')}{files}", f"    since {since}, into {entry.path}"]
     if listed.state is State.KILLED:
         lines[0] = f"killed: {lines[0]}"
-        waits = f"its last events are in the ring: dds-record --recover {listed.waiting}"
+        waits = f"its last events are in the ring: dds-trace recover {listed.waiting}"
         lines.append(f"    {waits if listed.waiting else 'no events are left to recover'}")
     elif listed.state is State.UNSEEN:
         lines.append(f"    process {entry.pid} is not visible from here; it may run in a container")

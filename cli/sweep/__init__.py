@@ -1,5 +1,1 @@
-"""`dds-sweep`: its command, what it shows instead of sweeping, and `dds-sweep new`."""
-
-from .command import main
-
-__all__ = ["main"]
+"""`dds-trace sweep`, `capacity`, `explain` and `advise`: what is done with a plan."""

@@ -1,4 +1,4 @@
-"""`dds-sweep --advise`: a configuration of each vendor for a plan's link and load, with the proof that it pays."""
+"""`dds-trace advise`: a configuration of each vendor for a plan's link and load, with the proof that it pays."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ import math
 import shlex
 from collections import defaultdict
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
-from dds_trace.base.units import format_duration
+from dds_trace.base.units import counted, format_duration
 
+from ..program import command, make_app
 from .against import say_missing
+from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
@@ -42,6 +46,69 @@ _RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference
 _INCOMPLETE = "not everything was recorded"
 
 
+app = make_app()
+
+
+@command(app, "advise")
+def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Look for settings of each middleware that serve the plan's link and load better than its defaults; print the file and the proof.
+
+    dds-trace advise plan.toml
+    """
+    from .thresholds import read_thresholds
+
+    requested = plan_of(plan, out)
+    check_advisable(requested)
+    read_thresholds(requested, None, None, is_judged=False)
+    if dry_run:
+        raise typer.Exit(_dry_run(requested, out, as_json=as_json))
+    run_until_interrupted(lambda: advise(requested, out, as_json=as_json))
+
+
+def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
+    from dds_trace.recorder.sweep.advice import bundles
+    from dds_trace.recorder.sweep.plan.schedule import Remaining, plan_seconds
+    from dds_trace.recorder.sweep.rehearsal import check_plan
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
+
+    from .dry_run import check_arguments, print_reasons
+
+    refused = check_plan(plan, out / plan.name, check_arguments)
+    described: list[dict[str, Any]] = []
+    for vendor, cells in _cells_by_vendor(plan).items():
+        here = [cell for cell in cells if cell.name not in refused]
+        sides = 1 + len(bundles(vendor, plan))
+        passes = max(PROOFS, plan.run.repeats)
+        plan_here = replace(plan, cells=tuple(here))
+        described.append(
+            {
+                "vendor": vendor,
+                "look": sides * LOOKS * len(here),
+                "look_seconds": sides * plan_seconds(plan_here, passes=LOOKS).seconds if here else 0.0,
+                "proof": 2 * passes * len(here),
+                "proof_seconds": 2 * plan_seconds(plan_here, passes=passes).seconds if here else 0.0,
+            }
+        )
+    if as_json:
+        print(json.dumps({"plan": plan.name, "vendors": described, "cannot_start": refused}))
+    for row in described if not as_json else ():
+        print(
+            f"{row['vendor']}: first look {counted(row['look'], 'recording')}, about {Remaining(row['look_seconds'])}; where a bundle "
+            f"looks better, proof {counted(row['proof'], 'recording')}, about {Remaining(row['proof_seconds'])}"
+        )
+    print_reasons(refused)
+    return INCOMPLETE_EXIT_CODE if refused else 0
+
+
+def _cells_by_vendor(plan: Plan) -> dict[str, list[Cell]]:
+    from dds_trace.recorder.backends.ros2 import vendor_of
+
+    cells: dict[str, list[Cell]] = defaultdict(list)
+    for cell in plan.cells:
+        cells[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
+    return cells
+
+
 def check_advisable(plan: Plan) -> None:
     faults = {
         "another device": plan.has_two_devices,
@@ -52,24 +119,20 @@ def check_advisable(plan: Plan) -> None:
     }
     for name, is_there in faults.items():
         if is_there:
-            raise OptionError(f"--advise is not for {name}; remove that from the plan")
+            raise OptionError(f"advise is not for {name}; remove that from the plan")
 
 
 def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
-    from dds_trace.recorder.backends.ros2 import vendor_of
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
     check_advisable(plan)
-    cells: dict[str, list[Cell]] = defaultdict(list)
-    for cell in plan.cells:
-        cells[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
     advices = [
         {
             "vendor": vendor,
             "kept": False,
             **_advise(replace(plan, cells=tuple(vendor_cells)), vendor, out / f"{plan.name}-advice" / vendor),
         }
-        for vendor, vendor_cells in cells.items()
+        for vendor, vendor_cells in _cells_by_vendor(plan).items()
     ]
     print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in _shown(advice)))
     return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
@@ -161,7 +224,7 @@ def _shown(advice: Advice) -> list[str]:
     for words in itertools.chain(*(reversed(parts) if lost_most else parts)):
         lines.append(f"  {words}")
     if "folders" in advice:
-        lines.append(f"  proof: dds-analyze compare {shlex.join(advice['folders'])} --paired")
+        lines.append(f"  proof: dds-trace compare {shlex.join(advice['folders'])} --paired")
     return lines
 
 

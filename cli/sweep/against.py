@@ -1,4 +1,4 @@
-"""`dds-sweep --against`: two sides in alternation, and for equal ones how often the comparison is wrong."""
+"""`dds-trace sweep --against`: two sides in alternation, and for equal ones how often the comparison is wrong."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
             print(f"Wrote {outcome.folder}")
             print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
         folders = shlex.join([str(sides_outcome.base.folder), str(sides_outcome.new.folder)])
-        print(f"Compare: dds-analyze compare {folders} --paired")
+        print(f"Compare: dds-trace compare {folders} --paired")
         if alarms is not None:
             print(_in_words(alarms))
     for side, reasons in missing.items():

@@ -1,14 +1,13 @@
-"""`dds-sweep`: record all runs of a plan, unattended."""
+"""`dds-trace sweep PLAN` and `dds-trace capacity PLAN`: record all runs of a plan, or search its highest rates, unattended."""
 
 from __future__ import annotations
 
 import json
 import math
-import signal
 import sys
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,39 +16,28 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
-from ..program import run_program
-from ..quick_help import Version, argument, command_app, declare_command, option
-from . import new
+from ..program import command, make_app, option
+from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
 
-INTERRUPTED_EXIT_CODE = 130
-"""Exit code after Ctrl-C, as shells report it."""
-
-app = command_app(completes=True)
+app, capacity = make_app(), make_app()
 
 
 class Printed(str, Enum):
     RELAY = "relay"
 
 
-@declare_command(app, "sweep")
-def main_command(
-    plan: Annotated[Path, argument("PLAN", "TOML file, e.g. plans/quick.toml.")],
-    out: Annotated[
-        Path, option("--out FOLDER", "Folder for the traces, in OUT/NAME with the name of the plan.", show_default=True)
-    ] = Path("runs"),
-    dry_run: Annotated[
-        bool,
-        option(
-            "--dry-run", "Show the recordings and how long they take, and check their options; run nothing of the plan."
-        ),
-    ] = False,
+@command(app, "sweep", table="sweep")
+def sweep_command(
+    plan: PlanPath,
+    out: Out = Path("runs"),
+    dry_run: DryRun = False,
     rehearse: Annotated[
         bool,
         option(
@@ -64,9 +52,6 @@ def main_command(
             "relay: print the relay commands for a person to start on the other device, and wait for the echo of each.",
         ),
     ] = None,
-    max_rate: Annotated[
-        bool, option("--max-rate", "Search the highest rate that works, instead of the plan's rates.")
-    ] = False,
     limits_file: Annotated[
         Path | None, option("--limits FILE", "A limits.toml, whose limits of one side the results have to meet.")
     ] = None,
@@ -89,30 +74,7 @@ def main_command(
             "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
         ),
     ] = None,
-    explain_rates: Annotated[
-        bool,
-        option(
-            "--explain-rates",
-            "Explain why the plan's slowest rate takes longer than its fastest: in shares that add up.",
-        ),
-    ] = False,
-    explain_size: Annotated[
-        str | None,
-        option(
-            "--explain-size SIZE",
-            "Explain a jump of the latency around a size, such as 502KB, or between two: 400KB..700KB. Varies buffer, segment, "
-            "fragment, history and a link's queue one at a time.",
-        ),
-    ] = None,
-    advises: Annotated[
-        bool,
-        option(
-            "--advise",
-            "Look for settings of each middleware that serve the plan's link and load better than its defaults; print the file and the proof.",
-        ),
-    ] = False,
-    as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
-    version: Version = False,  # noqa: ARG001 - its callback does it
+    as_json: AsJson = False,
 ) -> None:
     """Record every run of a plan: one closed trace for each device and run.
 
@@ -121,66 +83,32 @@ def main_command(
 
     Write a commented plan from three questions:
 
-        dds-sweep new mine.toml
+        dds-trace sweep new mine.toml
     """
     from dds_trace.recorder.backends import installed_middlewares
-    from dds_trace.recorder.sweep.plan.flows import is_crowded
-    from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
-    from .advise import advise
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
-    from .explain import made_explanation, run_explanation
     from .thresholds import precision, read_thresholds
 
-    _refuse_together(
-        {
-            "--max-rate": max_rate,
-            "--until": until,
-            "--against": against,
-            "--print": printed,
-            "--explain-rates": explain_rates,
-            "--explain-size": explain_size,
-            "--advise": advises,
-        },
-        {"--max-passes": max_passes, "--until": until},
-    )
-    limits.check(limits.FOLDER, str(out), "--out")
+    _refuse_together({"--until": until, "--against": against, "--print": printed})
+    if max_passes is not None and until is None:
+        raise OptionError("--max-passes needs --until; give both or remove it")
     limits.check(limits.REPEATS, max_passes, "--max-passes")
-    requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
-    explained = made_explanation(requested, explain_size) if explain_rates or explain_size else None
-    requested = explained.plan if explained else requested
+    requested = plan_of(plan, out, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
-    if (requested.flows or any(map(is_crowded, requested.cells))) and (max_rate or against is not None):
-        raise OptionError(
-            "[[flows]], relays, hosts, pings and topics are swept as they are; remove --max-rate or --against"
-        )
-    gates = read_thresholds(requested, target, limits_file, is_judged=not (max_rate or against or advises))
+    if other is not None:
+        _refuse_crowded(requested, "--against")
+    gates = read_thresholds(requested, target, limits_file, is_judged=other is None)
     if dry_run or rehearse:
-        code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)
-        raise typer.Exit(code)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-            signal.signal(number, signal.default_int_handler)
-    try:
-        if advises:
-            code = advise(requested, out, as_json=as_json)
-        elif max_rate:
-            code = _search(requested, out, as_json)
-        elif explained is not None:
-            code = run_explanation(explained, out, as_json=as_json)
-        elif other is not None:
-            code = run_sides(requested, other, out, as_json=as_json)
-        else:
-            code = _sweep(requested, out, as_json, target, gates)
-    except KeyboardInterrupt:
-        print("Interrupted; the same command continues here", file=sys.stderr)
-        code = INTERRUPTED_EXIT_CODE
-    raise typer.Exit(code)
+        raise typer.Exit(dry_run_of(requested, out, other, target, as_json=as_json, rehearses=rehearse))
+    if other is not None:
+        run_until_interrupted(lambda: run_sides(requested, other, out, as_json=as_json))
+    run_until_interrupted(lambda: _sweep(requested, out, as_json, target, gates))
 
 
-def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
+def _refuse_together(kinds: dict[str, object]) -> None:
     chosen = [name for name, value in kinds.items() if value]
     if len(chosen) > 1:
         reason = (
@@ -189,9 +117,32 @@ def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> 
             else "each is another kind of sweep"
         )
         raise OptionError(f"{' and '.join(chosen)} cannot be combined: {reason}; remove one")
-    (option, value), (needed, other) = dependent.items()
-    if value is not None and other is None:
-        raise OptionError(f"{option} needs {needed}; give both or remove it")
+
+
+def _refuse_crowded(plan: Plan, what: str) -> None:
+    from dds_trace.recorder.sweep.plan.flows import is_crowded
+
+    if plan.flows or any(map(is_crowded, plan.cells)):
+        raise OptionError(f"[[flows]], relays, hosts, pings and topics are swept as they are, without {what}")
+
+
+@command(capacity, "capacity")
+def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Search the highest rate that works, of each setup and message of a plan, instead of the plan's rates.
+
+    dds-trace capacity plan.toml
+    """
+    from dds_trace.recorder.sweep.search import search_plan
+
+    from .dry_run import dry_run as dry_run_of
+    from .thresholds import read_thresholds
+
+    requested = plan_of(plan, out)
+    _refuse_crowded(requested, "a search")
+    read_thresholds(requested, None, None, is_judged=False)
+    if dry_run:
+        raise typer.Exit(dry_run_of(search_plan(requested), out, None, None, as_json=as_json))
+    run_until_interrupted(lambda: _search(requested, out, as_json))
 
 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Sequence[Gate]) -> int:
@@ -255,17 +206,3 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         for path in written:
             print(f"Wrote {path}")
     return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0
-
-
-COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
-"""Name -> command; a plan of that name is written `./new`."""
-
-
-def main(
-    arguments: Sequence[str] | None = None, *, name: str = "dds-sweep", adapt: Callable[[Any], object] | None = None
-) -> None:
-    run_program(name, app, COMMANDS, arguments, adapt=adapt)
-
-
-if __name__ == "__main__":
-    main()

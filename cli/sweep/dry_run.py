@@ -1,4 +1,4 @@
-"""`dds-sweep --dry-run` and `--rehearse`: the recordings, their duration, and which of them cannot start."""
+"""`--dry-run` and `--rehearse` of a plan: the recordings, their duration, and which of them cannot start."""
 
 from __future__ import annotations
 
@@ -31,17 +31,12 @@ LOOPBACK_MBIT_S = 10_000
 
 
 def dry_run(
-    plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool, rehearses: bool
+    plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, as_json: bool, rehearses: bool = False
 ) -> int:
     from dds_trace.recorder.sweep.rehearsal import check_plan, rehearse_plan
-    from dds_trace.recorder.sweep.search import search_plan
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
-    if other is not None:
-        sides = side_folders(plan, other, out)
-    else:
-        recorded = search_plan(plan) if max_rate else plan
-        sides = [(recorded, out / recorded.name, None)]
+    sides = [(plan, out / plan.name, None)] if other is None else side_folders(plan, other, out)
     refused: dict[str, str] = {}
     for side, folder, command in sides:
         if rehearses:
@@ -53,7 +48,7 @@ def dry_run(
         print("\n".join(lines))
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
-    _print_reasons(refused)
+    print_reasons(refused)
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
@@ -61,9 +56,7 @@ def dry_run(
 def _record_command() -> Any:
     from ..record.command import app
 
-    command: Any = typer.main.get_command(app)  # 30 ms, of each of a plan's cells
-    command.table = ""  # a plan says all that is measured: no file of defaults adds to it
-    return command
+    return typer.main.get_command(app)  # 30 ms, of each of a plan's cells
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
@@ -78,7 +71,7 @@ def check_arguments(arguments: Sequence[str]) -> None:
         raise OptionError(str(message())) from err
 
 
-def _print_reasons(refused: Mapping[str, str]) -> None:
+def print_reasons(refused: Mapping[str, str]) -> None:
     names = defaultdict(list)
     for name, reason in refused.items():
         names[reason].append(name)
@@ -162,5 +155,5 @@ def relay_commands(plan: Plan) -> list[str]:
             f"relay {group.number}: {printed_command(relay_arguments(plan, group.need, group.cells[0].repeat), group.number)}"
         )
         if group.bridge:
-            lines.append(f"next to it: dds-bridge {shlex.join(half_arguments(plan, group))}")
+            lines.append(f"next to it: dds-trace bridge {shlex.join(half_arguments(plan, group))}")
     return lines

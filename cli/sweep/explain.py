@@ -1,21 +1,25 @@
-"""`dds-sweep --explain-rates` and `--explain-size`: record what is varied, and print why the latency rises."""
+"""`dds-trace explain rates` and `explain size`: record what is varied, and print why the latency rises."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_duration, format_size
 
+from ..program import argument, command, make_app
+from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from dds_trace.analyzer.verdicts.explain import Answer, Effect
     from dds_trace.recorder.sweep.explain import ExplainedSetup, Explanation
-    from dds_trace.recorder.sweep.plan.plan import Plan
 
 _WORDS = {
     "awake": "processors kept awake",
@@ -25,10 +29,43 @@ _WORDS = {
 }
 
 
-def made_explanation(plan: Plan, size: str | None) -> Explanation:
-    from dds_trace.recorder.sweep.explain import explain_rates, explain_size
+rates, size = make_app(), make_app()
 
-    return explain_rates(plan) if size is None else explain_size(plan, size)
+
+@command(rates, "rates")
+def rates_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Explain why the plan's slowest rate takes longer than its fastest: in shares that add up.
+
+    dds-trace explain rates plans/explain.toml
+    """
+    from dds_trace.recorder.sweep.explain import explain_rates
+
+    _explain(explain_rates(plan_of(plan, out)), out, dry_run=dry_run, as_json=as_json)
+
+
+@command(size, "size")
+def size_command(
+    jump: Annotated[str, argument("SIZE", "Where the latency jumps: 502KB, or between two sizes: 400KB..700KB.")],
+    plan: PlanPath,
+    out: Out = Path("runs"),
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Explain a jump of the latency around a size: varies buffer, segment, fragment, history and a link's queue one at a time.
+
+    dds-trace explain size 502KB plans/explain.toml
+    """
+    from dds_trace.recorder.sweep.explain import explain_size
+
+    _explain(explain_size(plan_of(plan, out), jump), out, dry_run=dry_run, as_json=as_json)
+
+
+def _explain(explanation: Explanation, out: Path, *, dry_run: bool, as_json: bool) -> None:
+    from .dry_run import dry_run as dry_run_of
+
+    if dry_run:
+        raise typer.Exit(dry_run_of(explanation.plan, out, None, None, as_json=as_json))
+    run_until_interrupted(lambda: run_explanation(explanation, out, as_json=as_json))
 
 
 def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:

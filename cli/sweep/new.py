@@ -1,4 +1,4 @@
-"""`dds-sweep new PLAN.toml`: a commented plan from three questions."""
+"""`dds-trace sweep new PLAN.toml`: a commented plan from three questions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputError, OutputExistsError
 
-from ..quick_help import argument, command_app, declare_command, option
+from ..program import argument, command, make_app, option
 
 _T = TypeVar("_T")
 
-app = command_app()
+app = make_app()
 
 
-@declare_command(app)
-def main_command(
+@command(app, "new")
+def new_command(
     plan: Annotated[Path, argument("PLAN.toml", "File to write; it must not exist.")],
     send: Annotated[
         str | None,
@@ -41,7 +41,7 @@ def main_command(
         option("--relay WHERE", "Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54."),
     ] = None,
 ) -> None:
-    """Write a commented plan for dds-sweep, and the schema with which editors complete it.
+    """Write a commented plan for `dds-trace sweep`, and the schema with which editors complete it.
 
     Asks three questions on a terminal: what is sent, what is compared, where the relay is. Each option answers one.
     """

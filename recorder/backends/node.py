@@ -13,7 +13,7 @@ from dds_trace.base import limits
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
-from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
+from ..option import OUTSIDE_OF_KEY, Axis, detail, option
 from .other_side import Strangers, unlike_participant
 from .sizes import Sizes, call_option, response_size_option, size_option
 
@@ -48,7 +48,6 @@ class NodeOptions:
     domain_id: int = detail(
         10,
         "--domain ID",
-        Panel.MIDDLEWARE,
         "DDS domain. Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
         limit=limits.DOMAIN_ID,
         variables=("ROS_DOMAIN_ID",),
@@ -57,21 +56,18 @@ class NodeOptions:
     discovery: Discovery = option(
         Discovery.SUBNET,
         "--discovery RANGE",
-        Panel.MIDDLEWARE,
         "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet (socket and zenoh without --peer: localhost)",
         variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
     )
     peers: tuple[str, ...] = detail(
         (),
         "--peer HOST",
-        Panel.MIDDLEWARE,
         "Address of the relay's device, HOST or HOST:PORT, for a backend that does not discover it; repeatable.",
         limit=limits.HOST,
     )
     rmw: str | None = detail(
         None,
         "--rmw RMW",
-        Panel.MIDDLEWARE,
         "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else the default of ROS 2",
         limit=limits.RMW,
         axis=Axis(),
@@ -81,14 +77,12 @@ class NodeOptions:
     transport: Transport = option(
         Transport.DEFAULT,
         "--transport KIND",
-        Panel.MIDDLEWARE,
         "Fast DDS: default, udp, shm or large-data; zenoh: default, shm or tcp; socket: default (TCP) or udp.",
         axis=Axis(meaning="transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))"),
     )
     configuration: Path | None = detail(
         None,
         "--configuration FILE",
-        Panel.MIDDLEWARE,
         "The middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh. Default: what its own variable names",
         parse=Path,
         axis=Axis(
@@ -98,14 +92,12 @@ class NodeOptions:
     executor: ExecutorKind = option(
         ExecutorKind.AUTO,
         "--executor KIND",
-        Panel.MIDDLEWARE,
         "Executor of rclpy: events, single, or auto, the fastest one installed.",
         axis=Axis(),
     )
     tuned: bool = option(
         False,
         "--tuned",
-        Panel.MIDDLEWARE,
         "Apply the vendor's settings for large messages.",
         limit=limits.FLAG,
         axis=Axis(meaning="whether the vendor's settings for large messages are applied"),
@@ -113,14 +105,12 @@ class NodeOptions:
     congestion_control: str | None = option(
         None,
         "--congestion-control NAME",
-        Panel.MIDDLEWARE,
         "Congestion control of TCP, for the backend socket: cubic, bbr, reno ... Default: the system's",
         axis=Axis(),
     )
     security: Security = option(
         Security.OFF,
         "--security LEVEL",
-        Panel.MIDDLEWARE,
         "DDS Security of Cyclone DDS and ROS 2 where they have its plugins, TLS (encrypt-rtps) of sockets, zenoh, and the link of a "
         "zenoh bridge:",
         axis=Axis(
@@ -130,14 +120,12 @@ class NodeOptions:
     keys: str | None = detail(
         None,
         "--keys FOLDER",
-        Panel.MIDDLEWARE,
         "Keys for --security, the same for both sides. One that is not there is made, and removed at the end.",
         limit=limits.TEXT,
     )
     priority: int | None = option(
         None,
         "--priority N",
-        Panel.MIDDLEWARE,
         "Priority of the messages: for zenoh 1 (first) to 7, for Cyclone DDS the transport priority. Default: the vendor's",
         limit=limits.PRIORITY,
         axis=Axis(),
@@ -145,14 +133,12 @@ class NodeOptions:
     when_full: WhenFull = option(
         WhenFull.DEFAULT,
         "--when-full KIND",
-        Panel.MIDDLEWARE,
         "For zenoh, when the link is full: default (block if reliable, else drop), block or drop.",
         axis=Axis(),
     )
     multicast: bool = option(
         True,
         "--no-multicast",
-        Panel.MIDDLEWARE,
         "Cyclone DDS: send each message to each relay by itself; multicast is left to discovery.",
     )
     buffer_bytes: int | None = size_option("buffer", "Receive buffer of each socket", limits.BUFFER_BYTES)

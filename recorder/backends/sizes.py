@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import parse_size
 
-from ..choices import Call
-from ..option import Axis, Panel, option
+from ..choices import Call, Role
+from ..option import Axis, option
 
 if TYPE_CHECKING:
     from dds_trace.base.limits import Whole
@@ -28,19 +28,19 @@ def size_option(name: str, text: str, limit: Whole) -> int | None:
     parse = partial(parse_size, what=flag)
     help_text = f"{text} ({', '.join(_WITH_SIZES[name])}). Default: the vendor's"
     axis = Axis(kind=int, unit="bytes", meaning=f'{text[0].lower()}{text[1:]}, as a number or a text such as `"4MB"`')
-    return option(None, f"{flag} SIZE", Panel.MIDDLEWARE, help_text, limit=limit, parse=parse, axis=axis)
+    return option(None, f"{flag} SIZE", help_text, limit=limit, parse=parse, axis=axis)
 
 
 def call_option() -> Call:
     help_text = "What carries a message and its reply instead of two topics:"
-    return option(Call.NONE, "--call KIND", Panel.CALL, help_text, axis=Axis())
+    return option(Call.NONE, "--call KIND", help_text, roles=(Role.PING, Role.RELAY), axis=Axis())
 
 
 def response_size_option(limit: Whole) -> int | None:
     flag = "--response-size"
     help_text = "Size of the response to a call, for both sides. Default: as the request; of an action 33KB"
     axis, parse = Axis(kind=int, unit="bytes"), partial(parse_size, what=flag)
-    return option(None, f"{flag} SIZE", Panel.CALL, help_text, limit=limit, parse=parse, axis=axis)
+    return option(None, f"{flag} SIZE", help_text, roles=(Role.PING, Role.RELAY), limit=limit, parse=parse, axis=axis)
 
 
 _WITH_SIZES = {

@@ -184,7 +184,7 @@ class BeaconRecording(BaseRecording):
         if self.progress().clocks:
             return None
         return (
-            f"no other beacon answered in domain {self.node.options.domain_id}: start `dds-record --role beacon` on "
+            f"no other beacon answered in domain {self.node.options.domain_id}: start `dds-trace record beacon` on "
             "another device with the same --domain, --discovery and --backend"
         )
 

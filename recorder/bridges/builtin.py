@@ -67,7 +67,7 @@ def options_from_json(path: Path) -> BridgeOptions:
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(
-            path, f"is not a configuration of a built-in bridge ({err}); `dds-bridge NAME --print-config` prints one"
+            path, f"is not a configuration of a built-in bridge ({err}); `dds-trace bridge NAME --config` prints one"
         ) from err
 
 

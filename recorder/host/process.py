@@ -38,7 +38,7 @@ SWITCH_INTERVAL_S = 0.0005
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 
-_HOW_TO_BE_PERMITTED = (
+HOW_TO_BE_PERMITTED = (
     "run as root, or add 'USER - rtprio 99' and 'USER - memlock unlimited' to "
     "/etc/security/limits.conf and log in again, or leave --realtime out"
 )
@@ -103,7 +103,7 @@ def set_realtime(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as err:
         raise OptionError(
-            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {_HOW_TO_BE_PERMITTED}"
+            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {HOW_TO_BE_PERMITTED}"
         ) from err
 
 
@@ -119,6 +119,10 @@ def _thread_times_ns() -> dict[str, int]:
     except (OSError, IndexError):
         waited_ns = 0
     return {"cpu_ns": time.thread_time_ns(), "waited_ns": waited_ns, "elapsed_ns": time.monotonic_ns()}
+
+
+def may_be_realtime() -> bool:
+    return os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0
 
 
 def _threads() -> list[int]:
@@ -138,7 +142,7 @@ def _lock_memory() -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
-        raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {_HOW_TO_BE_PERMITTED}")
+        raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {HOW_TO_BE_PERMITTED}")
 
 
 @contextlib.contextmanager

@@ -158,7 +158,7 @@ def _advice(
         else f"; or the bridge {plan.bridge} does not reach it: a bridge of two halves needs its other half next to the relay"
     )
     return (
-        f"start `dds-record --role relay --backend {backend} --domain {domain_id} --discovery {options.discovery.value} "
+        f"start `dds-trace record relay --backend {backend} --domain {domain_id} --discovery {options.discovery.value} "
         f"{_meeting_options(options)}{further}--out relay.mcap`; if it runs, check that {meeting}{crossing}"
     )
 

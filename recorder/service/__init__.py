@@ -1,1 +1,1 @@
-"""A recording of weeks: rotation, disk space, reports to systemd and `dds-record status`."""
+"""A recording of weeks: rotation, disk space, reports to systemd and `dds-trace record status`."""

@@ -33,7 +33,7 @@ _TRIES = 3
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The state of a recording, as `dds-record status --json` prints it.
+    """The state of a recording, as `dds-trace record status --json` prints it.
 
     Attributes:
         pid_start: the process's start, in clock ticks since boot: ids are reused.

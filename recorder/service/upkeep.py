@@ -1,4 +1,4 @@
-"""A recording's trace, rotation, disk, and reports to systemd and `dds-record status`."""
+"""A recording's trace, rotation, disk, and reports to systemd and `dds-trace record status`."""
 
 from __future__ import annotations
 

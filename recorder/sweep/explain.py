@@ -66,12 +66,12 @@ def explain_rates(plan: Plan) -> Explanation:
     """
     condition_axes = sorted({axis for axes in CONDITIONS.values() for axis in axes})
     if any(getattr(cell, axis) != DEFAULTS[axis] for cell in plan.cells for axis in condition_axes):
-        raise OptionError(f"--explain-rates varies {', '.join(condition_axes)}; remove them from the plan")
+        raise OptionError(f"explain rates varies {', '.join(condition_axes)}; remove them from the plan")
     rates = {cell.rate for cell in plan.cells}
     slow_hz, fast_hz = min(rates), max(rates)
     if slow_hz == fast_hz or math.isinf(fast_hz):
         raise OptionError(
-            f"--explain-rates: the plan has no two rates ({fast_hz:g} Hz); give it two, such as rate = [10, 500]"
+            f"explain rates: the plan has no two rates ({fast_hz:g} Hz); give it two, such as rate = [10, 500]"
         )
     left_out = _refused_conditions(slow_hz)
     setups = []
@@ -113,13 +113,13 @@ def explain_size(plan: Plan, text: str) -> Explanation:
     Raises:
         OptionError: the size is wrong, or the plan's data has no size to choose.
     """
-    sizes = [parse_size(part, "--explain-size") for part in text.split("..", 1)]
+    sizes = [parse_size(part, "SIZE") for part in text.split("..", 1)]
     low, high = sizes if len(sizes) > 1 else (round(share * sizes[0]) for share in AROUND)
-    limits.check(limits.SIZE_BYTES, high, "--explain-size")
+    limits.check(limits.SIZE_BYTES, high, "SIZE")
     if low >= high:
-        raise OptionError(f"--explain-size {limits.shown(text)}: the first size must be below the second")
+        raise OptionError(f"SIZE {limits.shown(text)}: the first size must be below the second")
     if any(cell.data not in ("binary", "string") for cell in plan.cells):
-        raise OptionError("--explain-size: the plan's data must have a size to choose: binary or string")
+        raise OptionError("explain size: the plan's data must have a size to choose: binary or string")
     left_out: dict[str, str] = {}
     setups = []
     for small in dict.fromkeys(replace(cell, size=low) for cell in plan.cells):

@@ -31,10 +31,10 @@ MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
 
 
 INCOMPLETE_EXIT_CODE = 10
-"""Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
+"""Exit code of `dds-trace sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
 
 TOO_WIDE_EXIT_CODE = 11
-"""Exit code of `dds-sweep --until`: all is recorded, but some cells are too wide after the last pass."""
+"""Exit code of `dds-trace sweep --until`: all is recorded, but some cells are too wide after the last pass."""
 
 DEFAULT_MAX_PASSES = 40
 """Runs with a statistic that spreads by 10 % (standard deviation) need about 33 repeats for +-5 %."""

@@ -37,6 +37,14 @@ _PACKET_TYPE_BYTE = 48 + 10
 """`sll_pkttype` of the sockaddr_ll that follows each header of 48 bytes."""
 
 
+def may_capture() -> bool:
+    try:
+        socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
+    except OSError:
+        return False
+    return True
+
+
 @dataclass(frozen=True, slots=True)
 class RingStatistics:
     """Since the previous call: packets that passed the filter, those that found no room, and how often the ring was full."""

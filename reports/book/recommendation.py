@@ -254,7 +254,7 @@ def recording_commands(setting: Setting, job: Job, messages: int) -> tuple[tuple
     relay_words, ping_words = (
         (
             printable(str(device or "the relay's device")),
-            _spelled(variables, ["--role", role, "--backend", str(backend), *options, *_side(values, setting, device)]),
+            _spelled(variables, role, ["--backend", str(backend), *options, *_side(values, setting, device)]),
         )
         for role, backend, device, values, options in sides
     )
@@ -291,8 +291,7 @@ def _option(name: str, value: str) -> tuple[str, ...]:
     return (name,) if value in ("true", "false") else (name, value)
 
 
-def _spelled(variables: Mapping[str, str], arguments: list[str]) -> str:
+def _spelled(variables: Mapping[str, str], role: str, arguments: list[str]) -> str:
     assignments = [f"{key}={shlex.quote(printable(_HASH.sub('', value)))}" for key, value in sorted(variables.items())]
-    role = arguments[arguments.index("--role") + 1]
-    words = ["dds-record", *arguments, "--out", f"runs/{role}.mcap"]
+    words = ["dds-trace", "record", role, *arguments, "--out", f"runs/{role}.mcap"]
     return " ".join([*assignments, *(shlex.quote(printable(word)) for word in words)])

@@ -193,7 +193,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     return {
         "title": printable(book.analysis.title),
         "made_by": f"dds-trace {__version__}",
-        "recommend": f"dds-analyze {shlex.quote(printable(book.analysis.title))} --recommend",
+        "recommend": f"dds-trace choose {shlex.quote(printable(book.analysis.title))}",
         "metrics": [
             {"key": key, "label": label, "menu": METRIC_MENU.get(key, label)}
             for key, label in METRIC_LABELS.items()

@@ -57,19 +57,19 @@ def test_rich_draws_its_own_escapes_and_nobody_elses(capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     ("stream", "program", "code"),
-    [("stderr", "dds-record", 0), ("stdout", "dds-record", 0), ("stdout", "dds-sweep", 6)],
+    [("stderr", "dds-record", 0), ("stdout", "dds-record", 0), ("stdout", "dds-trace", 6)],
 )
 def test_a_full_stream_costs_words(tmp_path, stream, program, code):
     script = (
         "import sys, typer\n"
-        "from dds_trace.cli.program import run_program\n"
+        "from dds_trace.cli.program import run_command\n"
         "app = typer.Typer()\n"
         "@app.command()\n"
         "def f():\n"
         "    for _ in range(3):\n"
         "        print('a' * 10_000, flush=True); print('b' * 10_000, file=sys.stderr)\n"
         "    open('done', 'w').write('done')\n"
-        f"run_program({program!r}, app, {{}}, [], needs_stdout={program != 'dds-record'})\n"
+        f"run_command(lambda: app([]), needs_stdout={program != 'dds-record'})\n"
     )
     with Path("/dev/full").open("w") as full:
         outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}

@@ -4,7 +4,7 @@
     python tests/chaos/chaos.py --seed 17 --rounds 1 # one round again, as a failing one prints it
 
 A round is a small plan and its faults, drawn from a seed (`chaos_draw.py`): processes killed or stopped, Ctrl-C, a full or
-slow disk, a link that is down. `dds-sweep` is called until every cell is complete. After each call (`chaos_checks.py`) the
+slow disk, a link that is down. `dds-trace sweep` is called until every cell is complete. After each call (`chaos_checks.py`) the
 exit code is true, complete cells stayed, no process, shared memory, namespace or file is left; at the end every cell has
 every event that was stamped for it, once. A round has its own mounts, `/dev/shm`, network and processes; it needs root.
 """

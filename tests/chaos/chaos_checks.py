@@ -31,7 +31,7 @@ KEPT_MEMORY = ("*.zenoh", "lttng-ust-wait-*")
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """One call of `dds-sweep`: its exit code and output, the faults meanwhile, and the killed command lines."""
+    """One call of `dds-trace sweep`: its exit code and output, the faults meanwhile, and the killed command lines."""
 
     code: int
     output: str

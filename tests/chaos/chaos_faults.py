@@ -34,7 +34,7 @@ class World:
         disk: the file system of the sweep's folder.
         slow: file whose existence makes it slow.
         draw: source of what is left to chance.
-        sweep: process id of `dds-sweep`.
+        sweep: process id of `dds-trace sweep`.
         killed: command lines of the processes that were killed in the round.
     """
 

@@ -106,12 +106,12 @@ class ChaosRound:
                 }
 
     def _call(self, faults: tuple[Fault, ...]) -> int:
-        """Call `dds-sweep` once while these faults happen, and check what it did; return its exit code."""
+        """Call `dds-trace sweep` once while these faults happen, and check what it did; return its exit code."""
         number = len(self.codes)
         before, killed_before = whole_cells(self._runs), len(self._world.killed)
         timetable = Timetable(faults, self._world)
         log = self._folder / f"call{number}.log"
-        command = [Path(sys.executable).with_name("dds-sweep"), self._plan, "--out", self._disk / "runs"]
+        command = [Path(sys.executable).with_name("dds-trace"), "sweep", self._plan, "--out", self._disk / "runs"]
         with log.open("wb") as output:
             streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
             sweep = subprocess.Popen(command, env=self._environment, **streams)

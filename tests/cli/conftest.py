@@ -5,15 +5,15 @@ import sys
 import pytest
 from trace_files import TWELVE, write_pair
 
-from dds_trace.cli.sweep import command
+from dds_trace.cli import trace
 
 
 @pytest.fixture
 def call(monkeypatch, capsys):
-    def calling(*arguments):
-        monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
+    def calling(*arguments, command="sweep"):
+        monkeypatch.setattr(sys, "argv", ["dds-trace", command, *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
-            command.main()
+            trace.main()
         said = capsys.readouterr()
         return ended.value.code or 0, said.out, said.err
 

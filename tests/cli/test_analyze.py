@@ -3,13 +3,12 @@ import shutil
 
 import polars as pl
 import pytest
-import typer
 from commands import run_main as analyze
+from commands import run_trace
 from mcap.writer import Writer
 from trace_files import TWELVE, run, write_pair
 
-import dds_trace.cli.analyze
-from dds_trace.cli.analyze import COMMANDS, DESKTOP_VARIABLES, main
+from dds_trace.cli.analyze import DESKTOP_VARIABLES
 
 
 def test_a_folder_gives_a_table_and_two_files(runs, capsys):
@@ -143,18 +142,8 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
     assert "gone: no such file or folder" in capsys.readouterr().err
     assert analyze("s3://bucket/a", "runs") == 2
     assert "only one path in object storage" in capsys.readouterr().err
-    assert analyze(*runs.glob("*.mcap"), "--topics") == 0  # the topics of both files, ours or not
+    assert run_trace("bag", *runs.glob("*.mcap")) == 0  # the topics of both files, ours or not
     assert "/dds_trace/t1" in capsys.readouterr().out
-
-
-def test_a_misspelt_command_is_told_what_it_may_have_meant(runs, capsys, monkeypatch, sentences):
-    assert analyze("comapre", "a", "b") == 2
-    sentences(capsys.readouterr().err.partition(": ")[2])
-    assert analyze("elsewhere") == 4  # near none
-    assert "did you mean" not in capsys.readouterr().err
-    monkeypatch.chdir(runs.parent)
-    runs.rename("comapre")
-    assert analyze("comapre") == 0
 
 
 def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
@@ -168,25 +157,8 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
     for given, status in ((tmp_path, 4), (tmp_path / "a.mcap", 3)):
         assert analyze(given) == status
         said = capsys.readouterr().err
-        assert said.count("--topics") == said.count("\n") == 1
-        assert said.endswith("`dds-analyze PATH --topics`\n")
-    assert analyze(tmp_path, "--topics") == 0
-
-
-@pytest.mark.parametrize(
-    "option",
-    [
-        *("--derived-mcap", "--card", "--all", "--sketch", "--deadline 20ms", "--recommend data=imu", "--margin 5%"),
-        *("--trust-order", "--cluster tcp://h:1"),
-    ],
-)
-def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
-    assert analyze(runs, "--topics", *option.split()) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert option.split()[0] in shown.err
-    assert analyze(runs, "--topics", "--report", "terminal") == 0
-    assert not (runs / "analysis").exists()
+        assert said.count("dds-trace bag") == said.count("\n") == 1
+    assert run_trace("bag", tmp_path) == 0
 
 
 @pytest.fixture(scope="module")
@@ -221,17 +193,17 @@ def bag(tmp_path_factory):
     ],
 )
 def test_limits_on_topics(bag, capsys, gate, code):
-    assert analyze(bag, "--topics", "--fail-if", gate) == code
+    assert run_trace("bag", bag, "--fail-if", gate) == code
     shown = capsys.readouterr()
     assert gate in (shown.err if code == 2 else shown.out)
-    assert analyze(bag, "--topics") == 30
+    assert run_trace("bag", bag) == 30
     assert analyze(bag, "--fail-if", gate) == 2  # limits of latency are those of a comparison
 
 
 def test_a_file_of_limits_made_from_a_good_bag_judges_others(bag, tmp_path, capsys):
     file = tmp_path / "limits.toml"
-    assert analyze(bag, "--topics", "--write-limits", file) == 30
-    assert analyze(bag, "--topics", "--write-limits", file) == 6
+    assert run_trace("bag", bag, "--write-limits", file) == 30
+    assert run_trace("bag", bag, "--write-limits", file) == 6
     assert analyze(bag, "--write-limits", file) == 2
     written = file.read_text()
     assert '[thresholds."/camera"]\nrate = ' in written
@@ -251,13 +223,13 @@ def test_a_file_of_limits_made_from_a_good_bag_judges_others(bag, tmp_path, caps
         ('[thresholds."vendor=x"]\nrate = "> 5 Hz"\n', 2),
     ):
         file.write_text(text)
-        assert (text, analyze(bag, "--topics", "--limits", file)) == (text, code)
-    assert analyze(bag, "--topics", "--limits", tmp_path / "none") == 2
+        assert (text, run_trace("bag", bag, "--limits", file)) == (text, code)
+    assert run_trace("bag", bag, "--limits", tmp_path / "none") == 2
 
 
 def test_reports_of_topics(runs, tmp_path, capsys):
     kinds = [f"--{kind}" for kind in ("report=html", "report=md", "report=json", "export=csv", "export=arrow")]
-    assert analyze(runs, "--topics", *kinds, "--out", tmp_path / "files") == 0
+    assert run_trace("bag", runs, *kinds, "--out", tmp_path / "files") == 0
     names = {path.name for path in (tmp_path / "files").iterdir()}
     assert names == {f"topics.{ending}" for ending in ("html", "md", "json", "csv", "arrow")}
     assert all(name in capsys.readouterr().out for name in [*names][:1])
@@ -269,30 +241,3 @@ def test_reports_of_topics(runs, tmp_path, capsys):
     named = {"name", "messages", "missing", "missing_low", "missing_high", "holes", "jitter_ns", "backward_stamps"}
     assert all(named <= topic.keys() for topic in written["topics"])
     assert "trace/t1" in (tmp_path / "files" / "topics.md").read_text()
-
-
-def test_configured_defaults_do_not_count_for_topics(runs, tmp_path, monkeypatch):
-    (tmp_path / "own.toml").write_text('[analyze]\nreport = ["html"]\nsketch = true\n')
-    monkeypatch.setenv("DDS_TRACE_CONFIG", str(tmp_path / "own.toml"))
-    assert analyze(runs, "--topics") == 0
-
-
-def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, capsys):
-    other = typer.Typer()
-
-    @other.command()
-    def compare(base):
-        print("compared", base)
-
-    monkeypatch.setattr(dds_trace.cli.analyze, "COMMANDS", {**COMMANDS, "compare": other})
-    assert analyze("compare", "x") == 0
-    assert capsys.readouterr().out == "compared x\n"
-    assert analyze(runs) == 0
-    assert "Wrote" in capsys.readouterr().out
-
-
-def test_help_names_the_other_commands(capsys):
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    shown = capsys.readouterr().out
-    assert [name for name in COMMANDS if f"dds-analyze {name}" not in shown] == []

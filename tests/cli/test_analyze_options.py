@@ -5,7 +5,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from commands import run_main
+from commands import run_main, run_trace
 from trace_files import evenly, run, write_pair
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, write_file
@@ -63,14 +63,16 @@ def test_a_derived_trace_and_its_layout(runs):
     assert read_trace(runs / "ping.mcap").event_count == 240  # a trace is never written to
 
 
+JOB = ("--size", "33KB", "--rate", "10", "--deadline", "50ms", "--reliability", "0.9")
+
+
 def test_a_recommendation(runs, capsys):
-    job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
-    assert run_main(runs, "--recommend", job) == 0
+    assert run_trace("choose", runs, *JOB) == 0
     assert "likely" in capsys.readouterr().out  # one run shows no more
 
 
 def test_topics_of_any_recording(runs, capsys):
-    assert run_main(runs, "--topics") == 0
+    assert run_trace("bag", runs) == 0
     shown = capsys.readouterr().out
     assert "/dds_trace/t1" in shown
     assert "Missing: " in shown
@@ -81,7 +83,6 @@ def test_topics_of_any_recording(runs, capsys):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("--recommend=data=binary", "missing"),
         ("--deadline=soon", "20ms"),
         ("--deadline=0ms", "20ms"),
         ("--deadline=", "20ms"),
@@ -138,21 +139,20 @@ def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(runs, ca
 
 
 def test_the_line_of_the_readme_ranks_what_was_measured(tmp_path, capsys):
-    (line,) = [word for word in (ROOT / "README.md").read_text().split("`") if "--recommend" in word]
+    (line,) = [word for word in (ROOT / "README.md").read_text().split("`") if "dds-trace choose" in word]
     *command, folder, options = *shlex.split(line)[:3], shlex.split(line)[3:]
-    assert (command, folder, options[0]) == (["dds-trace", "analyze"], "runs/", "--recommend")
-    measured = run(payload_bytes=502_000, rate_hz=20.0, planned_messages=120, published=120)
+    assert (command, folder, options[0]) == (["dds-trace", "choose"], "runs/", "--size")
+    measured = run(payload_bytes=145_000, rate_hz=20.0, planned_messages=120, published=120)
     write_pair(tmp_path / "runs", TIMELINE, runs=[measured])
-    assert run_main(tmp_path / "runs", *options) == 0
+    assert run_trace("choose", tmp_path / "runs", *options) == 0
     shown = capsys.readouterr().out
     assert "deadline of 50 ms" in shown
     assert "99 % of the messages" in " ".join(shown.split())  # the reliability that the line leaves to its default
 
 
 def test_a_recommendation_is_printed_once_in_80_columns(runs, capsys):
-    job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
     for kinds in ([], ["--report", "md"], ["--report", "terminal", "--report", "html"]):
-        assert run_main(runs, "--recommend", job, *kinds) == 0
+        assert run_trace("choose", runs, *JOB, *kinds) == 0
         shown = capsys.readouterr().out.splitlines()
         assert sum("Job:" in line for line in shown) == 1
         assert [line for line in shown if len(line) > 80 and not line.startswith(("Wrote", "file:"))] == []

@@ -12,12 +12,20 @@ PLAN = "[run]\nmessages = 1\n[axes]\nbackend = 'socket'\n"
 BASE = {
     "dds-record": ["--role", "ping", "--out", "x.mcap", "--backend", "socket", "--wait", "0"],
     "dds-analyze": ["runs"],
-    "dds-analyze compare": ["runs", "runs"],
-    "dds-analyze watch": ["runs", "--port", "0"],
-    "dds-bridge": ["builtin", "--print-config"],
-    "dds-sweep": ["p.toml", "--dry-run"],
+    "dds-trace choose": ["runs", "--size", "1KB", "--rate", "1", "--deadline", "1ms"],
+    "dds-trace compare": ["runs", "runs"],
+    "dds-trace watch": ["runs", "--port", "0"],
+    "dds-trace bag": ["runs"],
+    "dds-trace recover": ["runs/x.mcap"],
+    "dds-trace doctor": [],
+    "dds-trace bridge": ["builtin", "--config"],
+    "dds-trace sweep": ["p.toml", "--dry-run"],
+    "dds-trace capacity": ["p.toml", "--dry-run"],
+    "dds-trace explain rates": ["p.toml", "--dry-run"],
+    "dds-trace explain size": ["1KB", "p.toml", "--dry-run"],
+    "dds-trace advise": ["p.toml", "--dry-run"],
     # Every answer is read before the folder is missed, so nothing is written.
-    "dds-sweep new": ["gone/n.toml", "--send=imu @ 1", "--compare=nothing", "--relay=here"],
+    "dds-trace sweep new": ["gone/n.toml", "--send=imu @ 1", "--compare=nothing", "--relay=here"],
 }
 """Arguments beside the one option that is tried."""
 
@@ -61,7 +69,7 @@ def nothing_recorded(monkeypatch, tmp_path):
         raise MissingEventsError("nothing is analyzed here")
 
     monkeypatch.setattr("dds_trace.cli.record.run.record", check_options)
-    monkeypatch.setattr("dds_trace.cli.record.tools.report_own_cost", lambda *_: None)
+    monkeypatch.setattr("dds_trace.cli.doctor.all_checks", lambda _: [])
     monkeypatch.setattr("dds_trace.analyzer.pipeline.analyze", nothing_analyzed)
     monkeypatch.setattr("dds_trace.analyzer.recordings.topics.analyze_topics", nothing_analyzed)
     monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)

@@ -236,7 +236,7 @@ def environment(folder, delay):
     installed = next(path for path in sys.path if path.endswith("site-packages"))
     (site / "radio_driver.py").write_text(DRIVER.format(delay=delay))
     (site / "installed.pth").write_text(f"import site; site.addsitedir({installed!r})\nimport radio_driver\n")
-    for name in ("dds-record", "dds-sweep", "dds-analyze"):
+    for name in ("dds-record", "dds-trace"):
         program = folder / "bin" / name
         program.write_text(
             (Path(sys.executable).parent / name).read_text().replace(sys.executable, f"{folder}/bin/python")
@@ -270,7 +270,8 @@ def test_the_first_workflow_of_the_page_installs_both_sides_and_gives_them_to_th
 def test_the_workflow_with_a_history_feeds_each_tool(desk):
     """The traces of the stand-in for the sweep are the samples."""
     folder = desk(repeats=1)
-    stub(folder, "dds-sweep", f'cp -r "{ROOT / "sample_traces/same_domain"}" runs')
+    traces = ROOT / "sample_traces/same_domain"
+    stub(folder, "dds-trace", f'[ "$1" = sweep ] && exec cp -r "{traces}" runs; exec "{stand_ins()}/dds-trace" "$@"')
     for name in ("bencher", "otava"):
         stub(folder, name, "echo $* >> tools.log")
     (folder / "history").mkdir()

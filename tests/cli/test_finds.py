@@ -53,16 +53,12 @@ FINDS: dict[str, list[tuple[list[str], int]]] = {
         ([*RELAY, "--realtime", LARGE], 2),
         ([*PING[:3], "", "--backend", "socket"], 2),
         ([*PING[:3], "x" * 300 + ".mcap"], 2),
-        (["--self-test", "--rmw", "\udcff"], 2),
-        (["--self-test", "--domain", "999"], 2),
-        (["--recover", LARGE], 2),
     ],
     "dds-analyze": [
         (["runs", "--out", "\udcff"], 2),
         (["x" * 5000], 2),
         (["runs", "--cluster", "zzz"], 2),
         (["runs", "--deadline", "nan"], 2),
-        (["runs", "--recommend", "data=binary size=33KB rate=nan deadline=50ms"], 2),
         (["gopher://x"], 3),
         (["surrogates", "--report", "md", "--report", "html", "--report", "json"], 0),
         (["surrogates", "--report", "terminal", "--export", "csv", "--out", "o"], 0),
@@ -70,27 +66,35 @@ FINDS: dict[str, list[tuple[list[str], int]]] = {
         (["far"], 4),
         (["many"], 4),
     ],
-    "dds-analyze compare": [
+    "dds-trace choose": [(["runs", "--size", "33KB", "--rate", "nan", "--deadline", "50ms"], 2)],
+    "dds-trace compare": [
         (["runs", "runs", "--out", ""], 2),
         (["x" * 5000, "runs"], 2),
         (["runs", "runs", "--fail-if", "latency_p99 > +nan%"], 2),
         (["surrogates", "surrogates", "--report", "md"], 0),
     ],
-    "dds-analyze watch": [
+    "dds-trace watch": [
         (["runs", "--port", "0", "--every", "inf"], 2),
         (["runs", "--port", "0", "--host", "\udcff"], 2),
         (["runs", "--port", "0", "--host", ""], 2),
         (["runs", "--port", "0", "--out", "\udcff"], 2),
     ],
-    "dds-bridge": [
+    "dds-trace bag": [(["x" * 5000], 2)],
+    "dds-trace recover": [([LARGE], 2)],
+    "dds-trace doctor": [(["--out", "\udcff"], 2)],
+    "dds-trace bridge": [
         (["builtin-zenoh", "--listen", "a:\u00b2"], 2),
-        (["zenoh-bridge-dds", "--print-config", "--peer", '"\n:1'], 2),
+        (["zenoh-bridge-dds", "--config", "--peer", '"\n:1'], 2),
         (["builtin", "--depth", LARGE], 2),
         (["builtin", "--from", LARGE], 2),
         (["\udcff"], 2),
     ],
-    "dds-sweep new": [(["n.toml", "--send", "imu @ \u0661"], 2), (["p.toml", "--send", "imu @ 1"], 5)],
-    "dds-sweep": [
+    "dds-trace sweep new": [(["n.toml", "--send", "imu @ \u0661"], 2), (["p.toml", "--send", "imu @ 1"], 5)],
+    "dds-trace capacity": [(["nan.toml", "--dry-run"], 2)],
+    "dds-trace explain rates": [(["p.toml", "--dry-run"], 2)],
+    "dds-trace explain size": [(["2KB..1KB", "p.toml", "--dry-run"], 2)],
+    "dds-trace advise": [(["inf.toml", "--dry-run"], 2)],
+    "dds-trace sweep": [
         (["latin.toml", "--dry-run"], 2),
         (["/dev/zero", "--dry-run"], 2),
         (["nan.toml", "--dry-run"], 2),

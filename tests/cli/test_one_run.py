@@ -3,7 +3,7 @@ import re
 
 import pytest
 from campaigns import write_run
-from commands import run_main
+from commands import run_main, run_trace
 from trace_files import evenly
 
 from dds_trace import analyze
@@ -48,13 +48,13 @@ def without_program(page):
 
 def every_output(folder, slow, capsys):
     """What every report of a campaign says, and every report of its comparison with a slower one: name -> text."""
-    job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
+    job = ("--size", "33KB", "--rate", "10", "--deadline", "50ms", "--reliability", "0.9")
     kinds = [part for kind in ("html", "md", "json", "terminal") for part in ("--report", kind)]
-    assert run_main(folder, *kinds, "--all", "--recommend", job, "--deadline", "20ms") == 0
+    assert run_main(folder, *kinds, "--all", "--deadline", "20ms") == 0
     outputs = {"terminal": capsys.readouterr().out}
     files = {path.suffix[1:]: path.read_text() for path in (folder / "analysis").glob("report.*")}
     outputs |= files | {"html": without_program(files["html"])}
-    assert run_main(folder, "--report", "json", "--recommend", job) == 0
+    assert run_trace("choose", folder, "--report", "json", *job) == 0
     outputs["recommend"] = capsys.readouterr().out
     for kind in ("terminal", "md", "json", "junit", "html"):
         run_main("compare", folder, slow, "--fail-if", "default", "--report", kind)

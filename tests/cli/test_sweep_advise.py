@@ -1,4 +1,4 @@
-"""`dds-sweep --advise`: what it refuses, and what it prints; benchmarks/bench_advise.py runs it on real links."""
+"""`dds-trace advise`: what it refuses, and what it prints; benchmarks/bench_advise.py runs it on real links."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import pytest
 from dds_trace.analyzer.verdicts.advice import LOST_NS, first_look, pays
 from dds_trace.cli.sweep import advise as module
 from dds_trace.cli.sweep.advise import advise
-from dds_trace.cli.sweep.command import main
+from dds_trace.cli.trace import main
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 
@@ -18,7 +18,7 @@ def run(text, tmp_path, *options):
     plan = tmp_path / "mine.toml"
     plan.write_text(text)
     with pytest.raises(SystemExit) as ended:
-        main([str(plan), "--out", str(tmp_path / "runs"), "--advise", *options])
+        main(["advise", str(plan), "--out", str(tmp_path / "runs"), *options])
     return ended.value.code
 
 
@@ -34,13 +34,8 @@ def run(text, tmp_path, *options):
 )
 def test_plans_that_it_is_not_for(text, tmp_path, capsys):
     assert run(text, tmp_path) == 2
-    assert "--advise" in capsys.readouterr().err
+    assert "advise is not for" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
-
-
-def test_it_is_a_sweep_of_its_own(tmp_path, capsys):
-    assert run('[axes]\nbackend = "zenoh"', tmp_path, "--max-rate") == 2
-    assert "--max-rate and --advise" in capsys.readouterr().err
 
 
 def test_a_vendor_without_known_settings_keeps_its_default(tmp_path, capsys):

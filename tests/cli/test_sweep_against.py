@@ -55,15 +55,15 @@ class Started:
 
 def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path, sentences):
     """The plans ask for unlike sizes, so no group of one side has the parameters of one of the other."""
-    done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
+    done = run("dds-trace", "sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
     assert done.status == 0, done.stderr
     folder = tmp_path / "runs/p-against-q"
     assert starts_of(folder) == [("base", 1), ("new", 1), ("new", 2), ("base", 2), ("base", 3), ("new", 3)]
     printed = next(line for line in done.stdout.splitlines() if line.startswith("Compare: "))
-    words = printed.removeprefix("Compare: dds-analyze ").split()
+    words = printed.removeprefix("Compare: dds-trace ").split()
     assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]
     for options in (words, words[:-1]):  # in turns is pass by pass, said or not
-        compared = run("dds-analyze", *options, "--report", "md", "--all")
+        compared = run("dds-trace", *options, "--report", "md", "--all")
         assert compared.status == 0, compared.stderr
         shown = html.unescape(compared.stdout)
         row = next(line for line in shown.splitlines() if "| Round trip median |" in line)
@@ -76,7 +76,7 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
 def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
     network = "[network]\nnamespaces = true\n"
     arguments = (plan("p", "1KB", network, repeats=1), "--out", tmp_path, "--against", "SAME", "--json")
-    done = run("dds-sweep", *arguments, environment={"COLUMNS": "80"})  # cold: one in a namespace has to be
+    done = run("dds-trace", "sweep", *arguments, environment={"COLUMNS": "80"})  # cold: one in a namespace has to be
     assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["missing"] == {"base": {}, "new": {}}
@@ -102,7 +102,7 @@ def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):
         )
         base = plan("p", "1KB", robot, repeats=1)
         base.write_text(base.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
-        done = run("dds-sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
+        done = run("dds-trace", "sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
     assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert {

@@ -103,17 +103,12 @@ def test_a_size_whose_messages_are_lost_has_a_jump_and_the_factor_that_brings_th
 
 
 @pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        (("--explain-rates",), "two rates"),
-        (("--explain-size", "big"), "--explain-size"),
-        (("--explain-size", "9KB", "--max-rate"), "cannot be combined"),
-    ],
+    ("words", "word"), [(("explain", "rates"), "two rates"), (("explain", "size", "big"), "SIZE 'big'")]
 )
-def test_what_cannot_be_explained_is_one_line(tmp_path, options, word):
+def test_what_cannot_be_explained_is_one_line(tmp_path, words, word):
     plan = tmp_path / "p.toml"
     plan.write_text('[axes]\nbackend = "socket"\n')
-    ended = run_program("dds-sweep", plan, "--out", tmp_path, *options)
+    ended = run_program("dds-trace", *words, plan, "--out", tmp_path)
     assert ended.status == 2
     assert word in ended.stderr
     assert len(ended.stderr.splitlines()) == 1

@@ -5,7 +5,7 @@ import sys
 import jsonschema
 import pytest
 
-from dds_trace.cli.sweep import main
+from dds_trace.cli.trace import main
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.recorder.sweep.plan.schema import plan_schema
@@ -26,13 +26,13 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def new(tmp_path, monkeypatch, capsys):
-    """Call `dds-sweep new` on a file of the folder, with lines typed on a terminal or none; exit code, stdout, stderr."""
+    """Call `dds-trace sweep new` on a file of the folder, with lines typed on a terminal or none; exit code, stdout, stderr."""
 
     def call(name, *options, typed=None):
         monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal("\n".join(typed) + "\n"))
-        monkeypatch.setattr("sys.argv", ["dds-sweep"])
+        monkeypatch.setattr("sys.argv", ["dds-trace"])
         with pytest.raises(SystemExit) as ended:
-            main(["new", str(tmp_path / name), *options])
+            main(["sweep", "new", str(tmp_path / name), *options])
         said = capsys.readouterr()
         return ended.value.code, said.out, said.err
 
@@ -56,7 +56,7 @@ def test_answers_on_a_terminal_are_a_plan_with_a_schema_beside_it(new, tmp_path)
     assert (plan.run.messages, plan.run.repeats, plan.run.order.value) == (1000, 5, "alternating")
     text = (tmp_path / "mine.toml").read_text()
     assert text.startswith("#:schema ./plan.schema.json\n")
-    assert "dds-sweep mine.toml --rehearse\n" in text
+    assert "dds-trace sweep mine.toml --rehearse\n" in text
     assert max(map(len, text.splitlines())) <= 100
     assert json.loads((tmp_path / "plan.schema.json").read_text()) == plan_schema()
 

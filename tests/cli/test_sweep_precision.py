@@ -37,7 +37,7 @@ def plan(tmp_path, domain_id):
 
 
 def sweep(*arguments):
-    return run("dds-sweep", *arguments)
+    return run("dds-trace", "sweep", *arguments)
 
 
 def passes_in(folder):
@@ -99,7 +99,7 @@ def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders
     assert alarms["of_dealt"] == 4 * alarms["of_measured"] > 0
     for side in ("base", "new"):
         assert passes_in(Path(result[side])) == [1, 2, 3]
-    compared = run("dds-analyze", "compare", result["base"], result["new"], "--paired", "--report", "md", "--all")
+    compared = run("dds-trace", "compare", result["base"], result["new"], "--paired", "--report", "md", "--all")
     assert compared.status == 0, compared.stderr
 
 
@@ -129,7 +129,7 @@ def test_another_python_environment_records_the_new_side(plan, tmp_path):
         (("--until", "lateness_p99:5%"), "is not a statistic"),
         (("--until", "latency_p99:5%", "--max-passes", 2), "below the 3 repeats of the plan"),
         (("--max-passes", 9), "--max-passes needs --until"),
-        (("--until", "latency_p99:5%", "--max-rate"), "--max-rate and --until cannot be combined"),
+        (("--until", "latency_p99:5%", "--against", "SAME"), "--until and --against cannot be combined"),
         (("--until", "latency_p99:5%", "--print", "relay"), "cannot wait for a person"),
         (("--against", "nowhere"), "give another plan.toml"),
     ],

@@ -27,7 +27,7 @@ def sweep(tmp_path, domain_id):
     def start(thresholds, *options, repeats=3):
         path = tmp_path / "p.toml"
         path.write_text(PLAN.format(repeats=repeats, domain=domain_id, thresholds=thresholds))
-        return run("dds-sweep", path, "--out", tmp_path / "runs", *options)
+        return run("dds-trace", "sweep", path, "--out", tmp_path / "runs", *options)
 
     return start
 
@@ -71,7 +71,7 @@ def test_what_is_no_threshold_is_one_line(metric, condition, word):
         ("latency_p50 = '< +10%'", (), 3, "one side"),
         ("['payload=3']\nlatency_p50 = '< 20 ms'".replace("[", "[thresholds."), (), 3, "COLUMN=PATTERN"),
         ("", ("--limits", "missing.toml"), 3, "missing.toml"),
-        ("latency_p50 = '< 20 ms'", ("--max-rate",), 3, "--max-rate"),
+        ("latency_p50 = '< 20 ms'", ("--against", "SAME"), 3, "--against"),
     ],
 )
 def test_bad_thresholds_end_the_sweep_before_its_first_recording(sweep, tmp_path, thresholds, options, repeats, word):

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tarfile
 from contextlib import ExitStack
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -17,6 +16,8 @@ from doc_examples import DOCS, PAGES, command_lines, examples, lines_in_text
 from processes import RunningCommand
 from trace_files import SAMPLES, copy_sample
 
+from dds_trace.cli import analyze, trace
+from dds_trace.cli.record import command as record
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 SMALL_PLAN = """
@@ -108,14 +109,14 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
 
 def run(line, monkeypatch):
     """Run a command in this process as far as its first message; how it ended."""
-    monkeypatch.setattr("dds_trace.cli.record.tools.rehearse", lambda *_: None)
+    monkeypatch.setattr("dds_trace.cli.record.run.rehearse", lambda *_: None)
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: {})
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.check_plan", lambda *_: {})
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
-    shown = {"--list", "--config", "--print-config"} & set(arguments)
-    more = {"bridge": [] if shown else ["--config"], "record": ["--check"], "sweep": ["--dry-run"]}
-    kind = arguments[0] if program == "dds-trace" else program.removeprefix("dds-")
+    plans = {name: ["--dry-run"] for name in ("sweep", "explain", "advise", "capacity")}
+    more = {"bridge": ["--config"], "record": ["--check"], "dds-record": ["--check"], **plans}
+    kind = arguments[0] if program == "dds-trace" else program
     monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(kind, [])])
     with pytest.raises(SystemExit) as ended:
         command.load()()
@@ -151,7 +152,7 @@ def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkey
     assert ended.code in ((0, 21) if "--fail-if" in line and not end else (end,)), capsys.readouterr().err
 
 
-ENDS = {"drive/ --topics --report": 20, "drive/ --topics": 30}
+ENDS = {"bag drive/ --report": 20, "bag drive/": 30}
 """Part of a line -> the exit code that its page names: a limit is broken, the bag has holes."""
 
 PART = re.compile(
@@ -227,16 +228,18 @@ def test_a_plan_of_two_devices_has_both_domains():
 
 @pytest.mark.parametrize("line", lines_in_text())
 def test_options_within_a_sentence_are_those_of_the_program(line):
-    line = re.sub(r"^dds-trace record (ping|relay|tap|beacon)\b", r"dds-record --role \1", line)
-    program, *words = shlex.split(
-        re.sub("dds-trace (compare|watch)", r"dds-analyze \1", line).replace("dds-trace ", "dds-")
+    program, *words = shlex.split(line)
+    command = typer.main.get_command(
+        {"dds-trace": trace.build(words), "dds-record": record.app, "dds-analyze": analyze.app}[program]
     )
-    module = import_module(f"dds_trace.cli.{program[4:]}" + ".command" * (program in ("dds-record", "dds-sweep")))
-    command = typer.main.get_command(getattr(module, "COMMANDS", {}).get(words[0], module.app))
+    given = list(words)
+    while hasattr(command, "commands") and given[:1] and given[0] in command.commands:
+        command = command.commands[given.pop(0)]
     known = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
-    assert {word for word in words if word.startswith("--")} <= known
-    if program == "dds-record" and "--role" in words and not re.search(r"\b[A-Z]{3,}\b", line):
-        command.main([*words, "--out", "new.mcap"], standalone_mode=False, obj=lambda options: options.check())
+    assert {word for word in words if word.startswith("--")} <= {*known, "--help"}
+    is_whole = words[:1] == ["record"] and given != words and not re.search(r"\b[A-Z]{3,}\b", line)
+    if is_whole and command.name in ("ping", "relay", "tap", "beacon"):
+        command.main([*given, "--out", "new.mcap"], standalone_mode=False, obj=lambda options: options.check())
 
 
 def test_the_kept_bag_is_small():

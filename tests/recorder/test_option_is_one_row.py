@@ -15,7 +15,7 @@ from dds_trace.recorder.sweep.station.station import Station
 TOP = Path(__file__).parents[2]
 ROW = """
     toy_level: int | None = option(
-        None, "--toy-level N", Panel.MIDDLEWARE, "How much of a toy it is.", limit=limits.DEPTH, axis=Axis()
+        None, "--toy-level N", "How much of a toy it is.", limit=limits.DEPTH, axis=Axis()
     )
 """
 USES = """

@@ -5,7 +5,7 @@ A warm one has its own process id, environment, arguments, streams and exit code
 imported before it began is all that differs, so tests of installed scripts and of imports start cold
 (`processes.RunningCommand` with `environment` or `prefix` does, too).
 
-Where programs are started by their path, as shell scripts and `dds-sweep` do, `stand_ins` stand for the commands. What
+Where programs are started by their path, as shell scripts and sweeps do, `stand_ins` stand for the commands. What
 a process has of its parents but for streams, folder and environment, such as a network namespace, the command has not.
 
 Run as a program, this is the process that forks: it is given one end of a socket and the place of another, ends with
@@ -34,7 +34,7 @@ from typing import NoReturn
 
 MODULES = {
     "dds-record": "dds_trace.cli.record",
-    "dds-sweep": "dds_trace.cli.sweep",
+    "dds-trace": "dds_trace.cli.trace",
     "dds-analyze": "dds_trace.cli.analyze",
 }
 """Commands that can be started."""
@@ -43,7 +43,7 @@ KINDS = {name: "recording" if name == "dds-record" else "reading" for name in MO
 RECORDING = (
     *("dds_trace.cli.record.run", "dds_trace.cli.record.command", "dds_trace.recorder.backends.node"),
     *("dds_trace.recorder.backends.ros2.node", "sensor_msgs.msg", "std_msgs.msg", "rosidl_generator_py"),
-    *("dds_trace.recorder.backends.socket.node", "dds_trace.recorder.recording", "dds_trace.cli.record.tools"),
+    *("dds_trace.recorder.backends.socket.node", "dds_trace.recorder.recording"),
     *("dds_trace.recorder.bridges.base", "dds_trace.tracefile.recovery", "dds_trace.tracefile.mcapfile.scan"),
     *("rich.progress", "rich.console", "psutil"),
 )
@@ -53,7 +53,7 @@ Nor rclpy itself, whose library ends with a segmentation fault in a process that
 """
 READING = (
     *("dds_trace.cli.sweep.command", "dds_trace.cli.sweep.against", "dds_trace.cli.sweep.thresholds"),
-    *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.cli.topics"),
+    *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.cli.bag"),
     *("dds_trace.analyzer.analysis", "dds_trace.analyzer.saving.folder", "dds_trace.reports.comparison"),
     *("dds_trace.analyzer.verdicts.gates", "dds_trace.reports.html.page", "dds_trace.cli.analyze"),
     *("dds_trace.analyzer.pipeline", "dds_trace.analyzer.engines", "dds_trace.analyzer.findings"),
@@ -99,7 +99,7 @@ class WarmProcess:
         data = json.dumps(request).encode()
         assert len(data) < _REQUEST_BYTES
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._server.connect(str(_template(program)))
+        self._server.connect(str(_started("recording" if arguments[:1] == ["record"] else KINDS[program])))
         ends = [os.pipe() for _ in range(2)]
         socket.send_fds(self._server, [data], [write for _, write in ends])
         for _, write in ends:
@@ -141,10 +141,6 @@ def _folder() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="warm-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def _template(program: str) -> Path:
-    return _started(KINDS[program])
 
 
 @cache

@@ -18,7 +18,7 @@ from ..format.ring import TICKET_MASK, RingContents, events_by_stage, read_ring,
 from ..format.wire import WIRE_TOPIC
 from .source import Batch, Source, Text
 
-FOREIGN_HINT = "; for recordings of others: `dds-analyze PATH --topics`"
+FOREIGN_HINT = "; for recordings of others: `dds-trace bag PATH`"
 """End of the error about a whole recording that is not ours."""
 
 _MOST_NOTES = 20

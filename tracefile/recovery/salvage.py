@@ -82,7 +82,7 @@ class Salvage:
             return
         if not library.startswith(LIBRARY):
             raise TraceFormatError(
-                self._file.path, f"was written by {library!r}, not by dds-record; `mcap recover` closes such files"
+                self._file.path, f"was written by {library!r}, not by dds-trace; `mcap recover` closes such files"
             )
 
     def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText | Payload]:

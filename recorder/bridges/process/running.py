@@ -158,7 +158,7 @@ class RunningBridge:
 
     def check(self) -> None:
         if (failure := self.failure) is not None:
-            raise BridgeError(f"{failure}; run `dds-bridge {self.name}` to see its log")
+            raise BridgeError(f"{failure}; run `dds-trace bridge {self.name}` to see its log")
 
     @property
     def parts(self) -> tuple[BridgeOptions, ...]:
@@ -215,7 +215,7 @@ class RunningBridge:
                 if time.monotonic() > deadline:
                     raise BridgeError(
                         f"the bridge {self.name} did not come up within {timeout_s:g} s: {half.program.last_line()}; "
-                        f"run `dds-bridge {self.name}` to see its log"
+                        f"run `dds-trace bridge {self.name}` to see its log"
                     )
                 time.sleep(0.02)
         self.check()

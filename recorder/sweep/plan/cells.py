@@ -143,7 +143,7 @@ AXES: Mapping[str, PlanAxis] = {
         default=True,
     ),
 }
-"""The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
+"""The axes of a plan: options of a recording, and what else two sides may differ in."""
 
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
 

@@ -279,11 +279,11 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (
             plan.has_two_devices and any(cell.configuration for cell in plan.cells),
-            "the axis configuration needs both devices on this machine; set the middleware's own variable on each, or use dds-record --configuration",
+            "the axis configuration needs both devices on this machine; set the middleware's own variable on each, or use `dds-trace record ROLE --configuration`",
         ),
         (
             plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),
-            "the axis security needs both devices on this machine, as no key is sent; use dds-record --security and --keys",
+            "the axis security needs both devices on this machine, as no key is sent; use `dds-trace record ROLE --security` and `--keys`",
         ),
         (
             any(cell.outage and cell.outage_by != OutageBy.RELAY.value for cell in plan.cells) and not plan.namespaces,

@@ -111,7 +111,7 @@ TABLES: Mapping[str, Table] = {
             **_keys_of(Link),
         },
     ),
-    "search": Table("What `--max-rate` looks for.", _keys_of(Search)),
+    "search": Table("What `dds-trace capacity` looks for.", _keys_of(Search)),
     "thresholds": Table(
         "What every result has to meet, judged as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
         '`received_ratio`, and a condition or a list of them, such as `latency_p99 = "< 20 ms"`, `received_ratio = ">= 99.9 %"`. '
@@ -148,7 +148,7 @@ def plan_schema() -> Schema:
     axes = TABLES["axes"].keys
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Plan of dds-sweep",
+        "title": "Plan of dds-trace sweep",
         "description": "Every key: docs/reference/plan-keys.md of dds-trace.",
         **_object("", TABLES[""]),
         "$defs": {name: _key("axes", name, key) for name, key in axes.items()},

@@ -83,9 +83,9 @@ def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str]
         POINTER,
         "\n".join(
             [
-                f"# Show its runs and check that they start:  dds-sweep {name}.toml --rehearse",
-                f"# Record it:                                dds-sweep {name}.toml --out runs/",
-                f"# Look:                                     dds-analyze runs/{name} --report html",
+                f"# Show its runs and check that they start:  dds-trace sweep {name}.toml --rehearse",
+                f"# Record it:                                dds-trace sweep {name}.toml --out runs/",
+                f"# Look:                                     dds-trace analyze runs/{name} --report html",
             ]
         ),
         _block(

@@ -69,7 +69,7 @@ class SweepState:
     """The state of one sweep, saved after every change.
 
     Attributes:
-        planned: number of cells of the sweep, for `dds-analyze watch`; 0 while it is open.
+        planned: number of cells of the sweep, for `dds-trace watch`; 0 while it is open.
 
     Raises:
         TraceFormatError: the file is not a state of this version.

@@ -69,7 +69,7 @@ class RelayDevice:
 
 
 class LocalDevice(RelayDevice):
-    """This machine, or a namespace of it; `bridge` is its `dds-bridge`."""
+    """This machine, or a namespace of it; `bridge` is its `dds-trace bridge`."""
 
     def __init__(
         self, folder: Path, command: Sequence[str], lock: int | None = None, bridge: Sequence[str] = ()
@@ -147,12 +147,14 @@ class PrintedDevice(RelayDevice):
         return _PrintedProgram()
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:  # noqa: ARG002
-        self._show(f"and next to it: dds-bridge {shlex.join(arguments)}")
+        self._show(f"and next to it: dds-trace bridge {shlex.join(arguments)}")
         return _PrintedProgram()
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    return f"{DEFAULTS_VARIABLE}= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
+    _, role, *options = arguments
+    words = ["dds-trace", "record", role, *options, "--out", f"relay-{number}.mcap"]
+    return f"{DEFAULTS_VARIABLE}= {shlex.join(words)}"
 
 
 class _PrintedProgram:

@@ -318,4 +318,4 @@ def remove_stale() -> list[str]:
 
 def require_root() -> None:
     if os.geteuid() != 0:
-        raise OptionError("[network] and [link] need root to make network namespaces; run dds-sweep with sudo")
+        raise OptionError("[network] and [link] need root to make network namespaces; run `dds-trace sweep` with sudo")

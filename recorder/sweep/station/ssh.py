@@ -65,7 +65,7 @@ class SshDevice(RelayDevice):
         return self._rehearse(f"cd /; dds-record {shlex.join(arguments)} --out {name} --check")
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:
-        return self._rehearse(f"dds-bridge {shlex.join(arguments)} --check")
+        return self._rehearse(f"dds-trace bridge {shlex.join(arguments)} --check")
 
     def _rehearse(self, command: str) -> str | None:
         try:
@@ -78,7 +78,7 @@ class SshDevice(RelayDevice):
         self._compare_versions(f"umask 077; mkdir -p {self._remote} && ")
 
     def _compare_versions(self, prefix: str) -> None:
-        answer = self._run(f"{prefix}dds-sweep --version").split()
+        answer = self._run(f"{prefix}dds-trace --version").split()
         there = answer[-1] if answer else "nothing"
         if there != __version__:
             raise OptionError(
@@ -92,7 +92,9 @@ class SshDevice(RelayDevice):
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         name = f"{segment}.half"
-        return self._start(f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), log_path(self._folder, name))
+        return self._start(
+            f"dds-trace bridge {shlex.join(arguments)}", self._pid_file(name), log_path(self._folder, name)
+        )
 
     def _start(self, command: str, pid: str, log: Path) -> StartedProgram:
         # The id in the file is this shell's, which ends after the program.

@@ -91,7 +91,7 @@ def open_station(
         )
 
         def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
-            bridge = [*program[:-1], str(Path(program[-1]).with_name("dds-bridge"))]
+            bridge = [*program[:-1], str(Path(program[-1]).with_name("dds-trace")), "bridge"]
             relays = [
                 LocalDevice(parts, [*prefix, *keys, *program], lock, [*prefix, *bridge]) for prefix in relay_prefixes
             ]

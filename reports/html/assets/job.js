@@ -44,11 +44,11 @@ function buildJob() {
   showJob();
 }
 
-/** Show the command; what is typed becomes words of one quoted argument, whatever it holds. */
+/** Show the command; each value that is typed stays one word, whatever it holds. */
 function showJob() {
   const words = [...document.getElementById("job-form").elements]
     .map(({ name, value }) => [name, value.replace(/[^\w.%µ-]/g, "")])
     .filter(([, value]) => value)
-    .map(([name, value]) => `${name}=${value}`);
-  document.querySelector("#job-command code").textContent = `${DATA.recommend} "${words.join(" ")}"`;
+    .map(([name, value]) => `--${name} ${value}`);
+  document.querySelector("#job-command code").textContent = [DATA.recommend, ...words].join(" ");
 }

@@ -15,7 +15,7 @@ def test_a_bridge_that_runs_already_is_left_alone(domains, tmp_path):
     near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
     with (
         relay(far, tmp_path / "relay.mcap", "--depth", 1000),
-        running("dds-bridge", "builtin", "--from", near, "--to", far, "--depth", 1000) as bridge,
+        running("dds-trace", "bridge", "builtin", "--from", near, "--to", far, "--depth", 1000) as bridge,
     ):
         bridge.wait_for_line("builtin runs")
         done = ping(near, out, "--bridge", "builtin", "--bridge-running", "--relay-domain", far, *DATA)
@@ -50,7 +50,7 @@ def test_each_device_has_its_half(domains, tmp_path):
     with (
         relay(far, tmp_path / "relay.mcap", "--depth", 1000, *durations),
         running(
-            *("dds-bridge", name, "--from", near, "--to", far, "--depth", 1000, *durations),
+            *("dds-trace", "bridge", name, "--from", near, "--to", far, "--depth", 1000, *durations),
             *("--half", "relay", "--listen", address),
         ) as bridge,
     ):
@@ -74,7 +74,7 @@ def test_a_bridge_that_runs_already_carries_a_further_type(domains, tmp_path):
     with (
         relay(far, tmp_path / "relay.mcap", "--type", points_type, "--depth", 1000),
         running(
-            *("dds-bridge", "builtin", "--from", near, "--to", far, "--depth", 1000),
+            *("dds-trace", "bridge", "builtin", "--from", near, "--to", far, "--depth", 1000),
             *("--topic", f"data_sensor_msgs_PointCloud2:{points_type}"),
         ) as bridge,
     ):

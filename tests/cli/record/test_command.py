@@ -10,6 +10,7 @@ from trace_files import ping_session, run
 from typer.testing import CliRunner
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, OutputExistsError, TraceError
+from dds_trace.cli import doctor, recover
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import describe_progress, print_result
 from dds_trace.recorder import choices
@@ -222,7 +223,7 @@ def test_without_a_role_nothing_is_recorded(sentences):
 def test_a_whole_trace_has_nothing_to_recover(tmp_path):
     path = tmp_path / "x.mcap"
     TraceSink(TraceDestination(path), recorded().session).close()
-    result = CliRunner().invoke(command.app, ["--recover", str(path)])
+    result = CliRunner().invoke(recover.app, [str(path)])
     assert result.exit_code == 0, result.output
     assert "(0 events); nothing to recover" in result.output
 
@@ -234,7 +235,7 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
         sink.record(1, 7, sequence, 1000 + sequence)
     sink.close()
     path.write_bytes(path.read_bytes()[:-200])  # into the summary
-    result = CliRunner().invoke(command.app, ["--recover", str(path)])
+    result = CliRunner().invoke(recover.app, [str(path)])
     assert result.exit_code == 0, result.output
     assert result.output.startswith("Wrote ")
     assert counts_in(result.output.splitlines()[1])[:2] == [5, 0]  # events in the file, in the ring
@@ -243,16 +244,19 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
 def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path, sentences):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
-        "dds_trace.cli.record.tools.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
+        "dds_trace.recorder.host.recorder_cost.measure_recorder_cost",
+        lambda folder: cost if folder == tmp_path else None,
     )
 
     def without_middleware(*_):
         raise BackendUnavailableError("no ROS 2 here")
 
-    monkeypatch.setattr("dds_trace.cli.record.tools.measure_floor", without_middleware)
-    result = CliRunner().invoke(command.app, ["--self-test", "--out", str(tmp_path / "x.mcap")])
+    monkeypatch.setattr("dds_trace.recorder.roles.floor.measure_floor", without_middleware)
+    result = CliRunner().invoke(doctor.app, ["--out", str(tmp_path / "x.mcap"), "--json"])
     assert result.exit_code == 0, result.output
-    sentences(*result.output.splitlines())
+    costs = [check for check in json.loads(result.output) if check["part"] == "cost"]
+    assert [check["works"] for check in costs] == [True] + [False] * (len(costs) - 1)
+    sentences(costs[0]["detail"], costs[-1]["detail"])
 
 
 def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):
@@ -274,10 +278,10 @@ def test_the_recorder_ranks_every_reliability_and_durability():
 
 def test_help_names_every_bridge_backend_and_default():
     output = CliRunner(env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).invoke(command.app, ["--help"]).output
-    assert f"Messages to measure. Default: {DEFAULT_MESSAGES}," in output
-    assert f"which do not count. Default: {DEFAULT_WARMUP}\n" in output
-    for name in (*BRIDGE_MODULES, *BACKEND_MODULES):
-        assert name in output
+    shown = "".join(output.split())  # a line may end after a hyphen
+    assert f"Messagestomeasure.Default:{DEFAULT_MESSAGES}," in shown
+    assert f"whichdonotcount.Default:{DEFAULT_WARMUP}" in shown
+    assert [name for name in (*BRIDGE_MODULES, *BACKEND_MODULES) if name not in shown] == []
 
 
 def test_progress_in_words(sentences):
@@ -355,7 +359,7 @@ def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
     ended = recorded(OutputError("x.mcap: cannot write the trace: the disk is full"))
     ended = replace(ended, trace=replace(ended.trace, ring_events=7))
     with pytest.raises(
-        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-record --recover x\.mcap`$"
+        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-trace recover x\.mcap`$"
     ):
         print_result(ended, as_json=False)
 
@@ -381,15 +385,10 @@ def test_without_a_trace_nothing_is_called_written(capsys, sentences):
 
 
 def test_a_tap_and_a_beacon_last_for_a_time(parsed):
-    assert parsed("--for", 9, role="beacon").duration_s == 9
-    assert parsed("--for", 9, "--topics", "/scan", role="tap").duration_s == 9
-    for arguments, role in (
-        (("--for", 9), "relay"),
-        (("--for", 9, "--duration", 8), "beacon"),
-        (("--for", 0), "beacon"),
-    ):
-        with pytest.raises(OptionError, match=r"--for|--duration 0"):
-            parsed(*arguments, role=role).check()
+    assert parsed("--duration", 9, role="beacon").duration_s == 9
+    assert parsed("--duration", 9, "--topics", "/scan", role="tap").duration_s == 9
+    with pytest.raises(OptionError, match="--duration 0"):
+        parsed("--duration", 0, role="beacon").check()
 
 
 @pytest.mark.parametrize("text", ["1", "x%", "-1%", "101%", "nan%", "inf%", ""])

@@ -259,7 +259,7 @@ def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
     assert "dds-record: no echo within 1 s\n" in done.stderr
     assert f"binary_image (sensor_msgs/msg/Image) in domain {domain_id}" in done.stderr
     assert "middleware rmw_fastrtps_cpp, discovery range localhost" in done.stderr
-    assert f"dds-record --role relay --backend ros2 --domain {domain_id} --discovery localhost" in done.stderr
+    assert f"dds-trace record relay --backend ros2 --domain {domain_id} --discovery localhost" in done.stderr
     assert not (tmp_path / "ping.mcap").exists()
 
 

@@ -123,7 +123,7 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
     assert len([name for name in left if name.endswith(".mcap")]) in (2, 3)  # killed before the next one was dropped
     said = status(command.pid)[1].splitlines()
     assert said[0].startswith(f"killed: relay  domain {domain_id}  socket  pid {command.pid}  0 messages, ")
-    assert f" in the ring: dds-record --recover {tmp_path}/relay.0" in said[2]
+    assert f" in the ring: dds-trace recover {tmp_path}/relay.0" in said[2]
     for number in range(2):
         trace = sorted(tmp_path.glob("relay.*.mcap"))[number]
         assert read_trace(trace).sessions[0].role == "relay"

@@ -102,7 +102,7 @@ def test_the_program_serves_with_either_handle_and_its_log_has_no_colours(instal
 def test_a_program_without_any_handle_ends_with_exit_code_9_and_its_own_line(installed):
     installed()
     done = subprocess.run(
-        [sys.executable, "-m", "dds_trace.cli.bridge", "integration-service"],
+        [sys.executable, "-m", "dds_trace", "bridge", "integration-service"],
         capture_output=True,
         text=True,
         timeout=60,

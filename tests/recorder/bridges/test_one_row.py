@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.cli import bridge as command
+from dds_trace.cli import doctor
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.tracefile.reading.reader import read_trace
@@ -56,17 +57,9 @@ def test_a_toy_bridge_carries_a_ping_and_its_relay_to_a_trace_that_analyzes(doma
 
 @pytest.mark.usefixtures("toy_row")
 def test_a_toy_bridge_is_listed_and_shows_its_configuration():
-    listed = CliRunner().invoke(command.app, ["--list", "--json"])
-    (row,) = [row for row in json.loads(listed.output) if row["name"] == "toy"]
-    assert row == {
-        "name": "toy",
-        "installed": True,
-        "program": sys.executable,
-        "version": "1.0-toy",
-        "install": "it is a test's own",
-        "tried": "in this test",
-    }
-    shown = CliRunner().invoke(command.app, ["toy", "--print-config", "--from", "3", "--to", "4"])
+    (check,) = [check for check in doctor._bridges() if check.name == "toy"]
+    assert (check.works, check.detail) == (True, "1.0-toy (tried: in this test)")
+    shown = CliRunner().invoke(command.app, ["toy", "--config", "--from", "3", "--to", "4"])
     assert json.loads(shown.output)["relay_domain_id"] == 4
 
 

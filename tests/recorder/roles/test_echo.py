@@ -57,7 +57,7 @@ def test_each_backend_says_what_lets_its_sides_meet(node, backend):
     text = explain_silence(node, RunPlan(BINARY.make(4, 1), 10.0, 5), 20)
     assert "discovery range localhost, at pi4, pi5" in text
     advice = text.splitlines()[-1]
-    assert f"--role relay --backend {backend} --domain 5 " in advice
+    assert f"record relay --backend {backend} --domain 5 " in advice
     assert "bridge" not in advice
     # Ports 8 and 9 of the 250 of domain 5, which begin at 8650, and whoever looks for others needs no address.
     expected = {

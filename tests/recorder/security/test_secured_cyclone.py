@@ -42,7 +42,7 @@ def environment():
 def test_a_sweep_measures_every_level_with_keys_of_its_own(domain_id, tmp_path, environment):
     plan = tmp_path / "levels.toml"
     plan.write_text(PLAN.format(domain=domain_id, environment=environment, levels=LEVELS))
-    with running("dds-sweep", plan, "--out", tmp_path) as command:
+    with running("dds-trace", "sweep", plan, "--out", tmp_path) as command:
         done = command.finish()
     assert done.status == 0, done.stderr
     analysis = analyze(tmp_path / "levels")

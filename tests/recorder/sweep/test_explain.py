@@ -93,7 +93,7 @@ def test_each_transport_has_its_factors():
         (lambda: explain_rates(plan('rate = [10, "max"]', "[run]\nseconds = 2")), "two rates"),
         (lambda: explain_rates(plan('rate = [10, 20]\nload = "cpu"')), "varies"),
         (lambda: explain_size(plan("rate = 10"), "9KB..3KB"), "below"),
-        (lambda: explain_size(plan("rate = 10"), "large"), "--explain-size"),
+        (lambda: explain_size(plan("rate = 10"), "large"), "SIZE"),
         (lambda: explain_size(plan('data = "imu"'), "9KB"), "size"),
         (lambda: explain_size(plan("outage = 2", "[network]\nnamespaces = true"), "9KB"), "outages"),
     ],

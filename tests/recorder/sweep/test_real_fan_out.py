@@ -26,7 +26,7 @@ HOSTS = "wire = true\nrepeats = 3\n[network]\nnamespaces = true\n[axes]\nrate = 
 def command(folder, text):
     plan = folder / "p.toml"
     plan.write_text(text)
-    return [sys.executable, "-m", "dds_trace.cli.sweep", plan, "--out", folder / "runs", "--json"]
+    return [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", folder / "runs", "--json"]
 
 
 def sweep(folder, text):

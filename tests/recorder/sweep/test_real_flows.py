@@ -52,7 +52,7 @@ def sweep(tmp_path, text):
     plan = tmp_path / "p.toml"
     plan.write_text(text)
     # Not by the stand-ins of `processes`, which would stay outside of a namespace.
-    command = [sys.executable, "-m", "dds_trace.cli.sweep", plan, "--out", tmp_path / "runs", "--json"]
+    command = [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", tmp_path / "runs", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

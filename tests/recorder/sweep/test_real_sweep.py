@@ -40,9 +40,9 @@ class Sweep:
         self.plan.write_text(head + text)
         self.runs = folder / "runs" / "small"
 
-    def start(self, *options):
+    def start(self, *options, command="sweep"):
         return subprocess.Popen(
-            [sys.executable, "-m", "dds_trace.cli.sweep", self.plan, "--out", self.folder / "runs", *options],
+            [sys.executable, "-m", "dds_trace", command, self.plan, "--out", self.folder / "runs", *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -204,7 +204,7 @@ def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_
     while not lines or not lines[-1].startswith("start on the other device: "):
         lines.append(process.stderr.readline())
         assert lines[-1], f"ended: {lines}"
-    assert lines[0].startswith("relay 1: DDS_TRACE_CONFIG= dds-record --role relay")
+    assert lines[0].startswith("relay 1: DDS_TRACE_CONFIG= dds-trace record relay")
     command = shlex.split(lines[-1].removeprefix("start on the other device: DDS_TRACE_CONFIG= "))
     with subprocess.Popen([BIN / command[0], *command[1:]], cwd=tmp_path, stderr=subprocess.DEVNULL) as relay:
         stdout, stderr = process.communicate()
@@ -236,7 +236,7 @@ def test_highest_rate_is_what_the_link_carries(sweep):
         '[axes]\nbackend = "socket"\nsize = "100KB"\n[link]\nrate_mbit_s = 100\n'
         "[search]\nmin_rate = 10\nmax_rate = 1000\ndeadline_ms = 100\nseconds = 3\n"
     )
-    code, stdout, stderr = small.run("--max-rate", "--json")
+    code, stdout, stderr = small.run("--json", command="capacity")
     assert code == 0, stderr
     (found,) = json.loads(stdout)
     assert found["answer"] == "found"

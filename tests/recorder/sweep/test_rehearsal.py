@@ -175,7 +175,7 @@ def test_an_unsupported_package_in_another_environment_is_one_line(tmp_path, sen
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     program.chmod(0o755)
-    with running("dds-sweep", tmp_path / "plan.toml", "--out", tmp_path / "runs", "--rehearse") as command:
+    with running("dds-trace", "sweep", tmp_path / "plan.toml", "--out", tmp_path / "runs", "--rehearse") as command:
         done = command.finish()
     assert done.status != 0
     assert "Traceback" not in done.stdout + done.stderr

@@ -31,7 +31,7 @@ def test_throughput_and_latency_come_from_one_run(tmp_path, domain_id, backend):
     plan = tmp_path / "p.toml"
     plan.write_text(PLAN.format(backend=backend, domain=domain_id))
     done = subprocess.run(
-        [sys.executable, "-m", "dds_trace.cli.sweep", plan, "--out", tmp_path / "runs"],
+        [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", tmp_path / "runs"],
         capture_output=True,
         text=True,
         check=False,

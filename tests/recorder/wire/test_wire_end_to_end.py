@@ -121,7 +121,7 @@ def test_a_sweep_captures_each_cell_in_its_namespaces(tmp_path):
         "[run]\nmessages = 40\nwire = true\n[network]\nnamespaces = true\n"
         '[axes]\nbackend = "cyclonedds"\nsize = "10KB"\nrate = [40, 50]\n'
     )
-    sweep = [PROGRAM.with_name("dds-sweep"), plan, "--out", tmp_path / "out"]
+    sweep = [PROGRAM.with_name("dds-trace"), "sweep", plan, "--out", tmp_path / "out"]
     done = subprocess.run(sweep, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     rows = analyze(tmp_path / "out").details.wire.to_dicts()

@@ -9,7 +9,7 @@ from wording import numbers
 
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
-from dds_trace.cli.record.command import app
+from dds_trace.cli import trace
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.option import options_of
 from dds_trace.recorder.options import PingOptions, RecordOptions
@@ -111,8 +111,8 @@ def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
 def taken(command):
     program, *words = shlex.split(command)
     options = []
-    app(words, obj=options.append, standalone_mode=False)
-    assert program == "dds-record"
+    trace.build(words)(words, obj=options.append, standalone_mode=False)
+    assert program == "dds-trace"
     return options[0]
 
 
@@ -156,7 +156,7 @@ def test_on_one_machine_and_of_a_bag_the_command_says_so():
     place = {"ping_device": "vm", "relay_device": "vm", "connectivity": "loopback"}
     setting = "CYCLONEDDS_URI=my file.xml#0123abcd,data=bag:drive#/imu"
     commands = [command for _, command in advised(steady(MIXED, **place, setting=setting)).commands]
-    assert all(command.startswith("CYCLONEDDS_URI='my file.xml' dds-record --role ") for command in commands)
+    assert all(command.startswith("CYCLONEDDS_URI='my file.xml' dds-trace record ") for command in commands)
     relay, ping = (taken(command.partition("' ")[2]) for command in commands)
     assert {side.node.discovery.value for side in (relay, ping)} == {"localhost"}
     assert (ping.ping.data, ping.ping.size_bytes) == ("bag:drive#/imu", None)

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
-from dds_trace.cli.record.tools import recover_trace
+from dds_trace.cli.recover import recover_trace
 from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
 
 ROUNDS = 30

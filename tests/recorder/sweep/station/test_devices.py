@@ -26,6 +26,7 @@ echo open >"$out"
 while :; do sleep 0.05; done
 """
 HALF = """#!/bin/sh
+[ "$1" = --version ] && echo "dds-trace $VERSION" && exit
 trap 'echo "half closed" >"$HOME/half"; exit 0' TERM
 echo "$@" >"$HOME/half"
 while :; do sleep 0.05; done
@@ -53,11 +54,7 @@ def remote(server, tmp_path):
     (tmp_path / "parts").mkdir()
 
     def make(record=RECORD, version=__version__, destination=server.destination, shell=""):
-        for name, text in (
-            ("dds-record", record),
-            ("dds-bridge", HALF),
-            ("dds-sweep", f"#!/bin/sh\necho dds-sweep {version}\n"),
-        ):
+        for name, text in (("dds-record", record), ("dds-trace", HALF.replace("$VERSION", version))):
             (tmp_path / "bin" / name).write_text(text)
             (tmp_path / "bin" / name).chmod(0o755)
         settings = DeviceSettings(
@@ -112,7 +109,7 @@ def test_half_of_a_bridge_runs_next_to_the_relay_of_the_other_device(remote, tmp
     relay = device.start([], "1-1.mcap")
     half = device.start_half(["zenoh-bridge-dds", "--half", "relay"], "1-1.mcap")
     said = tmp_path / "home/half"
-    wait_until(lambda: said.exists() and said.read_text() == "zenoh-bridge-dds --half relay\n", PATIENCE_S)
+    wait_until(lambda: said.exists() and said.read_text() == "bridge zenoh-bridge-dds --half relay\n", PATIENCE_S)
     half.stop()
     relay.stop()
     assert said.read_text() == "half closed\n"
@@ -172,7 +169,7 @@ def test_endless_answer_of_a_device_is_cut_and_leaves_nothing(remote, tmp_path, 
 def test_device_that_never_ends_its_answer_is_given_up(remote, monkeypatch):
     monkeypatch.setattr(ssh, "SSH_TIMEOUT_S", 0.5)
     with pytest.raises(BackendUnavailableError, match=r"no end of its answer within 0\.5 s"):
-        remote(shell="; dds-sweep() { sleep 5; }").prepare()
+        remote(shell="; dds-trace() { sleep 5; }").prepare()
 
 
 def test_endless_log_of_a_device_ends_its_program(remote, monkeypatch):
@@ -245,9 +242,9 @@ def test_device_that_does_not_answer_is_named(remote):
 
 def test_missing_program_on_the_other_device_is_a_clear_error(remote, tmp_path):
     device = remote()
-    (tmp_path / "bin/dds-sweep").unlink()
+    (tmp_path / "bin/dds-trace").unlink()
     device._setup = device._setup.replace("$PATH", "/bin:/usr/bin")
-    with pytest.raises(BackendUnavailableError, match="dds-sweep"):
+    with pytest.raises(BackendUnavailableError, match="dds-trace"):
         device.prepare()
 
 

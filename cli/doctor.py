@@ -1,0 +1,168 @@
+"""`dds-trace doctor`: what can be measured on this machine, what cannot, why, and what to install."""
+
+from __future__ import annotations
+
+import json
+import os
+import textwrap
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from dds_trace.base import limits
+from dds_trace.base.errors import TraceError
+from dds_trace.base.units import format_duration, format_size
+
+from .program import command, make_app, option
+from .table_options import default_domain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.recorder.backends.base import Backend
+
+app = make_app()
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    part: str
+    name: str
+    works: bool
+    detail: str
+
+
+@command(app, "doctor")
+def doctor_command(
+    out: Annotated[
+        Path | None, option("--out PATH", "A trace to be: what recording costs is measured on its disk.")
+    ] = None,
+    as_json: Annotated[bool, option("--json", "Print the checks as JSON.")] = False,
+) -> None:
+    """Show what can be measured on this machine, what cannot, why, and what to install.
+
+    Middlewares, bridges, security, buffers, clocks, permissions, and what recording itself costs here (some seconds).
+    """
+    limits.check(limits.PATH, None if out is None else str(out), "--out")
+    checks = all_checks(out)
+    if as_json:
+        print(json.dumps([asdict(check) for check in checks], indent=2))
+        return
+    for part in dict.fromkeys(check.part for check in checks):
+        print(f"{part}:")
+        for check in checks:
+            if check.part == part:
+                line = f"{'+' if check.works else '-'} {check.name}: {check.detail}"
+                print(textwrap.fill(line, 80, initial_indent="  ", subsequent_indent="      ", break_on_hyphens=False))
+
+
+def all_checks(out: Path | None) -> list[Check]:
+    return [*_middlewares(), *_bridges(), *_security(), *_machine(), *_permissions(), *_costs(out)]
+
+
+def _installed() -> list[Backend]:
+    from dds_trace.recorder.backends import load_backends
+
+    return [backend for backend in load_backends() if backend.find_installed()]
+
+
+def _middlewares() -> Iterator[Check]:
+    from dds_trace.recorder.backends import load_backends
+
+    for backend in load_backends():
+        found = backend.find_installed()
+        names = ", ".join(filter(None, found)) or "installed"
+        yield Check("middlewares", f"--backend {backend.name}", bool(found), names if found else backend.install)
+
+
+def _bridges() -> Iterator[Check]:
+    from dds_trace.recorder.bridges.base import BRIDGE_MODULES, load_bridge
+
+    for bridge in map(load_bridge, BRIDGE_MODULES):
+        program = bridge.find()
+        detail = bridge.install if program is None else bridge.version(program) or str(program)
+        yield Check("bridges", bridge.name, program is not None, f"{detail} (tried: {bridge.tried})")
+
+
+def _security() -> Iterator[Check]:
+    import tempfile
+
+    from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.choices import Discovery
+    from dds_trace.recorder.security.keys import opened_keys
+
+    for backend in _installed():
+        for level in backend.security[-1:]:
+            name = f"--backend {backend.name} --security {level.value}"
+            try:
+                with tempfile.TemporaryDirectory() as folder, opened_keys(level, f"{folder}/keys") as keys:
+                    options = NodeOptions(
+                        default_domain(), discovery=Discovery.LOCALHOST, security=level, keys=keys, listens=True
+                    )
+                    backend.open_node(options).close()
+                yield Check("security", name, True, "a node opens with it")
+            except TraceError as err:
+                yield Check("security", name, False, str(err))
+
+
+def _machine() -> Iterator[Check]:
+    from dds_trace.recorder.host.fingerprint import read_text
+    from dds_trace.recorder.kernel.counters import read_limits
+
+    largest_bytes = read_limits().get("net.core.rmem_max", 0)
+    enough = 2_097_152
+    cure = "" if largest_bytes >= enough else f"; large messages get lost: sysctl -w net.core.rmem_max={enough}"
+    yield Check("buffers", "net.core.rmem_max", not cure, f"{format_size(largest_bytes)}{cure}")
+    source = read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
+    is_quick = source in ("tsc", "arch_sys_counter", "kvm-clock")
+    slow = "" if is_quick else "; reading it may take microseconds"
+    yield Check("clocks", "clock source", is_quick, f"{source}{slow}")
+
+
+def _permissions() -> Iterator[Check]:
+    from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
+    from dds_trace.recorder.wire.ring import NO_CAPTURE, may_capture
+
+    yield _permitted("--realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
+    yield _permitted("--wire", may_capture(), NO_CAPTURE)
+    yield _permitted("[network] and [link] of a plan", os.geteuid() == 0, "run `dds-trace sweep` as root")
+
+
+def _permitted(name: str, is_permitted: bool, cure: str) -> Check:
+    return Check("permissions", name, is_permitted, "permitted" if is_permitted else cure)
+
+
+def _costs(out: Path | None) -> Iterator[Check]:
+    from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
+
+    # The nearest existing folder is on the same disk.
+    folder = None if out is None else next(folder for folder in out.absolute().parents if folder.is_dir())
+    cost = measure_recorder_cost(folder)
+    # At 1 kHz caches are cold, as in a node.
+    cold = f", {_us(cost.cold_timer_ns)} at 1 kHz, subtracted" if cost.cold_timer_ns else ""
+    yield Check(
+        "cost",
+        "recording an event",
+        True,
+        f"median {_us(cost.record_median_ns)}, p99 {_us(cost.record_p99_ns)}, slowest {_us(cost.record_max_ns)} ({cost.events} "
+        f"events at 1 kHz); slowest ten in a row: {_us(cost.stall_of_ten_ns)}; reading the clock: {_us(cost.timer_ns)}{cold}",
+    )
+    yield from map(_floor, _installed())
+
+
+def _floor(backend: Backend) -> Check:
+    from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.choices import Discovery
+    from dds_trace.recorder.roles.floor import measure_floor
+
+    name = f"floor of {backend.name}"
+    try:
+        floor = measure_floor(backend.name, NodeOptions(default_domain(), discovery=Discovery.LOCALHOST))
+    except TraceError as err:
+        return Check("cost", name, False, f"not measured, {err}")
+    times = f"median {_us(floor.median_ns)}, p99 {_us(floor.p99_ns)}"
+    return Check("cost", name, True, f"{times} (a node to itself, {floor.messages} messages)")
+
+
+def _us(duration_ns: float) -> str:
+    return format_duration(duration_ns, "us")

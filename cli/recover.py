@@ -1,0 +1,36 @@
+"""`dds-trace recover FILE`: what a killed recorder left, or a damaged bag, as a whole copy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from dds_trace.base import limits
+
+from .program import argument, command, make_app, option
+
+app = make_app()
+
+
+@command(app, "recover")
+def recover_command(
+    path: Annotated[Path, argument("FILE", "A .mcap file, its ring, or a bag of another program.")],
+    out: Annotated[Path | None, option("--out PATH", "File or folder to write. Default: next to FILE")] = None,
+) -> None:
+    """Turn what a killed recorder left, or a damaged bag of another program, into a whole copy.
+
+    dds-trace recover runs/ping.mcap
+    """
+    limits.check(limits.INPUT, str(path), "FILE")
+    limits.check(limits.PATH, None if out is None else str(out), "--out")
+    recover_trace(path, out)
+
+
+def recover_trace(path: Path, out: Path | None = None) -> None:
+    from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
+    from dds_trace.tracefile.recovery.recover import recover
+
+    report = recover_recording(path, out) if is_of_others(path) else recover(path, out)
+    if report.recovered is not None:
+        print(f"Wrote {report.recovered}")
+    print("\n".join(report.lines()))

@@ -1,5 +1,0 @@
-"""`python -m dds_trace.cli.sweep`."""
-
-from .command import main
-
-main()

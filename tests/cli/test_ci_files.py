@@ -17,6 +17,9 @@ import yaml
 from warm_start import stand_ins
 from wording import numbers
 
+from dds_trace.recorder.sweep.against import against_seconds
+from dds_trace.recorder.sweep.plan.plan_file import read_plan
+
 pytestmark = pytest.mark.timeout(300)
 
 ROOT = Path(__file__).parents[2]
@@ -103,6 +106,14 @@ class Job:
         self._values |= {"github.event.pull_request.head.repo.full_name": head}
         terms = (EXPRESSION.sub(lambda found: self._values.get(found[1], ""), STEPS["comment"]["if"]), number)
         return all(terms)
+
+
+def test_the_plan_of_the_page_takes_less_than_four_minutes(tmp_path):
+    page = (ROOT / "docs/how-to/ci.md").read_text()
+    (tmp_path / "plan.toml").write_text(dedent(page[page.index("       [run]") : page.index("2. Add a workflow")]))
+    plan = read_plan(tmp_path / "plan.toml", list)
+    assert plan.run.repeats >= 3
+    assert against_seconds(plan, plan).seconds < 240
 
 
 def test_every_expression_of_the_action_names_something_that_is_there():
@@ -327,7 +338,10 @@ def test_the_example_for_gitlab_ends_with_the_code_that_its_job_allows_and_leave
         "NOTES": json.dumps([{**note, "body": "<!-- dds-trace compare -->"} for note in notes]),
     }
     script = "\n".join(GITLAB["script"]).replace("--fail-if default", f"--fail-if '{gate}'")
-    done = bash(script.replace("1 2 3 4 5", "1"), folder, GITLAB["variables"] | variables)
+    # Both sides grow until the gates decide: at the first look.
+    script = script if sent == "POST" else script.replace("1 2 3 4 5", "1")
+    done = bash(script, folder, GITLAB["variables"] | variables)
+    assert [look.name for look in (folder / "dds-trace/base").iterdir()] == ["1"]
     assert done.returncode in ([20] if sent == "POST" else GITLAB["allow_failure"]["exit_codes"]), done.stderr
     assert done.stdout.startswith("up to 5 looks, each: plan ")
     for path in (*GITLAB["artifacts"]["paths"], GITLAB["artifacts"]["reports"]["junit"]):

@@ -5,9 +5,12 @@ import io
 import json
 import math
 import re
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
 
@@ -68,6 +71,33 @@ def test_otava_reads_a_row_with_time_and_commit(make, monkeypatch):
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", row[0])
     assert all(re.fullmatch(r"\w+", name) for name in header)
     assert all(math.isfinite(float(value)) for value in row[2:])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_otava_finds_a_change_of_a_fifth_in_sixty_commits(tmp_path):
+    """In an environment of its own, as it pins a numpy; commits vary by 5 %."""
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    if subprocess.run([tmp_path / "venv/bin/pip", "install", "-q", "apache-otava==0.8.0"], check=False).returncode:
+        pytest.skip("no package index")
+    header, row = csv.reader(io.StringIO(otava_csv(sample())))
+    column = next(index for index, name in enumerate(header) if name.endswith("latency_p50"))
+    factors = np.random.default_rng(20_261_127).normal(1, 0.05, 60) * np.repeat([1, 1.2], [40, 20])
+    lines = [header]
+    for number, factor in enumerate(factors):
+        times = [
+            f"{float(row[column]) * factor:.6g}" if index == column else row[index] for index in range(2, len(row))
+        ]
+        lines.append([f"2026-{1 + number // 28:02}-{1 + number % 28:02}T00:00:00Z", f"c{number:02}", *times])
+    (tmp_path / "latency.csv").write_text("".join(",".join(line) + "\n" for line in lines))
+    (tmp_path / "otava.yaml").write_text(
+        "tests: {latency: {type: csv, file: latency.csv, time_column: time, attributes: [commit], "
+        f"metrics: {{p50: {{column: {header[column]}, direction: -1}}}}, csv_options: {{delimiter: ','}}}}}}\n"
+    )
+    otava = [tmp_path / "venv/bin/otava", "analyze", "latency", "--config-file", "otava.yaml", "--since", "2025-01-01"]
+    shown = subprocess.run(otava, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+    (change,) = [index for index, line in enumerate(shown) if "%" in line]
+    assert "c40" in shown[change + 2]
 
 
 def test_names_do_not_follow_the_machine_or_what_else_was_measured(tmp_path):

@@ -1,11 +1,12 @@
-"""What a bridge, other flows or a load cost: each setup against itself without, for equal parameters."""
+"""What a bridge, other flows or a load cost, and whether settings pay: each setup against itself without."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -17,7 +18,7 @@ from ..model.setting import FLOW, FLOWS, LOAD, WITH, parse_setting, write_settin
 from ..run_statistics.received import received_interval
 from ..statistics.percentiles import PERCENTILES
 from .cases import GroupRows, is_too_large, partition_groups
-from .compare import CompareOptions, compare_groups
+from .compare import CompareOptions, Comparison, compare_groups
 from .comparison_rows import COMPARISON_SCHEMA
 from .judgements import with_adjusted_verdicts
 from .matching import match_groups
@@ -270,3 +271,29 @@ def _judged(caught: Sequence[Caught], usual_ns: float) -> dict[str, object]:
         "wait_p50_ns": float(np.median(waits_ns)) if len(waits_ns) else None,
         "verdict": verdict.value,
     }
+
+
+LOST_NS = 10_000_000_000
+"""Response of a lost message in a first look."""
+
+
+def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> dict[str, float]:
+    """Return configuration -> geometric mean of p50 and p99 of the response over its results, ns.
+
+    `tried` is id of a run -> configuration and number of its result.
+    """
+    schema: Any = {"run_id": messages.schema["run_id"], "configuration": pl.String, "result": pl.Int64}
+    names = pl.DataFrame([(run_id, *names) for run_id, names in tried.items()], schema, orient="row")
+    response = pl.col("response_ns").fill_null(LOST_NS)
+    level = (response.quantile(0.5).log() + response.quantile(0.99).log()) / 2
+    results = messages.join(names, on="run_id").group_by("configuration", "result").agg(level.alias("level"))
+    return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
+
+
+def pays(comparison: Comparison) -> bool:
+    if comparison.barred or len(comparison.only_base) or comparison.delivery["is_dead"].any():
+        return False
+    verdicts = {*comparison.rows["verdict"], *comparison.delivery["verdict"]}
+    slower = comparison.rows["ratio_low"].fill_null(-math.inf) > 1
+    fewer = comparison.delivery["difference_high"].fill_null(math.inf) < 0
+    return "better" in verdicts and "worse" not in verdicts and not (slower.any() or fewer.any())

@@ -161,7 +161,7 @@ def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
 
 def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.advice import first_look
+    from dds_trace.analyzer.verdicts.costs import first_look
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import run_sweep
 
@@ -185,8 +185,8 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
 
 def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.advice import pays
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+    from dds_trace.analyzer.verdicts.costs import pays
     from dds_trace.recorder.sweep.advice import variables_of
     from dds_trace.recorder.sweep.against import run_against
     from dds_trace.recorder.sweep.run.progress import make_progress

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import polars as pl
 import pytest
 
-from dds_trace.analyzer.verdicts.advice import LOST_NS, first_look, pays
+from dds_trace.analyzer.verdicts.costs import LOST_NS, first_look, pays
 from dds_trace.cli.sweep import advise as module
 from dds_trace.cli.sweep.advise import advise
 from dds_trace.cli.trace import main

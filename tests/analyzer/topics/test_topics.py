@@ -111,15 +111,20 @@ def test_one_machine_needs_no_beacon(tmp_path):
     assert row["bound_ns"] <= 20_000
 
 
+def analyzed(folder, robot, laptop, **tap):
+    """Analysis of a tap on each device, with what each heard, and beacons between the devices."""
+    write_tap(folder / "robot.mcap", ROBOT, robot, session_id=1, **tap)
+    write_tap(folder / "laptop.mcap", LAPTOP, laptop, session_id=2, **tap)
+    write_beacon(folder, LAPTOP, ROBOT, seconds=23)
+    return analyze(folder)
+
+
 def test_numbers_that_nobody_heard_are_lost_and_copies_and_late_ones_counted(tmp_path):
     published = camera(seconds=20)
     lost = [50, 51, 300]
     near, far = arrivals(published, NEAR_NS, lost=lost), arrivals(published, FAR_NS, lost=[*lost, 90])
     far[200] = far[202] + 1  # overtaken by two
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, near)], session_id=1)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [Hearing(published, far)], session_id=2)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    row = row_of(analyze(tmp_path))
+    row = row_of(analyzed(tmp_path, [Hearing(published, near)], [Hearing(published, far)]))
     assert (row["published"], row["lost_unknown"], row["lost_outbound"], row["reordered"]) == (600, 3, 1, 1)
 
 
@@ -128,10 +133,7 @@ def test_what_was_sent_before_a_tap_began_or_as_it_ended_is_not_lost(tmp_path):
     near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
     far[:90] = -1
     far[-30:] = -1
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, near)], session_id=1)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [Hearing(published, far)], session_id=2)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    row = row_of(analyze(tmp_path))
+    row = row_of(analyzed(tmp_path, [Hearing(published, near)], [Hearing(published, far)]))
     assert (row["published"], row["received"]) == (480, 480)
 
 
@@ -140,21 +142,15 @@ def test_a_tap_that_runs_on_after_the_last_message_sees_an_outage_to_the_end(tmp
     near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
     far[-30:] = -1
     end_ns = int(published.sent_ns[-1]) + 2 * SECOND
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, near)], session_id=1, end_ns=end_ns)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [Hearing(published, far)], session_id=2, end_ns=end_ns)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    row = row_of(analyze(tmp_path))
+    row = row_of(analyzed(tmp_path, [Hearing(published, near)], [Hearing(published, far)], end_ns=end_ns))
     assert (row["published"], row["received"]) == (600, 570)
 
 
 def test_behind_a_bridge_messages_are_joined_by_their_content(tmp_path):
     published = camera(seconds=20)
     far = arrivals(published, FAR_NS, lost=[40])
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, arrivals(published, NEAR_NS))], session_id=1)
     bridged = Hearing(published, far, guid="02" * 16, first_sequence=7, has_source=False)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [bridged], session_id=2)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    analysis = analyze(tmp_path)
+    analysis = analyzed(tmp_path, [Hearing(published, arrivals(published, NEAR_NS))], [bridged])
     row = row_of(analysis)
     assert (row["ping_device"], row["published"], row["received"]) == ("robot", 600, 599)
     arrived = messages_of(analysis).filter(outcome="completed")
@@ -166,11 +162,8 @@ def test_contents_that_repeat_are_not_joined_behind_a_bridge(tmp_path):
     published = camera(
         seconds=20, contents=np.arange(600) // 2 * (np.arange(600) > 100) + np.arange(600) * (np.arange(600) <= 100)
     )
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, arrivals(published, NEAR_NS))], session_id=1)
     bridged = Hearing(published, arrivals(published, FAR_NS), guid="02" * 16, has_source=False)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [bridged], session_id=2)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    messages = messages_of(analyze(tmp_path))
+    messages = messages_of(analyzed(tmp_path, [Hearing(published, arrivals(published, NEAR_NS))], [bridged]))
     assert messages["one_way_ns"].drop_nulls().max() < 20 * MS
 
 
@@ -197,10 +190,9 @@ def test_the_hops_of_a_chain(tmp_path):
     near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
     found = Published("/detections", LAPTOP, far + 8 * MS, published.headers, guid="03" * 16)
     there, back = arrivals(found, NEAR_NS, seed=3), arrivals(found, FAR_NS, seed=4)
-    write_tap(tmp_path / "robot.mcap", ROBOT, [Hearing(published, near), Hearing(found, back)], session_id=1)
-    write_tap(tmp_path / "laptop.mcap", LAPTOP, [Hearing(published, far), Hearing(found, there)], session_id=2)
-    write_beacon(tmp_path, LAPTOP, ROBOT, seconds=23)
-    hops = analyze(tmp_path).topic_hops
+    hops = analyzed(
+        tmp_path, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
+    ).topic_hops
     chain = hops.filter(chain=hops.filter(topic="/detections", relay_device="robot")["chain"][0])
     events = [tuple(row) for row in chain.select("from_event", "to_event", "topic", "next_topic").rows()]
     assert events == [

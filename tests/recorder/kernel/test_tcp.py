@@ -2,6 +2,7 @@ import select
 import socket
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,32 +20,21 @@ from dds_trace.recorder.wire.packets.packet_filter import PortRange
 ACK, SYN = 0x10, 0x02
 
 
-def test_half_of_a_segment_may_be_new():
+@pytest.mark.parametrize(
+    "segments",
+    [
+        [(1050, 100, ACK, WireClass.TCP_DATA_AGAIN, 50), (1150, 10, ACK, WireClass.TCP_DATA, 0)],
+        [(1001, 100, ACK, WireClass.TCP_DATA_AGAIN, 99), (1100, 1, ACK, WireClass.TCP_DATA_AGAIN, 1)],
+        [(5000, 100, ACK, WireClass.TCP_DATA, 0), (1100, 100, ACK, WireClass.TCP_DATA_AGAIN, 100)],
+        [(500, 0, SYN, WireClass.TCP_CONTROL, 0), (501, 100, ACK, WireClass.TCP_DATA, 0)],
+    ],
+    ids=["half is new", "one byte is new", "a gap is new data", "a new connection with the same ports"],
+)
+def test_segments_after_the_first_are_new_or_sent_again(segments):
     flows = TcpFlows()
     assert flows.note("f", 1000, 100, ACK) == (WireClass.TCP_DATA, 0)
-    assert flows.note("f", 1050, 100, ACK) == (WireClass.TCP_DATA_AGAIN, 50)
-    assert flows.note("f", 1150, 10, ACK) == (WireClass.TCP_DATA, 0)
-
-
-def test_one_byte_may_be_new():
-    flows = TcpFlows()
-    flows.note("f", 1000, 100, ACK)
-    assert flows.note("f", 1001, 100, ACK) == (WireClass.TCP_DATA_AGAIN, 99)
-    assert flows.note("f", 1100, 1, ACK) == (WireClass.TCP_DATA_AGAIN, 1)
-
-
-def test_a_gap_is_new_data():
-    flows = TcpFlows()
-    flows.note("f", 1000, 100, ACK)
-    assert flows.note("f", 5000, 100, ACK) == (WireClass.TCP_DATA, 0)
-    assert flows.note("f", 1100, 100, ACK) == (WireClass.TCP_DATA_AGAIN, 100)
-
-
-def test_a_new_connection_with_the_same_ports_starts_anew():
-    flows = TcpFlows()
-    flows.note("f", 1000, 100, ACK)
-    assert flows.note("f", 500, 0, SYN) == (WireClass.TCP_CONTROL, 0)
-    assert flows.note("f", 501, 100, ACK) == (WireClass.TCP_DATA, 0)
+    for sequence, size, flags, *expected in segments:
+        assert flows.note("f", sequence, size, flags) == tuple(expected)
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), max_size=30))

@@ -83,29 +83,23 @@ def test_tickets_in_neither_file_are_missing(tmp_path):
     assert contents.missing_events == 2
 
 
-@pytest.mark.parametrize("packed", range(64))
-def test_a_slot_cut_at_any_byte_is_no_event(tmp_path, packed):
-    """The packer zeroes a slot, then fills it from its first byte to its last."""
-    path = ring_file(tmp_path / "r", slot(0, 1), slot(1, 1)[:packed].ljust(64, b"\0"))
-    assert tickets(path, 0) == [0]
+@pytest.mark.parametrize(
+    "slots",
+    [
+        # The packer zeroes a slot, then fills it from its first byte to its last.
+        *(pytest.param([slot(1, 1)[:packed].ljust(64, b"\0")], id=f"cut at byte {packed}") for packed in range(64)),
+        pytest.param([slot(2, 1)], id="mark of another slot"),
+        pytest.param([slot(1, 6), slot(2, 0)], id="stages that do not exist"),
+        *(pytest.param([slot(1 + (1 << bit), 1)], id=f"ticket 2^{bit}") for bit in range(40, 56)),
+    ],
+)
+def test_what_is_no_event(tmp_path, slots):
+    assert tickets(ring_file(tmp_path / "r", slot(0, 1), *slots), 0) == [0]
 
 
 def test_a_slot_that_is_being_zeroed_still_has_its_old_ticket(tmp_path):
     path = ring_file(tmp_path / "r", bytes(56) + slot(0, 1)[56:], slot(1, 1), slot(2, 1), slot(3, 1))
     assert tickets(path, 1) == [1, 2, 3]  # ticket 4 was about to be packed, so ticket 0 is in the trace
-
-
-def test_a_mark_in_a_slot_that_is_not_its_own_is_no_event(tmp_path):
-    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(2, 1)), 0) == [0]
-
-
-def test_a_stage_that_does_not_exist_is_no_event(tmp_path):
-    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1, 6), slot(2, 0)), 0) == [0]
-
-
-@pytest.mark.parametrize("high_bit", range(40, 56))
-def test_a_ticket_that_no_session_reaches_is_no_event(tmp_path, high_bit):
-    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1 + (1 << high_bit), 1)), 0) == [0]
 
 
 def test_a_slot_without_a_run_is_no_event(tmp_path):

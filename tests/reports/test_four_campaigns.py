@@ -5,7 +5,6 @@ import pytest
 from four_campaigns import CAMPAIGNS
 from visible_text import visible_text
 
-from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
@@ -68,26 +67,3 @@ def test_a_comparison_is_in_the_words_of_a_report():
     ]
     found = [set(OLD_WORDS.findall(html.unescape(text).lower())) for text in texts]
     assert all(words <= {"inconclusive"} for words in found), "the outcome of a gate is a code"
-
-
-@pytest.mark.parametrize(
-    "old",
-    [
-        "Binary, via builtin", "Null for want of samples: p99.9 (takes 1000)", "keeping an event took 6 µs", "Recorder 6 µs",
-        "Library 90 µs", "the way was full", "Waits in reader", "Vendors against each other", "Size by rate, per vendor",
-        "| Series |", "in 3 cells", "one cell", "Inconclusive", "12 combinations", "the contender", "a stratum", "of the survivors",
-        "told apart", "3 episodes", "any choice",
-    ],
-)  # fmt: skip
-def test_an_old_word_would_be_found(old):
-    assert OLD_WORDS.search(visible_text(f"<p>{old}</p>"))
-    assert OLD_WORDS.search(visible_text(f'<i aria-label="{old}"></i>'))
-
-
-def test_three_runs_allow_verdicts_in_the_study_and_the_radio_is_where_it_loses():
-    analysis = CAMPAIGNS["study"]()
-    assert {answer.fewest_runs for answer in analysis.details.answers} == {3}
-    assert {Clarity.CLEAR, Clarity.INCONCLUSIVE} == {answer.clarity for answer in analysis.details.answers}
-    lost = analysis.summary.filter(analysis.summary["received"] < analysis.summary["published"])
-    assert set(lost["connectivity"]) == {"wireless"}
-    assert lost["payload_bytes"].min() > 145_000

@@ -492,12 +492,12 @@ FIRST_PAINT = """() => new Promise(resolve => new PerformanceObserver(list => {
 }).observe({type: "paint", buffered: true}))"""
 
 
-def test_a_campaign_of_the_paper_paints_within_two_seconds(chromium, pages):
-    """The bar of the page itself; up to three tries, since other programs share the machine."""
-    painted_ms = []
-    while len(painted_ms) < 3 and min(painted_ms, default=2000) >= 2000:
+def test_a_campaign_of_the_paper_paints_as_soon_as_a_page_of_one_message(chromium, pages):
+    """Nothing is drawn from its rows before; in turns and the quickest of each, since other programs share the machine."""
+    painted_ms = {"one message": [], "500 groups": []}
+    for name in (*painted_ms,) * 3:
         one = Reader(chromium.new_page())
-        one.tab.goto(pages("500 groups"))
-        painted_ms.append(one.tab.evaluate(FIRST_PAINT))
+        one.tab.goto(pages(name))
+        painted_ms[name].append(one.tab.evaluate(FIRST_PAINT))
         one.tab.context.close()
-    assert min(painted_ms) < 2000
+    assert min(painted_ms["500 groups"]) < 4 * min(painted_ms["one message"])

@@ -10,11 +10,12 @@ import random
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
-from damaged_bags import KINDS, Good, damage, make_good, read_recovered
+from damaged_bags import HOWS, KINDS, Good, damage, make_good, read_recovered
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.recovery.recordings import recover_recording
@@ -25,10 +26,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kind", default="", help="only kinds with this in their name")
     options = parser.parse_args()
     lost = 0
     with tempfile.TemporaryDirectory() as folder:
         for number, kind in enumerate(KINDS):
+            if options.kind not in kind:
+                continue
             rng = random.Random(options.seed + number)
             files = (options.files + number) // len(KINDS)
             lost += _run(make_good(kind, Path(folder), options.seed), files, rng, Path(folder))
@@ -36,18 +40,19 @@ def main() -> int:
 
 
 def _run(good: Good, files: int, rng: random.Random, folder: Path) -> int:
-    path = folder / ("x.db3" if good.kind == "sqlite3" else "x.mcap")
-    whole_messages = recovered = lost = nothing = 0
+    whole_messages = recovered = nothing = 0
+    lost = Counter[str]()
     seconds = 0.0
-    for _ in range(files):
-        content, whole = damage(good, rng)
-        path.write_bytes(content)
+    for number in range(files):
+        how = HOWS[number % len(HOWS)]
+        content, whole = damage(good, rng, how)
+        path = good.write(folder, content)
         before = time.perf_counter()
         try:
             report = recover_recording(path)
         except TraceFormatError:
             nothing += 1
-            lost += len(whole)
+            lost[how] += len(whole)
             continue
         finally:
             seconds += time.perf_counter() - before
@@ -55,13 +60,15 @@ def _run(good: Good, files: int, rng: random.Random, folder: Path) -> int:
         report.recovered.unlink()
         whole_messages += len(whole)
         recovered += len(messages)
-        lost += len(whole - messages)
+        lost[how] += len(whole - messages)
     print(
-        f"{good.kind}: {files} files, {whole_messages} whole messages, {lost} of them lost, {recovered} recovered, "
+        f"{good.kind}: {files} files, {whole_messages} whole messages, {lost.total()} of them lost, {recovered} recovered, "
         f"{nothing} files without any; {1000 * seconds / files:.1f} ms a file",
+        *(f"{how}: {count} lost" for how, count in lost.items() if count),
+        sep="\n  ",
         flush=True,
     )
-    return lost
+    return lost.total()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from operator import itemgetter
 import numpy as np
 
 from dds_trace.base.units import clock_words, counted, format_duration
-from dds_trace.tracefile.recordings.recorded import Condition
+from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
 from .clocks import DAY_NS, Stamps, apart, is_simulated, of_one_clock, set_back, stamp_notes

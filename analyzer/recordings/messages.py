@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 from dds_trace.tracefile.format.header_stamps import parse_definition, plain_name, stamp_reader
-from dds_trace.tracefile.recordings.recorded import RawMessage, RecordedTopic
+from dds_trace.tracefile.reading.recorded import RawMessage, RecordedTopic
 from dds_trace.tracefile.recordings.recording_files import content_hash
 
 from .losses import LOST_TYPE, NONE, TopicTimes, is_command, lost_by_recorder

@@ -12,8 +12,8 @@ from typing import Protocol
 import polars as pl
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.read import read_messages
-from dds_trace.tracefile.recordings.recorded import Condition
 
 from ..model.finding import Source
 from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-    from dds_trace.tracefile.recordings.recorded import Condition, RecordedTopic
+    from dds_trace.tracefile.reading.recorded import Condition, RecordedTopic
 
 HEADER_TYPE = "std_msgs/msg/Header"
 _UNEVEN = 1.5
@@ -39,7 +39,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
         OptionError: the bag, the topic or its type cannot be used.
         BackendUnavailableError: rosbags is not installed.
     """
-    from dds_trace.tracefile.recordings.recorded import Condition  # noqa: PLC0415
+    from dds_trace.tracefile.reading.recorded import Condition  # noqa: PLC0415
     from dds_trace.tracefile.recordings.recording_files import content_hash, copied_messages  # noqa: PLC0415
 
     if find_spec("rosbags") is None:

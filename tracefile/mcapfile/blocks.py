@@ -102,7 +102,7 @@ class BlockJobs:
         yield from self._chunks_so_far()
 
     def _headers(self) -> Iterator[RecordHeader]:
-        self._at = len(MAGIC)
+        self._at = self.file.data_start
         data_ended = False
         while True:
             header = self._next_header()

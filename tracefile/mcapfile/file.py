@@ -26,6 +26,8 @@ R = TypeVar("R", bound=ParsedRecord)
 
 _AHEAD_BYTES = 4096  # many small records at once
 
+_SEARCHED_BYTES = 1 << 20
+
 MAX_RECORD_BYTES = 64 << 20
 """Longest record, packed or unpacked, that is read whole; chunks have 0.7 to 8 MB."""
 
@@ -70,10 +72,21 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         if not stat.S_ISREG(status.st_mode):
             self.close()
             raise TraceFormatError(self.path, "not a MCAP file: it is not a regular file")
+
+    @property
+    def data_start(self) -> int:
+        """Offset of the first record, after the first magic bytes of the file.
+
+        Raises:
+            TraceFormatError: its first mebibyte has none.
+        """
         begin = self.read(0, min(len(MAGIC), self.size))
-        if begin != MAGIC[: len(begin)]:
-            self.close()
+        if begin == MAGIC[: len(begin)]:
+            return len(MAGIC)
+        at = self.read(0, min(_SEARCHED_BYTES, self.size)).find(MAGIC)
+        if at < 0:
             raise TraceFormatError(self.path, "not a MCAP file: it does not begin with MCAP's magic bytes", 0)
+        return at + len(MAGIC)
 
     def __exit__(self, *_exception: object) -> None:
         self.close()

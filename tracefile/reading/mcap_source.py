@@ -14,7 +14,7 @@ from dds_trace.base.threads import in_order
 from dds_trace.base.units import counted
 
 from ..format.descriptions import Session
-from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
 from ..format.events import EVENT_RECORD_BYTES, TOPIC_PREFIX, Stage
 from ..mcapfile.blocks import Block, BlockJobs
 from ..mcapfile.channels import ChannelTable
@@ -47,6 +47,7 @@ class McapSource:
         self._channels = ChannelTable(self._path)
         with ExitStack() as undo:
             undo.callback(self.close)
+            self._start = self._file.data_start
             self._summary = read_summary(self._file)
             for declaration in self._summary.declarations() if self._summary else ():
                 self._channels.declare(*declaration)
@@ -174,7 +175,7 @@ class McapSource:
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
     def _room_for_events(self) -> int:
-        room, at, chunks = 0, len(MAGIC), 0
+        room, at, chunks = 0, self._start, 0
         while True:
             try:
                 header = self._file.header_at(at, _ROOM_OPCODES)
@@ -199,7 +200,7 @@ def _blocks_ahead() -> int:
 def read_first_session(path: Path) -> Session | None:
     try:
         with RecordFile(path) as file:
-            chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))
+            chunk = PackedChunk.at(file, file.header_at(file.data_start, frozenset({Opcode.CHUNK})))
             return _session_in(chunk.unpack(file), path)
     except (TraceFormatError, TornRecordError, DamagedChunkError, ValueError):
         return None

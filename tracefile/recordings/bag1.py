@@ -1,76 +1,217 @@
-"""Messages of a rosbag1 file (format 2.0), without an index, so that a bag that was not closed is read, too."""
+"""Messages of a rosbag1 file (format 2.0), without an index: damage is stepped over up to the next bytes that are a record again.
+
+Chunks that are not packed are walked as a part of the file.
+"""
 
 from __future__ import annotations
 
 import bz2
+import re
 import struct
+from collections import deque
 from collections.abc import Iterator
-from io import BytesIO
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import NamedTuple
 
 from dds_trace.base.units import counted
 
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, unpack_records
-from ..mcapfile.file import MAX_RECORD_BYTES
-from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError
+from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
+from ..reading.recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
+from .mcap_walk import UnpackedRecords
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
-_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
+_NEEDED = {
+    _MESSAGE: {"conn": 4, "time": 8},
+    _BAG_HEADER: {"index_pos": 8},
+    _INDEX: {"conn": 4},
+    _CHUNK: {"size": 4},
+    _CHUNK_INFO: {"chunk_pos": 8},
+    _CONNECTION: {"conn": 4},
+}
+"""Fields of each kind of record, and their bytes."""
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
+_OPCODE = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _MOST_HEADER_BYTES = 1 << 20
+_SEARCHED_BYTES, _SEARCHED_HEADER_BYTES = 1 << 20, 1024
 _BZ2_WEIGHT = 4
 """bz2 needs at least three times as long for a byte as lz4."""
 
 
+class _Record(NamedTuple):
+    opcode: int
+    fields: dict[str, bytes]
+    at: int
+    data_at: int
+    end: int
+    unpacked: UnpackedRecords | None = None
+
+
 def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages in file order, up to the first damage, which `condition` then has."""
-    topics: dict[int, RecordedTopic] = {}
-    with path.open("rb") as file:
-        if file.read(len(BAG1_MAGIC)) != BAG1_MAGIC:
-            raise UnreadableError("it is not a ROS 1 bag of format 2.0")
+    """Yield the messages in file order; what is damaged is in `condition`."""
+    with closing(RecordFile(path)) as file:
+        yield from _Bag1Walk(file, condition)
+
+
+class _Bag1Walk:
+    def __init__(self, file: RecordFile, condition: Condition, *, looks_ahead: bool = True) -> None:
+        self._file, self._condition, self._looks_ahead = file, condition, looks_ahead
+        self._budget, self._left_bytes = Budget(file.size), most_unpacked_bytes(file.size)
+        self._topics: dict[int, RecordedTopic] = {}
+        self._times_ns: list[int] = []
+
+    def __iter__(self) -> Iterator[RawMessage]:
+        start = len(BAG1_MAGIC)
+        if self._file.read(0, min(start, self._file.size)) != BAG1_MAGIC:
+            first = self._resume(self._file, 0, self._file.size)
+            if first is None:
+                raise UnreadableError("it is not a ROS 1 bag of format 2.0")
+            self._condition.damages.append(f"it does not begin as a ROS 1 bag; its first record is at byte {first}")
+            start = first
         try:
-            yield from _file_messages(file, path.stat().st_size, topics, condition)
-        except _DAMAGE as err:
-            condition.damages.append(
-                f"up to byte {file.tell()} it is cut off or damaged ({err}); nothing after it is read"
-            )
-        condition.topics |= set(topics.values())
+            yield from self._messages(self._file, start)
+            self._end_chunk()
+        finally:
+            self._condition.topics |= set(self._topics.values())
+
+    def _messages(self, source: RecordFile | UnpackedRecords, at: int) -> Iterator[RawMessage]:
+        for record in self._records(source, at):
+            if record.opcode == _BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
+                self._condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
+            elif record.opcode == _CONNECTION:
+                self._add_topic(record, source.read(record.data_at, record.end - record.data_at))
+            elif record.opcode == _CHUNK:
+                self._end_chunk()
+                if record.unpacked is not None:
+                    yield from self._messages(record.unpacked, 0)
+            elif record.opcode == _MESSAGE:
+                self._budget.take()
+                number = _number(record, "conn")
+                if number not in self._topics:
+                    self._look_ahead()
+                seconds, nanoseconds = _TIME.unpack(record.fields["time"])
+                self._times_ns.append(seconds * 10**9 + nanoseconds)
+                data = source.read(record.data_at, record.end - record.data_at)
+                if number in self._topics:
+                    yield RawMessage(self._topics[number], self._times_ns[-1], None, None, data)
+
+    def _end_chunk(self) -> None:
+        if self._times_ns:
+            self._condition.chunks.append((min(self._times_ns), max(self._times_ns), len(self._times_ns)))
+            self._times_ns = []
+
+    def _look_ahead(self) -> None:
+        if self._looks_ahead:
+            self._looks_ahead = False
+            ahead = _Bag1Walk(self._file, Condition(), looks_ahead=False)
+            with suppress(UnreadableError):
+                deque(ahead, 0)
+            self._topics = {**ahead._topics, **self._topics}
+
+    def _records(self, source: RecordFile | UnpackedRecords, at: int) -> Iterator[_Record]:
+        """Yield records that fit what follows them, or in which no other is found, and chunks that can be unpacked."""
+        following = self._record_at(source, at)
+        while at < source.size:
+            record = following
+            if record is None:
+                resumed_at = self._resume(source, at + 1, source.size)
+                unread_bytes = (resumed_at or source.size) - at
+                what = counted(unread_bytes, "byte is no record", "bytes are no records")
+                self._condition.damages.append(f"at byte {at} {what}")
+                at = resumed_at or source.size
+                following = self._record_at(source, at)
+                continue
+            is_packed = record.opcode == _CHUNK and record.fields["compression"] != b"none"
+            next_at = record.end if is_packed or record.opcode != _CHUNK else record.data_at
+            following = self._record_at(source, next_at)
+            if is_packed:
+                record = self._unpacked(source, record)
+            is_whole = not is_packed or record.unpacked is not None
+            if not is_whole or (following is None and next_at < source.size):
+                inside = self._resume(source, record.data_at, next_at)
+                if inside is not None:
+                    is_whole &= is_packed
+                    next_at, following = inside, self._record_at(source, inside)
+            if is_whole:
+                yield record
+            at = next_at
+
+    def _record_at(self, source: RecordFile | UnpackedRecords, at: int) -> _Record | None:
+        if source.size - at < 2 * _LENGTH.size:
+            return None
+        (header_bytes,) = _LENGTH.unpack(source.peek(at, _LENGTH.size))
+        data_at = at + 2 * _LENGTH.size + header_bytes
+        if header_bytes > _MOST_HEADER_BYTES or data_at > source.size:
+            return None
+        header = source.peek(at + _LENGTH.size, header_bytes + _LENGTH.size)
+        end = data_at + _LENGTH.unpack_from(header, header_bytes)[0]
+        try:
+            fields = _fields(header[:header_bytes])
+        except (struct.error, ValueError):
+            return None
+        opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
+        if any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {"op": 0}).items()):
+            return None
+        is_container = opcode == _CHUNK and fields.get("compression") == b"none"
+        if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
+            return None
+        return _Record(opcode, fields, at, data_at, end)
+
+    def _resume(self, source: RecordFile | UnpackedRecords, start: int, stop: int) -> int | None:
+        """Return the first record in a range, by the opcode in its header and the fields around."""
+        at = start
+        while at < stop:
+            size = min(_SEARCHED_BYTES, stop - at)
+            data = source.read(at, min(size + _SEARCHED_HEADER_BYTES, source.size - at))
+            for match in _OPCODE.finditer(data):
+                last = min(match.start() - _LENGTH.size, size - 1)
+                for header_at in range(last, max(match.start() - _SEARCHED_HEADER_BYTES, -1), -1):
+                    (header_bytes,) = _LENGTH.unpack_from(data, header_at)
+                    has_opcode = match.end() <= header_at + _LENGTH.size + header_bytes
+                    if has_opcode and self._record_at(source, at + header_at) is not None:
+                        return at + header_at
+            at += _SEARCHED_BYTES
+        return None
+
+    def _unpacked(self, source: RecordFile | UnpackedRecords, record: _Record) -> _Record:
+        compression, size = record.fields["compression"].decode(errors="replace"), _number(record, "size")
+        weight = _BZ2_WEIGHT if compression == "bz2" else 1
+        try:
+            packed = source.read(record.data_at, record.end - record.data_at)
+            data = _unpack_bz2(packed, size) if compression == "bz2" else unpack_records(compression, packed, size)
+        except (DamagedChunkError, ValueError, OSError, EOFError) as err:
+            self._condition.damages.append(f"the chunk at byte {record.at} is damaged ({err}) and left out")
+            return record
+        self._left_bytes -= weight * len(data)
+        if self._left_bytes < 0:
+            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
+        return record._replace(unpacked=UnpackedRecords(data))
+
+    def _add_topic(self, record: _Record, data: bytes) -> None:
+        try:
+            about = _fields(data)
+            name, kind = record.fields["topic"].decode(), about["type"].decode()
+        except (struct.error, ValueError, KeyError) as err:
+            self._condition.damages.append(f"the connection at byte {record.at} is damaged ({err})")
+            return
+        self._topics[_number(record, "conn")] = RecordedTopic(
+            name,
+            full_type(kind),
+            "ros1",
+            about.get("message_definition", b"").decode(errors="replace"),
+            "ros1msg",
+            "durability: transient_local" if about.get("latching") == b"1" else "",
+            about.get("callerid", b"").decode(errors="replace"),
+            about.get("md5sum", b"").decode(errors="replace"),
+        )
 
 
-_DAMAGE = (ValueError, KeyError, IndexError, struct.error, OSError, EOFError, DamagedChunkError)
-
-
-def _file_messages(
-    file: BinaryIO, size_bytes: int, topics: dict[int, RecordedTopic], condition: Condition
-) -> Iterator[RawMessage]:
-    budget, left_bytes = Budget(size_bytes), most_unpacked_bytes(size_bytes)
-    for fields, data in _records(file):
-        if fields["op"][0] == _BAG_HEADER and not int.from_bytes(fields["index_pos"], "little"):
-            condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
-        elif fields["op"][0] == _CONNECTION:
-            _add_topic(fields, data, topics)
-        elif fields["op"][0] == _CHUNK:
-            records, weight = _unpacked(fields, data)
-            left_bytes -= weight * len(records)
-            if left_bytes < 0:
-                raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
-            times_ns = []
-            for message in _messages(BytesIO(records), topics):
-                budget.take()
-                times_ns.append(message.log_ns)
-                yield message
-            if times_ns:
-                condition.chunks.append((min(times_ns), max(times_ns), len(times_ns)))
-
-
-def _records(file: BinaryIO) -> Iterator[tuple[dict[str, bytes], bytes]]:
-    while head := file.read(_LENGTH.size):
-        header = _exactly(file, _LENGTH.unpack(head)[0], _MOST_HEADER_BYTES)
-        data = _exactly(file, _LENGTH.unpack(file.read(_LENGTH.size))[0], MAX_RECORD_BYTES)
-        yield _fields(header), data
+def _number(record: _Record, field: str) -> int:
+    return int.from_bytes(record.fields[field], "little")
 
 
 def _fields(header: bytes) -> dict[str, bytes]:
@@ -78,52 +219,18 @@ def _fields(header: bytes) -> dict[str, bytes]:
     at = 0
     while at < len(header):
         (length,) = _LENGTH.unpack_from(header, at)
-        name, _, value = header[at + _LENGTH.size : at + _LENGTH.size + length].partition(b"=")
-        fields[name.decode()] = value
         at += _LENGTH.size + length
+        name, sign, value = header[at - length : at].partition(b"=")
+        if at > len(header) or not sign:
+            raise ValueError("its header is no list of fields")
+        fields[name.decode()] = value
     return fields
 
 
-def _exactly(file: BinaryIO, size: int, most: int) -> bytes:
-    if size > most:
-        raise ValueError(f"it claims {counted(size, 'byte')}")
-    data = file.read(size)
-    if len(data) < size:
-        raise ValueError("a record is cut off")
-    return data
-
-
-def _unpacked(fields: dict[str, bytes], packed: bytes) -> tuple[bytes | bytearray, int]:
-    compression, (size,) = fields["compression"].decode(), _LENGTH.unpack(fields["size"])
-    if compression != "bz2":
-        return unpack_records("" if compression == "none" else compression, packed, size), 1
+def _unpack_bz2(packed: bytes, size: int) -> bytes:
     if size > MAX_RECORD_BYTES:
         raise ValueError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
     unpacked = bz2.BZ2Decompressor().decompress(packed, size + 1)
     if len(unpacked) != size:
         raise ValueError(f"a chunk holds {counted(len(unpacked), 'byte')} and claims {size}")
-    return unpacked, _BZ2_WEIGHT
-
-
-def _messages(file: BinaryIO, topics: dict[int, RecordedTopic]) -> Iterator[RawMessage]:
-    for fields, data in _records(file):
-        if fields["op"][0] == _CONNECTION:
-            _add_topic(fields, data, topics)
-        elif fields["op"][0] == _MESSAGE:
-            seconds, nanoseconds = _TIME.unpack(fields["time"])
-            (connection,) = _LENGTH.unpack(fields["conn"])
-            yield RawMessage(topics[connection], seconds * 10**9 + nanoseconds, None, None, data)
-
-
-def _add_topic(fields: dict[str, bytes], data: bytes, topics: dict[int, RecordedTopic]) -> None:
-    about = _fields(data)
-    package, _, name = about["type"].decode().partition("/")
-    topics[_LENGTH.unpack(fields["conn"])[0]] = RecordedTopic(
-        fields["topic"].decode(),
-        f"{package}/msg/{name}",
-        "ros1",
-        about.get("message_definition", b"").decode(errors="replace"),
-        "ros1msg",
-        "durability: transient_local" if about.get("latching") == b"1" else "",
-        about.get("callerid", b"").decode(errors="replace"),
-    )
+    return unpacked

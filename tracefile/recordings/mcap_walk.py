@@ -6,6 +6,7 @@ A chunk with a CRC that matches is believed. In any other each record must fit w
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Generator, Iterator
 from contextlib import suppress
 from typing import NamedTuple, TypeAlias
@@ -20,7 +21,7 @@ from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, TornRecordError, read_summary
 from ..mcapfile.records import parse_record, record_name
-from .recorded import LATEST_NS, Budget, UnreadableError
+from ..reading.recorded import LATEST_NS, Budget, UnreadableError
 
 _LEAST_BYTES = {
     Opcode.HEADER: 8,
@@ -58,7 +59,7 @@ class WalkedMessage(NamedTuple):
 Item: TypeAlias = "WalkedMessage | Attachment | Metadata"
 
 
-class _Unpacked:
+class UnpackedRecords:
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         self._data = bytes(data)
         self.size = len(data)
@@ -80,8 +81,9 @@ class _Unpacked:
 class McapWalk:
     """One-time iterable of the messages, attachments and metadata of a file, in file order."""
 
-    def __init__(self, file: RecordFile) -> None:
+    def __init__(self, file: RecordFile, *, looks_ahead: bool = True) -> None:
         self._file = file
+        self._looks_ahead = looks_ahead
         self._budget = Budget(file.size)
         self._looks_left = _UNSUSPECTED_LOOKS + file.size
         self._unpacked_bytes = 0
@@ -107,8 +109,8 @@ class McapWalk:
         self._in_summary = frozenset(self.schemas), frozenset(self.channels)
 
     def __iter__(self) -> Iterator[Item]:
-        at: int | None = len(MAGIC)
-        while at is not None and not self.closed:
+        at = self._first_record()
+        while at is not None:
             header = self._record_at(self._file, at)
             if header is None:
                 yield from self._cut_chunk(at)
@@ -122,9 +124,7 @@ class McapWalk:
                 at = next_chunk or (header.end if fits or is_sound else self._next_record(at))
             else:
                 yield from self._single(self._file, header)
-                if header.opcode == Opcode.FOOTER:
-                    self._check_end(header.end)
-                at = header.end
+                at = self._after_footer(header.end) if header.opcode == Opcode.FOOTER else header.end
         for channel_id, count in self._undeclared.items():
             self.damages.append(f"{counted(count, 'message')} of channel {channel_id}: its declaration is lost")
         if self._impossible:
@@ -149,14 +149,42 @@ class McapWalk:
             self.damages.append("it was not closed: it has no index")
         return resumed_at
 
-    def _check_end(self, at: int) -> None:
+    def _first_record(self) -> int | None:
+        if self._file.read(0, min(len(MAGIC), self._file.size)) == MAGIC:
+            return len(MAGIC)
+        self._is_in_damage = True
+        at = self._resume(self._file, -1)
+        if at is None:
+            raise UnreadableError("not a MCAP file: it does not begin with MCAP's magic bytes, and no record was found")
+        self.damages.append(f"it does not begin with MCAP's magic bytes; its first record is at byte {at}")
+        return at
+
+    def _after_footer(self, at: int) -> int | None:
         self.closed = True
+        end = at + len(MAGIC)
         if self._file.read(at, min(len(MAGIC), self._file.size - at)) != MAGIC:
             self.damages.append(f"at byte {at} the closing magic bytes are not there")
-        elif at + len(MAGIC) < self._file.size:
-            self.notes.append(f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored")
+        elif end == self._file.size:
+            return None
+        self._is_in_damage = True
+        resumed_at = self._resume(self._file, end - 1)
+        if resumed_at is not None:
+            self.damages.append(f"at byte {resumed_at} records follow the end of the MCAP file")
+        elif end < self._file.size:
+            self.notes.append(f"the bytes from {end} on follow the end of the MCAP file and were ignored")
+        return resumed_at
 
-    def _record_at(self, source: RecordFile | _Unpacked, at: int) -> RecordHeader | None:
+    def _look_ahead(self) -> None:
+        """Declare what is declared after its first message, as in a file with its parts in disorder."""
+        if self._looks_ahead:
+            self._looks_ahead = False
+            ahead = McapWalk(self._file, looks_ahead=False)
+            ahead.schemas, ahead.channels = dict(self.schemas), dict(self.channels)
+            with suppress(UnreadableError):
+                deque(ahead, 0)
+            self.schemas, self.channels = {**ahead.schemas, **self.schemas}, {**ahead.channels, **self.channels}
+
+    def _record_at(self, source: RecordFile | UnpackedRecords, at: int) -> RecordHeader | None:
         try:
             header = source.header_at(at)
         except TornRecordError:
@@ -191,7 +219,7 @@ class McapWalk:
                     return header
         return None
 
-    def _fits_next(self, source: RecordFile | _Unpacked, at: int) -> bool:
+    def _fits_next(self, source: RecordFile | UnpackedRecords, at: int) -> bool:
         try:
             return _has_shape(source.header_at(at))
         except TornRecordError:
@@ -201,7 +229,7 @@ class McapWalk:
             # A record that the end of the file cuts off.
             return remaining[0] in _OPCODES and int.from_bytes(remaining[1:], "little") <= MAX_RECORD_BYTES
 
-    def _resume(self, source: RecordFile | _Unpacked, damaged_at: int, stop: int | None = None) -> int | None:
+    def _resume(self, source: RecordFile | UnpackedRecords, damaged_at: int, stop: int | None = None) -> int | None:
         at, stop = damaged_at + 1, source.size if stop is None else stop
         while at < stop and source.size - at >= RECORD_HEADER.size:
             data = source.read(at, min(_SEARCHED_BYTES, source.size - at, stop - at + RECORD_HEADER.size - 1))
@@ -216,7 +244,7 @@ class McapWalk:
             at += len(data) - RECORD_HEADER.size + 1
         return None
 
-    def _is_record(self, source: RecordFile | _Unpacked, at: int) -> bool:
+    def _is_record(self, source: RecordFile | UnpackedRecords, at: int) -> bool:
         try:
             header = source.header_at(at)
         except TornRecordError:
@@ -228,6 +256,8 @@ class McapWalk:
             return by_its_fields is not None and by_its_fields.end == header.end
         if header.opcode == Opcode.MESSAGE:
             channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack(source.peek(header.content, MESSAGE_HEADER.size))
+            if channel_id not in self.channels:
+                self._look_ahead()
             if channel_id not in self.channels or not self._is_near(log_ns):
                 return False
         return self._fits_next(source, header.end)
@@ -285,7 +315,7 @@ class McapWalk:
         return True
 
     def _doubtful_chunk(self, chunk: PackedChunk, why: str) -> Iterator[Item]:
-        source, count, at = _Unpacked(chunk.unpack_prefix(self._file)), 0, 0
+        source, count, at = UnpackedRecords(chunk.unpack_prefix(self._file)), 0, 0
         while True:
             header = self._record_at(source, at)
             if header is None:
@@ -302,7 +332,7 @@ class McapWalk:
         used = f"{counted(count, 'message')} of it {'is' if count == 1 else 'are'} used"
         self.damages.append(f"the chunk at byte {chunk.offset} is damaged ({why}); {used}")
 
-    def _single(self, source: RecordFile | _Unpacked, header: RecordHeader) -> Iterator[Item]:
+    def _single(self, source: RecordFile | UnpackedRecords, header: RecordHeader) -> Iterator[Item]:
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.damages.append(
@@ -333,6 +363,8 @@ class McapWalk:
     def _message(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> Iterator[Item]:
         self._budget.take()
         self._impossible += max(log_ns, publish_ns) > LATEST_NS
+        if channel_id not in self.channels:
+            self._look_ahead()
         channel = self.channels.get(channel_id)
         if channel is None:
             self._undeclared[channel_id] = self._undeclared.get(channel_id, 0) + 1

@@ -15,12 +15,12 @@ from ..format.encoding import MAGIC
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import unpack_zstd
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
+from ..reading.recorded import LATEST_NS, Condition, RawMessage, RecordedTopic, UnreadableError
 from ..reading.source import ZSTD_MAGIC
+from ..reading.sqlite_rows import SQLITE_MAGIC, sqlite_messages
 from .bag1 import BAG1_MAGIC, bag1_messages
 from .mcap_walk import McapWalk, WalkedMessage
-from .recorded import LATEST_NS, Condition, RawMessage, RecordedTopic, UnreadableError
 from .recording_files import missing_messages, open_recording
-from .sqlite_rows import SQLITE_MAGIC, sqlite_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -46,7 +46,7 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             counts, about_file = Counter[str](), Condition()
             budget = _UnpackedBytes(file.stat().st_size)
             try:
-                for message in _reader_of(file)(file, about_file):
+                for message in _READERS[storage_kind(file)](file, about_file):
                     counts[message.topic.name] += 1
                     log_ns = max(min(message.log_ns, LATEST_NS), -LATEST_NS)
                     publish_ns = message.publish_ns if abs(message.publish_ns or 0) <= LATEST_NS else None
@@ -92,16 +92,16 @@ class _UnpackedBytes:
         return data
 
 
-def _reader_of(file: Path) -> Callable[[Path, Condition], Iterator[RawMessage]]:
+def storage_kind(file: Path) -> str:
+    """Return the suffix of a file's kind: by its first bytes, else by its name, else by a beginning further on."""
     with file.open("rb") as stream:
-        start = stream.read(len(SQLITE_MAGIC))
-    for magic, _, reader in _READERS:
-        if start.startswith(magic):
-            return reader
-    for _, suffix, reader in _READERS:
-        if file.suffix == suffix:
-            return reader
-    raise UnreadableError("it is neither MCAP nor a ROS 1 bag nor a SQLite database")
+        start = stream.read(_SEARCHED_BYTES)
+    kinds = [kind for magic, kind in _MAGICS.items() if start.startswith(magic)]
+    kinds += [kind for kind in _READERS if file.suffix == kind]
+    kinds += [kind for magic, kind in _MAGICS.items() if magic in start]
+    if not kinds:
+        raise UnreadableError("it is neither MCAP nor a ROS 1 bag nor a SQLite database")
+    return kinds[0]
 
 
 def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
@@ -146,9 +146,11 @@ def _topic_of(channel: Channel, schema: Schema | None) -> RecordedTopic:
 
 TEXT_ENCODINGS = frozenset({"ros1msg", "ros2msg", "ros2idl", "omgidl", "jsonschema"})
 
-_READERS: tuple[tuple[bytes, str, Callable[[Path, Condition], Iterator[RawMessage]]], ...] = (
-    (MAGIC, ".mcap", _mcap_messages),
-    (BAG1_MAGIC, ".bag", bag1_messages),
-    (SQLITE_MAGIC, ".db3", sqlite_messages),
-)
-"""First bytes, suffix, and reader of each kind."""
+_MAGICS = {MAGIC: ".mcap", BAG1_MAGIC: ".bag", SQLITE_MAGIC: ".db3"}
+_SEARCHED_BYTES = 1 << 20
+
+_READERS: dict[str, Callable[[Path, Condition], Iterator[RawMessage]]] = {
+    ".mcap": _mcap_messages,
+    ".bag": bag1_messages,
+    ".db3": sqlite_messages,
+}

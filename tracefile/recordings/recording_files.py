@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import shutil
-import sqlite3
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,23 +34,15 @@ class RecordingFiles:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[RecordingFiles]:
-    """Yield the files of a recording, packed ones and databases with a log as temporary copies."""
+    """Yield the files of a recording, packed ones as temporary copies."""
     recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
     with ExitStack() as stack:
         for number, file in enumerate(recording.files):
-            log = file.with_name(f"{file.name}-wal")
-            has_log = file.suffix == ".db3" and log.is_file() and log.stat().st_size > 0
-            if file.suffix != ZSTD_SUFFIX and not has_log:
-                continue
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dds-trace-")))
-            copy = folder / (file.stem if file.suffix == ZSTD_SUFFIX else file.name)
-            if has_log:
-                _join_log(file, log, copy)
-                recording.notes.append(f"the messages in {log.name} are included")
-            else:
-                with copy.open("wb") as unpacked:
+            if file.suffix == ZSTD_SUFFIX:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="dds-trace-"))
+                recording.files[number] = Path(folder) / file.stem
+                with recording.files[number].open("wb") as unpacked:
                     unpack_file(file, unpacked, LARGEST_FILE_RATIO, most_unpacked_bytes(0))
-            recording.files[number] = copy
         yield recording
 
 
@@ -86,8 +76,12 @@ def _described(folder: Path) -> RecordingFiles:
     names = {_unpacked_name(name) for name in listed}
     files = [file for file in stored if _unpacked_name(file.name) in names]
     missing = sorted(names - {_unpacked_name(file.name) for file in files})
+    unlisted = [file for file in stored if file not in files]
+    if len(missing) == len(unlisted) == 1:
+        note = f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
+        return RecordingFiles(stored, stored[:], notes=[note], claimed=claimed)
     damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
-    notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in stored if file not in files]
+    notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
     if not files:
         raise TraceFormatError(folder, "; ".join([*damages, *notes][:3]))
     return RecordingFiles(files, files[:], damages, notes, claimed)
@@ -135,15 +129,3 @@ _COUNT = re.compile(r"\d{1,18}")
 def _plain(text: str) -> str:
     text = text.strip()
     return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
-
-
-def _join_log(database: Path, log: Path, copy: Path) -> None:
-    """Copy a database with its log (https://www.sqlite.org/wal.html)."""
-    shutil.copyfile(database, copy)
-    shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
-    try:
-        with closing(sqlite3.connect(copy)) as joined:
-            joined.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-            joined.execute("PRAGMA journal_mode=DELETE").fetchall()
-    except sqlite3.Error as err:
-        raise TraceFormatError(database, f"its log {log.name} cannot be read ({err})") from err

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import CompressionType, Writer
@@ -20,12 +22,17 @@ from ..format.bag_metadata import BagFile, TopicCount, write_bag_metadata
 from ..format.encoding import MAGIC
 from ..format.ring import RING_SUFFIX, ring_path
 from ..mcapfile.file import RecordFile, TornRecordError
+from ..reading.recorded import Condition, RecordedTopic, UnreadableError
+from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
 from ..reading.storage import ZSTD_SUFFIX
+from ..recordings.bag1 import bag1_messages
 from ..recordings.mcap_walk import McapWalk
-from ..recordings.recorded import Condition, RecordedTopic, UnreadableError
+from ..recordings.read import storage_kind
 from ..recordings.recording_files import open_recording
-from ..recordings.sqlite_rows import SQLITE_MAGIC, SQLITE_TABLES, sqlite_messages
 from ..writing.event_chunks import LIBRARY
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 _LATEST_NS = 2**63 - 1
 _HEADER_BYTES = 64
@@ -81,21 +88,20 @@ def is_of_others(path: Path) -> bool:
     trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
     if path.name.endswith(RING_SUFFIX) or ring_path(trace).exists() or not path.exists():
         return False
-    if not trace.exists() or _is_sqlite(trace):
+    if not trace.exists() or trace.suffix == ".db3":
         return True
     try:
         with closing(RecordFile(trace)) as file:
             if file.size <= len(MAGIC):
                 return False
-            return not file.parse(Header, file.header_at(len(MAGIC))).library.startswith(LIBRARY)
-    except TraceFormatError:
-        return False
-    except TornRecordError:
-        return LIBRARY.encode() not in trace.read_bytes()[:_HEADER_BYTES]
+            return not file.parse(Header, file.header_at(file.data_start)).library.startswith(LIBRARY)
+    except (TraceFormatError, TornRecordError):
+        with trace.open("rb") as stream:
+            return LIBRARY.encode() not in stream.read(_HEADER_BYTES)
 
 
 def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:
-    """Write every whole message of an MCAP file, a database or a rosbag2 folder into a new one, with index, statistics and metadata.yaml.
+    """Write every whole message of an MCAP file, a database, a ROS 1 bag or a rosbag2 folder into a new one, with index, statistics and metadata.yaml.
 
     Args:
         path: what another program wrote, whether or not it was closed.
@@ -119,7 +125,7 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
             for source, original in zip(recording.files, recording.names, strict=True):
                 new = _NewFile(target / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else target)
                 try:
-                    damages, doubtful = (_recover_sqlite if _is_sqlite(source) else _recover_mcap)(source, new)
+                    damages, doubtful = _RECOVERIES[storage_kind(source)](source, new)
                 except (TraceFormatError, UnreadableError) as err:
                     report.damages.append(f"{original.name}: {err.what if isinstance(err, TraceFormatError) else err}")
                     new.path.unlink(missing_ok=True)
@@ -132,7 +138,7 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
                 report.unchecked += new.unchecked
                 written.append(new)
             if is_folder and written:
-                storage = "sqlite3" if _is_sqlite(written[0].path) else "mcap"
+                storage = "sqlite3" if storage_kind(written[0].path) == ".db3" else "mcap"
                 write_bag_metadata(target, storage, [new.described for new in written], _joined_topics(written))
         except OSError as err:
             raise output_error(target, err, "the recording") from err
@@ -154,11 +160,6 @@ def _joined_topics(files: list[_NewFile]) -> list[TopicCount]:
         for name, count in file.topics.items():
             topics[name] = topics[name].plus(count.messages) if name in topics else count
     return list(topics.values())
-
-
-def _is_sqlite(file: Path) -> bool:
-    with file.open("rb") as stream:
-        return stream.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC or file.suffix == ".db3"
 
 
 def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
@@ -273,3 +274,37 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
             declared(topic)
         database.commit()
     return condition.damages, 0
+
+
+def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
+    try:
+        from rosbags.rosbag1 import Writer as Bag1Writer  # noqa: PLC0415 - only ROS 1 bags need it
+    except ImportError as err:
+        raise UnreadableError("writing a ROS 1 bag needs the package rosbags: pip install 'dds-trace[bags]'") from err
+    condition = Condition()
+    connections: dict[RecordedTopic, Connection] = {}
+    bag = Bag1Writer(new.path)
+    bag.set_compression(Bag1Writer.CompressionFormat.LZ4)
+    with bag:
+        for message in bag1_messages(source, condition):
+            topic = message.topic
+            if topic not in connections:
+                connections[topic] = bag.add_connection(
+                    topic.name,
+                    topic.message_type,
+                    msgdef=topic.definition,
+                    md5sum=topic.type_hash or "*",
+                    callerid=topic.publisher or None,
+                    latching=1 if topic.qos else None,
+                )
+                new.topics.setdefault(topic.name, TopicCount(topic.name, topic.message_type, "", 0, "", "ros1"))
+            bag.write(connections[topic], message.log_ns, message.data)
+            new.count(topic.name, message.log_ns)
+    return condition.damages, 0
+
+
+_RECOVERIES: dict[str, Callable[[Path, _NewFile], tuple[list[str], int]]] = {
+    ".mcap": _recover_mcap,
+    ".bag": _recover_bag1,
+    ".db3": _recover_sqlite,
+}

@@ -11,7 +11,7 @@ from mcap.records import Channel, Header, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
 from ..format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, TOPIC_PREFIX
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
 from ..mcapfile.blocks import most_unpacked_bytes
@@ -60,7 +60,7 @@ class Salvage:
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
     def __iter__(self) -> Iterator[Slots | SalvagedText | Payload]:
-        at = len(MAGIC)
+        at = self._file.data_start
         while not self.closed:
             try:
                 header = self._file.header_at(at)

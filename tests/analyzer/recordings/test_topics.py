@@ -19,9 +19,9 @@ from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.reports.topics.renderers import print_topics
 from dds_trace.tracefile.mcapfile import blocks
-from dds_trace.tracefile.recordings import recorded
+from dds_trace.tracefile.reading import recorded
+from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.read import read_messages
-from dds_trace.tracefile.recordings.recorded import Condition
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9

@@ -3,7 +3,7 @@ import re
 
 import pytest
 from bags import imu, text, write_bag2
-from damaged_bags import KINDS, damage, make_good, read_recovered
+from damaged_bags import HOWS, KINDS, damage, make_good, read_recovered
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
@@ -12,19 +12,19 @@ from rosbags.rosbag2 import StoragePlugin
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.cli.recover import recover_trace
+from dds_trace.recorder.payloads import STRING
+from dds_trace.recorder.payloads.bag import load_payload
+from dds_trace.tracefile.reading.recorded import Condition
+from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
-
-ROUNDS = 30
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_whole_message_of_a_damaged_file_is_kept(tmp_path, kind):
+def test_every_whole_message_of_a_damaged_file_is_kept_and_read_by_all(tmp_path, kind):
     good, rng = make_good(kind, tmp_path, 7), random.Random(kind)
-    suffix = ".db3" if kind == "sqlite3" else ".mcap"
-    for number in range(ROUNDS):
-        content, whole = damage(good, rng)
-        path = tmp_path / f"{number}{suffix}"
-        path.write_bytes(content)
+    for how in HOWS * 2:
+        content, whole = damage(good, rng, how)
+        path = good.write(tmp_path, content)
         try:
             report = recover_recording(path)
         except TraceFormatError:
@@ -32,9 +32,25 @@ def test_every_whole_message_of_a_damaged_file_is_kept(tmp_path, kind):
             continue
         kept = read_recovered(report.recovered)
         assert whole <= kept
+        assert kept == {
+            (message.topic.name, message.log_ns, message.data) for message in read_messages(path, Condition())
+        }
         assert path.read_bytes() == content
-        if good.kind not in {"sqlite3", "mcap without chunks"}:  # they have no checksum
+        if kind in {"mcap zstd", "mcap lz4", "mcap unpacked"}:  # they have checksums
             assert len(kept - good.needs.keys()) <= report.doubtful + len(report.damages)
+        report.recovered.unlink()
+
+
+@pytest.mark.parametrize("how", ["first bytes", "no first bytes", "before the magic", "short"])
+def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
+    good = make_good("mcap zstd", tmp_path, 7)
+    content, whole = damage(good, random.Random(3), how)
+    path = good.write(tmp_path, content)
+    of_topic = {key for key in whole if key[0] == "/camera"}
+    assert analyze_topics(path).topics["messages"].sum() == len(whole)
+    assert len(load_payload(f"{path}#/camera", {"std_msgs/msg/String": STRING}).messages) == len(of_topic)
+    assert is_of_others(path)
+    assert recover_recording(path).messages == len(whole) > 0
 
 
 def test_a_chunk_that_missing_bytes_drew_into_the_preceding_one_is_kept(tmp_path):

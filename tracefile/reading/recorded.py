@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -49,6 +50,13 @@ class Condition:
     topics: set[RecordedTopic] = field(default_factory=set)
     claimed: dict[str, int] = field(default_factory=dict)
     chunks: list[tuple[int, int, int]] = field(default_factory=list)
+    unreadable: Counter[str] = field(default_factory=Counter)
+
+
+def full_type(name: str) -> str:
+    """Return `std_msgs/msg/String` of `std_msgs/String`, as ROS 1 and early ROS 2 write it."""
+    package, _, kind = name.partition("/")
+    return f"{package}/msg/{kind}" if kind and "/" not in kind else name
 
 
 class Budget:

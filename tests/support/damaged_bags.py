@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 START_NS = 1_700_000_000 * 10**9
 MAGIC_BYTES = 8
 PAGE_BYTES = 4096
-MESSAGE, CHUNK, CHANNEL, SCHEMA = 5, 6, 4, 3
+MESSAGE, CHUNK, CHANNEL = 5, 6, 4
 TOPICS = ("/camera", "/imu", "/chatter")
 SCHEMAS = {
     "cdr": ("std_msgs/msg/String", "ros2msg", b"string data\n"),

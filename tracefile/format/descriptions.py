@@ -85,12 +85,7 @@ class Session:
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Session:
-        """Parse the description of a session; `path` names the trace in errors.
-
-        Raises:
-            TraceFormatError: `text` is not a JSON object, has another format version, or lacks a field or has one of
-                another type; the message names the field.
-        """
+        """Parse the description of a session; `path` names the trace in errors."""
         take = DescriptionFields.parse(text, path, "session")
         return cls(
             session_id=take.hex_id("session_id"),

@@ -32,11 +32,7 @@ def encode_string(text: str) -> bytes:
 
 
 def decode_string(data: bytes | memoryview) -> str:
-    """Return the text of a String message of either byte order; bytes after it are ignored.
-
-    Raises:
-        ValueError: `data` is not a String, or its text is not UTF-8; the error completes "the message is ...".
-    """
+    """Return the text of a String message of either byte order; bytes after it are ignored."""
     length = _LENGTHS.get(bytes(data[:2]))
     size = length.unpack_from(data)[0] if length is not None and len(data) >= _TEXT_AT else 0
     if not 1 <= size <= len(data) - _TEXT_AT:

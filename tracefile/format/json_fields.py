@@ -27,9 +27,6 @@ def parse_json(text: str) -> Json:
     r"""Return the value of a JSON text from a trace, safe for every library of an analysis.
 
     A lone surrogate, which no encoding has, is spelled out (`\udcff`); numbers keep their values.
-
-    Raises:
-        ValueError: `text` is not JSON, is nested too deeply, or has an integer beyond 64 bits.
     """
     try:
         value: Json = json.loads(text, parse_int=_integer)
@@ -70,11 +67,7 @@ class DescriptionFields:
 
     @classmethod
     def parse(cls, text: str, path: Path | str, what: str) -> DescriptionFields:
-        """Parse a description of the version `FORMAT_VERSION`.
-
-        Raises:
-            TraceFormatError: `text` is not a JSON object, or of another version.
-        """
+        """Parse a description of the version `FORMAT_VERSION`."""
         try:
             value = parse_json(text)
         except ValueError as err:

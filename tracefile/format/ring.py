@@ -114,9 +114,6 @@ class Ring:
     Attributes:
         memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
         words: the slots as int64 (little-endian on every ROS 2 machine), stored in a third of the time of a `struct`.
-
-    Raises:
-        OSError: the file cannot be created (disk full, read-only folder).
     """
 
     __slots__ = ("_descriptor", "memory", "path", "slots", "slots_at", "words")
@@ -199,10 +196,6 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
 
     `events_in_trace` sums, over the event topics, the highest MCAP sequence plus one in the complete chunks of the trace, which
     a damaged chunk in the middle does not change.
-
-    Raises:
-        TraceFormatError: the file is not a ring, or of another version, or too large.
-        OSError: the file cannot be read.
     """
     content, recording = _read(path)
     if len(content) < RING_HEADER.size or not any(content[: len(RING_MAGIC)]):
@@ -223,9 +216,6 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
     """Read what is whole of a ring that `read_ring` refuses: one that was cut off, or with a damaged description.
 
     `session` is the trace's, for a ring that has none. Return None if that or the offset of the slots is unknown.
-
-    Raises:
-        OSError: the file cannot be read.
     """
     try:
         content, recording = _read(path)

@@ -80,6 +80,11 @@ class BlockJobs:
     summary: Summary | None
     notes: list[str] = field(default_factory=list)
     truncated: str | None = None
+    suspicion: str = ""
+    closed: bool = False
+    torn_bytes: int = 0
+    damaged_chunks: int = 0
+    skipped_bytes: int = 0
     _chunks: list[PackedChunk] = field(default_factory=list)
     _chunks_bytes: int = 0
     _unpacked_bytes: int = 0
@@ -119,9 +124,13 @@ class BlockJobs:
     def _next_header(self) -> RecordHeader | None:
         while True:
             try:
-                return self.file.header_at(self._at, _WALKED)
+                header = self.file.header_at(self._at, _WALKED)
             except TornRecordError as torn:
+                self.skipped_bytes += torn.offset - self._at
                 resumed_at = self._resume_after(torn)
+            else:
+                self.skipped_bytes += header.offset - self._at
+                return header
             if resumed_at is None:
                 return None
             self._at = resumed_at
@@ -146,6 +155,7 @@ class BlockJobs:
             chunk = PackedChunk.at(self.file, header)
         except DamagedChunkError as err:
             self.notes.append(_left_out(header.offset, err))
+            self.damaged_chunks += 1
             return
         if not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc):
             return
@@ -153,6 +163,7 @@ class BlockJobs:
         if unpacked_bytes > most_unpacked_bytes(header.end):
             why = f"with it the file unpacks to more than {LARGEST_FILE_RATIO} times its size"
             self.notes.append(_left_out(header.offset, why))
+            self.suspicion = "it unpacks to far more than a recorder packs into so few bytes"
             return
         self._unpacked_bytes = unpacked_bytes
         if self._chunks_bytes + chunk.unpacked_bytes > BLOCK_BYTES or len(self._chunks) == _BLOCK_CHUNKS:
@@ -192,6 +203,7 @@ class BlockJobs:
 
     def _resume_after(self, torn: TornRecordError) -> int | None:
         if self.summary is None:
+            self.torn_bytes = max(self.file.size - torn.offset, 0)
             self.truncated = f"ends early, {torn}; everything complete before it is used"
             return None
         if self._chunk_offsets is None:
@@ -203,6 +215,7 @@ class BlockJobs:
         return resumed_at
 
     def _check_end(self, at: int) -> None:
+        self.closed = True
         if self.file.read(at, min(len(MAGIC), self.file.size - at)) != MAGIC:
             self.truncated = f"ends early, byte {at}: the closing magic bytes are not there; every record is"
         elif at + len(MAGIC) < self.file.size:

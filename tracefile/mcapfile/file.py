@@ -75,11 +75,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
 
     @property
     def data_start(self) -> int:
-        """Offset of the first record, after the first magic bytes of the file.
-
-        Raises:
-            TraceFormatError: its first mebibyte has none.
-        """
+        """Offset of the first record, after the first magic bytes of the file."""
         begin = self.read(0, min(len(MAGIC), self.size))
         if begin == MAGIC[: len(begin)]:
             return len(MAGIC)

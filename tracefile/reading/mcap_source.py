@@ -15,11 +15,12 @@ from dds_trace.base.units import counted
 
 from ..format.descriptions import Session
 from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
-from ..format.events import EVENT_RECORD_BYTES, TOPIC_PREFIX, Stage
+from ..format.events import TOPIC_PREFIX, Stage
 from ..mcapfile.blocks import Block, BlockJobs
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, TornRecordError, read_summary
+from ..mcapfile.records import Buffer
 from .source import Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
@@ -29,10 +30,8 @@ if TYPE_CHECKING:
 
 
 _MOST_BLOCKS_AHEAD = 8
-_ROOM_OPCODES = frozenset({Opcode.CHUNK, Opcode.MESSAGE})
 _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed
-_ROOM_CHUNKS = 100_000  # chunks whose headers are read before the first is unpacked
 _BYTES_AHEAD = 32 << 20  # of all these blocks
 _SMALL_FILE_BYTES = 1 << 19  # read by the calling thread, before another has started
 
@@ -50,10 +49,10 @@ class McapSource:
             self._start = self._file.data_start
             self._summary = read_summary(self._file)
             for declaration in self._summary.declarations() if self._summary else ():
-                self._channels.declare(*declaration)
+                self._declare(*declaration)
             undo.pop_all()
         self._claimed = self._summary.message_counts() if self._summary else None
-        self._jobs = BlockJobs(self._file, self._summary)
+        self.jobs = BlockJobs(self._file, self._summary)
         self._messages = Counter[int]()  # channel id -> number of its messages
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
@@ -72,7 +71,7 @@ class McapSource:
         counts = self._claimed
         most = self._file.size  # a claim of more than one event per packed byte is not believed
         if counts is None:
-            return dict.fromkeys(Stage, min(most, self._room_for_events()))
+            return {}
         expected = Counter[Stage]()
         for channel_id, channel in self._channels.items():
             if channel.stage:
@@ -83,23 +82,24 @@ class McapSource:
         """Yield all messages in file order; the last batch describes how the file ended."""
         if self._is_of_others():
             return
-        steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
+        steps_left, read_to = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES, 0
         for block in self._blocks():
             yield from self._batches_of(block)
+            self.jobs.damaged_chunks += len(block.notes)
             steps_left -= block.steps
-            self._jobs.take_back(block)
-            if steps_left < 0:
-                self._jobs.truncated = (
-                    f"is read up to byte {block.starts[-1][1]}: it has more small records than a recorder writes into "
-                    "so few bytes"
-                )
+            read_to = block.starts[-1][1]
+            self.jobs.take_back(block)
+            if steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
                 break
-        yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
+        if steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
+            self.jobs.suspicion = "it has more small records than a recorder writes into so few bytes"
+            self.jobs.truncated = f"is read up to byte {read_to}: {self.jobs.suspicion}"
+        yield Batch(notes=self._closing_notes(), truncated=self.jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:
         if self._file.size <= _SMALL_FILE_BYTES:
-            return (job() for _, job in self._jobs)
-        return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
+            return (job() for _, job in self.jobs)
+        return in_order(self.jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
         batch = Batch(notes=block.notes)
@@ -109,11 +109,11 @@ class McapSource:
                 singles.append((start, length))
             else:
                 content = memoryview(block.data)[start : start + length]
-                self._channels.declare(opcode, content, block.offset(start))
+                self._declare(opcode, content, block.offset(start))
         for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
-            if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
-                # Texts as long as an event.
+            if channel and not channel.stage:
+                # Texts and payloads as long as an event.
                 singles += block.scan.contents(block.data, channel_id)
                 continue
             self._messages[channel_id] += len(events)
@@ -137,6 +137,7 @@ class McapSource:
         self._messages[channel_id] += 1
         channel = self._channels.get(channel_id)
         if channel is None or not channel.topic.startswith(TOPIC_PREFIX):
+            self._add_other(channel_id, log_time_ns, content)
             return
         data = bytes(content[MESSAGE_HEADER.size :])
         if channel.fault:
@@ -146,8 +147,14 @@ class McapSource:
         else:
             batch.texts.append(Text(channel.topic, log_time_ns, unpack_message(data), self._path, offset))
 
+    def _declare(self, opcode: int, content: Buffer, offset: int) -> None:
+        self._channels.declare(opcode, content, offset)
+
+    def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
+        """Do nothing with a message of another program."""
+
     def _closing_notes(self) -> list[str]:
-        notes = list(self._jobs.notes)
+        notes = list(self.jobs.notes)
         for channel_id, count in sorted(self._messages.items()):
             channel = self._channels.get(channel_id)
             if channel is None:
@@ -173,24 +180,6 @@ class McapSource:
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
-
-    def _room_for_events(self) -> int:
-        room, at, chunks = 0, self._start, 0
-        while True:
-            try:
-                header = self._file.header_at(at, _ROOM_OPCODES)
-                chunks += 1
-                if chunks > _ROOM_CHUNKS:
-                    return room // EVENT_RECORD_BYTES
-                if header.opcode == Opcode.CHUNK:
-                    room += PackedChunk.at(self._file, header).unpacked_bytes
-            except DamagedChunkError:
-                pass
-            except TornRecordError:
-                return room // EVENT_RECORD_BYTES
-            if header.opcode == Opcode.MESSAGE:
-                return (room + self._file.size - at) // EVENT_RECORD_BYTES
-            at = header.end
 
 
 def _blocks_ahead() -> int:

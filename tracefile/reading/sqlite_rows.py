@@ -47,7 +47,6 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 _UNSUSPECTED_STEPS = 100_000_000
 _STEPS_A_BYTE = 4
 _STEPS_A_CHECK = 1_000_000
-LEAST_ROW_BYTES = 64
 _MOST_TOPICS = 10_000
 _MOST_TEXT_BYTES = 8 << 20
 
@@ -90,7 +89,9 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - min(seen) >= len(seen)
         is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < size_bytes * _LEAST_REACHED
-        rows = _unreached_rows([file for file in files if is_in_doubt or _is_wal(file)], budget, seen, topics)
+        rows = _unreached_rows(
+            [file for file in files if is_in_doubt or file.name.endswith("-wal")], budget, seen, topics
+        )
         fault = fault or ("its tables do not reach all of its pages" if rows else "")
     if fault:
         topics = {row_id: topic for row_id, topic in topics.items() if topic.name.startswith("/")}
@@ -127,10 +128,7 @@ def _rows_of_tables(
 
 @contextmanager
 def _joined(database: Path, condition: Condition) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield a database, one with a log as a copy that has what the log says, and all files whose pages may have further rows.
-
-    A log that is written to a displaced database destroys pages: first come the files that no page was written to too early.
-    """
+    """Yield a database, joined with its log in a copy, and all files with pages: first those that no page was written to too early."""
     wal, journal = (database.with_name(f"{database.name}-{suffix}") for suffix in ("wal", "journal"))
     has_wal, is_unfinished = wal.is_file() and wal.stat().st_size > 0, False
     if journal.is_file():
@@ -156,10 +154,6 @@ def _joined(database: Path, condition: Condition) -> Iterator[tuple[Path, list[P
         yield copy, [database, wal, copy] if has_wal else [journal, copy, database]
 
 
-def _is_wal(file: Path) -> bool:
-    return file.name.endswith("-wal")
-
-
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 
 
@@ -167,7 +161,9 @@ def _unreached_rows(
     files: list[Path], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
-    for row_id, values in (row for file in files for row in _rows_of_pages(file, budget, in_frames=_is_wal(file))):
+    for row_id, values in (
+        row for file in files for row in _rows_of_pages(file, budget, in_frames=file.name.endswith("-wal"))
+    ):
         kinds = [type(value) for value in values]
         if kinds == [type(None), int, int, bytes] and seen.get(row_id) != (crc := crc32(values[3])):
             seen[row_id] = crc

@@ -10,12 +10,13 @@ from dds_trace.base.errors import TraceFormatError
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
 from .recorded import Condition, RecordedTopic, UnreadableError
 from .source import Batch, Text, event_batch, unpack_message
-from .sqlite_rows import LEAST_ROW_BYTES, sqlite_messages
+from .sqlite_rows import sqlite_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _BATCH_ROWS = 8192
+_ROW_BYTES = 64
 _BATCH_BYTES = 4 << 20
 
 
@@ -35,7 +36,7 @@ class SqliteSource:
         return frozenset(topic.name for topic in self._condition.topics)
 
     def expected_events(self) -> dict[Stage, int]:
-        return dict.fromkeys(Stage, self._path.stat().st_size // LEAST_ROW_BYTES)
+        return dict.fromkeys(Stage, self._path.stat().st_size // _ROW_BYTES)
 
     def batches(self) -> Iterator[Batch]:
         last, events, texts, size_bytes = Batch(), list[tuple[Stage, bytes]](), list[Text](), 0

@@ -30,14 +30,7 @@ if TYPE_CHECKING:
 
 
 def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages of a recording, file by file, those packed by themselves unpacked.
-
-    What was delivered is compared with what the recording says it has (metadata.yaml, statistics of MCAP); what is missing is added to
-    the damages of `condition`, which is complete after the last message.
-
-    Raises:
-        TraceFormatError: the path is not a recording, or its reading ends early; messages before that were yielded.
-    """
+    """Yield the messages of a recording; messages that it lacks by its own counts are in the damages of `condition`, complete at the end."""
     delivered = Counter[str]()
     with open_recording(path) as recording:
         condition.notes += recording.notes

@@ -101,17 +101,7 @@ def is_of_others(path: Path) -> bool:
 
 
 def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:
-    """Write every whole message of an MCAP file, a database, a ROS 1 bag or a rosbag2 folder into a new one, with index, statistics and metadata.yaml.
-
-    Args:
-        path: what another program wrote, whether or not it was closed.
-        destination: the new file or folder; by default `NAME.recovered.mcap`, or `NAME-recovered` of a folder, next to the original.
-
-    Raises:
-        TraceFormatError: nothing of it can be read.
-        OutputExistsError: the new file or folder exists already.
-        OutputError: it cannot be written.
-    """
+    """Write every whole message into a new recording next to the original: `NAME.recovered.mcap`, or `NAME-recovered` of a folder."""
     is_folder = path.is_dir()
     name = f"{path.name}-recovered" if is_folder else f"{path.stem}.recovered{path.suffix}"
     target = path.with_name(name) if destination is None else destination
@@ -215,16 +205,9 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
         unused = [channel for channel in walk.channels.values() if declared(channel) is None]
         writer.finish()  # type: ignore[no-untyped-call]
     new.unchecked = walk.unchecked
-    return [*walk.damages, *_beyond_the_limit(left_out, len(unused))], walk.doubtful
-
-
-def _beyond_the_limit(messages: int, channels: int) -> list[str]:
-    if not messages and not channels:
-        return []
-    what = (
-        f"{counted(messages, 'message')} of further ones, and {counted(channels, 'channel')} without any, are left out"
-    )
-    return [f"it declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have: {what}"]
+    lost = f"{counted(left_out, 'message')} of further ones, and {counted(len(unused), 'channel')} without any, are left out"
+    beyond = f"it declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have: {lost}"
+    return [*walk.damages, *[beyond] * (left_out + len(unused) > 0)], walk.doubtful
 
 
 def _definition(schema: Schema) -> bytes:

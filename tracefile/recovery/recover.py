@@ -14,13 +14,14 @@ from dds_trace.base.units import counted
 
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
+from ..format.encoding import decode_string
 from ..format.events import SESSION_TOPIC, EventColumns, Stage
 from ..format.ring import RING_SUFFIX, RingContents, Slots, read_ring, ring_path, salvage_ring
-from ..mcapfile.file import RecordFile
 from ..reading.reader import read_trace_in_pieces
+from ..reading.source import Text
 from ..writing.payloads import CHUNK_BYTES, Payload, PayloadQueue
 from ..writing.writer import TraceWriter
-from .salvage import Salvage, SalvagedText
+from .salvage import Salvage
 
 KILLED_SUFFIX = ".killed"
 
@@ -161,14 +162,14 @@ def _inspect(trace: Path) -> _KilledTrace:
 
 
 def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
-    with closing(RecordFile(trace)) as file:
-        salvage = Salvage(file)
+    with closing(Salvage(trace)) as salvage:
         sessions = [
-            Session.from_json(item.text, trace)
-            for item in salvage
-            if isinstance(item, SalvagedText) and item.topic == SESSION_TOPIC
+            Session.from_json(text, trace)
+            for item in salvage.items()
+            if isinstance(item, Text) and item.topic == SESSION_TOPIC and (text := _text(item))
         ]
-    counts = _FileCounts(salvage.closed, salvage.events, salvage.tickets, salvage.torn_bytes, salvage.damaged_chunks)
+        jobs = salvage.jobs
+    counts = _FileCounts(jobs.closed, salvage.events, salvage.written_events, jobs.torn_bytes, jobs.damaged_chunks)
     return counts, sessions
 
 
@@ -184,10 +185,18 @@ def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tup
     return contents, contents.fault if contents else None
 
 
-def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText | Payload]:
+def _text(item: Text) -> str:
+    """Return the text, nothing if it is not a String of the recorder's."""
+    try:
+        return decode_string(item.data)
+    except ValueError:
+        return ""
+
+
+def _salvaged(trace: Path) -> Iterator[Slots | Text | Payload]:
     if trace.exists():
-        with closing(RecordFile(trace)) as file:
-            yield from Salvage(file)
+        with closing(Salvage(trace)) as salvage:
+            yield from salvage.items()
 
 
 def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
@@ -202,8 +211,9 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
     payloads = PayloadQueue()
     with TraceWriter(unfinished, killed.session, mode=killed.mode) as writer:
         for item in _salvaged(killed.trace):
-            if isinstance(item, SalvagedText):
-                writer.write_text(item.topic, item.text, item.log_time_ns)
+            if isinstance(item, Text):
+                if text := _text(item):
+                    writer.write_text(item.topic, text, item.log_time_ns)
             elif isinstance(item, Payload):
                 payloads.put(item)
                 if payloads.waiting_bytes > CHUNK_BYTES:

@@ -61,11 +61,7 @@ class ClosedTrace:
 
 
 def discard(destination: TraceDestination) -> None:
-    """Remove a closed trace, so that the next recording can use its name.
-
-    Raises:
-        OutputError: it cannot be removed.
-    """
+    """Remove a closed trace, so that the next recording can use its name."""
     try:
         for path in _files_of(destination):
             path.unlink(missing_ok=True)
@@ -82,12 +78,7 @@ def _files_of(destination: TraceDestination) -> list[Path]:
 
 
 def make_room(destination: TraceDestination) -> None:
-    """Create the folder of the trace; refuse existing files of the same names, or remove them with `force`.
-
-    Raises:
-        OutputExistsError: a file exists, without `force`, or is still being recorded.
-        OutputError: the folder cannot be created, or a file cannot be removed.
-    """
+    """Create the folder of the trace; refuse existing files of the same names, or remove them with `force`."""
     ours = _files_of(destination)
     existing = [path for path in (destination.path, *ours) if os.path.lexists(path)]  # a dangling link too
     if existing and not destination.force:

@@ -108,10 +108,6 @@ class TraceSink(EventPacker):
         The new files are created first and the old ring is drained afterwards: no event waits for the disk, and a kill
         leaves two whole traces. Return the closed file; None, and nothing changes, if events wait for the disk or the
         sink is closed.
-
-        Raises:
-            OutputExistsError: the new file exists; the recording continues in the old one.
-            OutputError: it cannot be created; likewise.
         """
         with self._write_lock:
             if self._closed is not None or not self._flush():

@@ -56,9 +56,6 @@ class TraceWriter:
     """Writer of one trace at a new path; every method leaves a readable file, even if it fails, as does the end of its context.
 
     The session's clock anchor turns monotonic times into log times. With `fsync` each chunk is on the disk on return.
-
-    Raises:
-        OutputError: the file cannot be created; later, by each method: it cannot be written.
     """
 
     def __init__(self, path: Path, session: Session, *, fsync: bool = False, mode: int = OWNER_AND_GROUP) -> None:
@@ -312,10 +309,6 @@ class TraceFiles:
 
     Attributes:
         drained: number of events in the file; all tickets below.
-
-    Raises:
-        OutputExistsError: the destination exists, without `force`.
-        OutputError: the files cannot be created; none remains.
     """
 
     def __init__(self, destination: TraceDestination, session: Session, time_ns: int) -> None:
@@ -335,11 +328,7 @@ class TraceFiles:
             raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
 
     def move_chunk(self, head: int) -> None:
-        """Move the ring's next chunk below ticket `head` to the file.
-
-        Raises:
-            OutputError: it cannot be written; the events stay in the ring.
-        """
+        """Move the ring's next chunk below ticket `head` to the file."""
         slots = self.ring.pending(self.drained, min(head, self.drained + MAX_CHUNK_EVENTS))
         self.writer.write_events(slots)
         self.drained += len(slots)

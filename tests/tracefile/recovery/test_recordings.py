@@ -53,17 +53,6 @@ def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
     assert recover_recording(path).messages == len(whole) > 0
 
 
-def test_a_chunk_that_missing_bytes_drew_into_the_preceding_one_is_kept(tmp_path):
-    good = make_good("mcap zstd", tmp_path, 7)
-    *_, (start, end), last = sorted({need for (need,) in good.needs.values()})
-    missing_bytes = last[1] - end
-    assert missing_bytes < end - start
-    path = tmp_path / "damaged.mcap"
-    path.write_bytes(good.content[: end - missing_bytes] + good.content[end:])
-    whole = {key for key, (need,) in good.needs.items() if need != (start, end)}
-    assert whole <= read_recovered(recover_recording(path).recovered)
-
-
 def test_a_damaged_profile_is_that_of_the_schemas(tmp_path):
     good = make_good("mcap zstd", tmp_path, 7)
     path = tmp_path / "damaged.mcap"

@@ -18,8 +18,8 @@ from dds_trace.tracefile.format.ring import RING_HEADER, ring_path
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery import salvage
 from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
@@ -419,8 +419,8 @@ def test_a_file_made_to_keep_the_recovery_busy_is_refused(trace, tmp_path, monke
     trace.write_bytes(whole + hostile)
     assert recover(trace, tmp_path / "first.mcap").file_events > 0
     if why == "small records":
-        monkeypatch.setattr(salvage, "_UNSUSPECTED_STEPS", 1000)
-        monkeypatch.setattr(salvage, "_STEP_BYTES", 1 << 40)
+        monkeypatch.setattr(mcap_source, "_UNSUSPECTED_STEPS", 1000)
+        monkeypatch.setattr(mcap_source, "_STEP_BYTES", 1 << 40)
     else:
         monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
     with pytest.raises(TraceFormatError, match=why):

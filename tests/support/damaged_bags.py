@@ -143,26 +143,17 @@ def _good_bag1(kind: str, folder: Path, messages: list[Key]) -> Good:
     content = path.read_bytes()
     path.unlink()
     needs: dict[Key, list[Range]] = {}
-    lengths, connections_end, index_at = [], 0, 0
-    number = 0
-    for opcode, start, data_at, end in _bag1_records(content, 13, len(content)):
-        lengths += [(start, "<I"), (data_at - 4, "<I")]
-        if opcode == 5:
-            connections_end = connections_end or end
-            if BAGS1[kind]:
-                size = _bag1_messages_of(content[data_at:end], kind)
-                needs |= {key: [(start, end)] for key in keys[number : number + size]}
-                number += size
-            else:
-                for inner, first, inner_data_at, last in _bag1_records(content, data_at, end):
-                    lengths += [(first, "<I"), (inner_data_at - 4, "<I")]
-                    if inner == 2:
-                        needs[keys[number]] = [(first, last)]
-                        number += 1
-        elif opcode == 7:
-            index_at = index_at or start
-    assert number == len(keys)
-    return Good(kind, content, needs, ((0, connections_end), (index_at, len(content))), tuple(lengths))
+    records = _bag1_records(content, 13, len(content))
+    lengths = [place for _, start, data_at, _ in records for place in ((start, "<I"), (data_at - 4, "<I"))]
+    chunks = [record for record in records if record[0] == 5]
+    for (_, start, data_at, end), chunk in zip(chunks, bag.chunks, strict=False):
+        count = sum(map(len, chunk.connections.values()))
+        ranges = [(start, end)] * count
+        if not BAGS1[kind]:
+            ranges = [inner[1::2] for inner in _bag1_records(content, data_at, end) if inner[0] == 2]
+        needs |= {key: [part] for key, part in zip(keys[len(needs) :], ranges, strict=False)}
+    index_at = next(start for opcode, start, *_ in records if opcode == 7)
+    return Good(kind, content, needs, ((0, chunks[0][3]), (index_at, len(content))), tuple(lengths))
 
 
 def _bag1_records(data: bytes, at: int, stop: int) -> list[tuple[int, int, int, int]]:
@@ -175,15 +166,6 @@ def _bag1_records(data: bytes, at: int, stop: int) -> list[tuple[int, int, int, 
         found.append((opcode, at, data_at, data_at + data_bytes))
         at = data_at + data_bytes
     return found
-
-
-def _bag1_messages_of(body: bytes, kind: str) -> int:
-    import bz2
-
-    import lz4.frame
-
-    unpacked = bz2.decompress(body) if kind == "bag bz2" else lz4.frame.decompress(body)
-    return sum(record[0] == 2 for record in _bag1_records(unpacked, 0, len(unpacked)))
 
 
 def _good_sqlite(kind: str, folder: Path, messages: list[Key]) -> Good:

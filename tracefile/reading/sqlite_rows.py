@@ -331,12 +331,12 @@ class _Pages:
         matching = [at for at in placed if self._following(at) == after[0]]
         is_searched = bool(after[0]) and not matching and self._searches_left > 0
         self._searches_left -= is_searched
-        found = self._data.find(after[0].to_bytes(4, "big")) if is_searched else -1
+        match_at = self._data.find(after[0].to_bytes(4, "big")) if is_searched else -1
         for _ in range(_MOST_TRIES):
-            if found < 0 or self._following(found + self._page_bytes) == after[1]:
+            if match_at < 0 or self._following(match_at + self._page_bytes) == after[1]:
                 break
-            found = self._data.find(after[0].to_bytes(4, "big"), found + 1)
-        return [*matching, *[found] * (found >= 0), *placed][0]
+            match_at = self._data.find(after[0].to_bytes(4, "big"), match_at + 1)
+        return [*matching, *[match_at] * (match_at >= 0), *placed][0]
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -1,9 +1,7 @@
 """Topics of foreign recordings: the same timeline written as rosbag1, rosbag2 (both storages) and MCAP reads the same."""
 
-import base64
 import json
 import struct
-import zlib
 
 import pytest
 import zstandard
@@ -193,20 +191,6 @@ def test_a_bounded_text_before_the_header_is_a_field(tmp_path):
     assert analyze_topics(tmp_path).topics["age_from"].to_list() == [None]
 
 
-def test_a_truncated_recording_is_used_up_to_its_end(tmp_path):
-    whole = tmp_path / "x.mcap"
-    write_mcap(whole, [("/a", t, t, b"{}") for t in range(100)])
-    (tmp_path / "cut").mkdir()
-    with_chunk = whole.read_bytes()
-    cut = tmp_path / "cut" / "y.mcap"
-    cut.write_bytes(with_chunk[:-40])  # within the footer
-    report = analyze_topics(cut)
-    assert report.topics["messages"].to_list() == [100]
-    assert report.sources[0].status == "truncated"
-    assert "was not closed" in report.sources[0].detail
-    assert report.verdict == "damaged"
-
-
 def test_what_is_no_recording_is_named(tmp_path):
     write_mcap(tmp_path / "good.mcap", [("/a", 1, 1, b"{}")])
     (tmp_path / "bad.mcap").write_bytes(b"not an mcap at all")
@@ -243,31 +227,6 @@ def test_recordings_are_found_once_and_outputs_left_out(tmp_path):
     seen = []
     analyze_topics(tmp_path, skip=[tmp_path / "analysis"], progress=seen.append)
     assert seen == found
-
-
-def test_no_allocation_by_a_size_that_a_file_claims(tmp_path):
-    huge = b"\x89MCAP0\r\n" + b"\x06" + struct.pack("<Q", 10**12) + b"\0" * 64
-    (tmp_path / "huge.mcap").write_bytes(huge)
-    with pytest.raises(TraceFormatError, match=r"huge\.mcap"):
-        list(read_messages(tmp_path / "huge.mcap", Condition()))
-
-
-def test_a_bag_with_a_damaged_index_is_read(tmp_path):
-    """Found by fuzzing (`tests/fuzz/fuzz_bag.py`): rosbags trusts the index and ends in an assertion."""
-    packed = (
-        "c-rk*&2AGh5O(@UyP}YmB6?$`N>m&m%}>(=Y1L8*6%GhNq+SqO8GAOdx@!lox3ql|cnTy=+_)hw+_~`x@B$Tfvdt!Gsv-zTR"
-        "Q{xq*JJzB$m^Le>#RI`(%8Pg<L;L3t~n17LQ~pA+nZd}E#njp{I-a_FE>yJSG5trxlcsGl{cZgdE;s&d@uFobpO4c=UyOu`|"
-        "4U)SXfwCSXfwCSXfwCTol~SzW=8?pY<YYONe78xW@&DIqi$t5qQTl2pL<+7F?Q3uLeAGPvB@%qRog`U{P{?a@ezEdWUWBV&J"
-        "imeiS$3!lNiz)&7XC$4TT>akWIM6k{l^m4iwUtZ(3AxkRf$eVqU)eVou!b#S-|K81jBrc9i%qFuI!fGJ3~)oGk2hzOKC?2bK"
-        "6umZ{Td{;;YTw$};2||HYwer0FqTlTkv5zIgoWKyxE)XST*~Pq>gjo9f5DLQ7VL#FE*!gTB<DeH{LLdZrDzXv7{hZ#I;XH2a"
-        "+;fL^)kzpv<&qo2D@U;i^f->%POK#3O*fD@0-w>p6w6t!@??|TgWgl`O}IzBr`P`^tn_7`6Vt6Me<lX<XWrz8-dGR)Xn=8S="
-        "MXY8rnSwa2^KP{4}v}qduRx6-xz$@?DoEIqOqdKx7BTCx5mq#Px+S8c6n_4zqsFbin-s}@6UF>hp;+IAIt^ul}rst3oD($2P"
-        "3_iPMj2=MyJN~=|sI=B2dG{YHdTyLXFg3(ps$yWTQ-QrAUi6(HT0?sZ|s!JUR_?qtfu?NVFgfMIl=@HLKfwkeyYhlrXz2UpB"
-        "6kYfGylI_@5~cbey1y4(Pr>0R!l`(*Xl>ao@1Khop>q+Zc1%$fd5vDo`7&irRLpYImoYvxzG!czGIrEEbPaOw}p-e9##36Oc"
-        "trS=nT_ty^"
-    )
-    (tmp_path / "hostile.bag").write_bytes(zlib.decompress(base64.b85decode(packed)))
-    assert len(list(read_messages(tmp_path / "hostile.bag", Condition()))) == 3
 
 
 @pytest.mark.parametrize("times", [(2**64 - 1, 1), (1, 2**63)], ids=["log", "publish"])

@@ -98,19 +98,6 @@ class TestTruncated:
             before = trace.event_count
         assert before == sum(map(len, EVENTS.values()))
 
-    @shapes
-    def test_at_record_boundaries_exactly_the_records_before_are_there(self, tmp_path, options):
-        whole = small_trace(tmp_path, **options).read_bytes()
-        cut = tmp_path / "cut.mcap"
-        for opcode, end in record_ends(tmp_path / "t.mcap"):
-            cut.write_bytes(whole[:end])
-            at_boundary = read_trace(cut)
-            cut.write_bytes(whole[: end - 1])
-            shorter = read_trace(cut)
-            gained = at_boundary.event_count - shorter.event_count
-            assert (gained > 0) <= (opcode in {Opcode.CHUNK, Opcode.MESSAGE})
-            assert f"byte {end}: " in at_boundary.truncated
-
     def test_the_reason_names_the_record_and_the_byte(self, tmp_path, sentences):
         path = small_trace(tmp_path)
         (_, start), (_, end) = record_ends(path)[:2]

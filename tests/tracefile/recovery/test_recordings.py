@@ -47,7 +47,9 @@ def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
     content, whole = damage(good, random.Random(3), how)
     path = good.write(tmp_path, content)
     of_topic = {key for key in whole if key[0] == "/camera"}
-    assert analyze_topics(path).topics["messages"].sum() == len(whole)
+    report = analyze_topics(path)
+    assert (report.topics["messages"].sum(), report.verdict) == (len(whole), "damaged")
+    assert report.sources[0].status == "truncated"
     assert len(load_payload(f"{path}#/camera", {"std_msgs/msg/String": STRING}).messages) == len(of_topic)
     assert is_of_others(path)
     assert recover_recording(path).messages == len(whole) > 0

@@ -35,6 +35,8 @@ _STEP_BYTES = 4  # a recorded message that is not an event needs more, even pack
 _BYTES_AHEAD = 32 << 20  # of all these blocks
 _SMALL_FILE_BYTES = 1 << 19  # read by the calling thread, before another has started
 
+MANY_RECORDS = "it has more small records than a recorder writes into so few bytes"
+
 
 class McapSource:
     """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is the name of an unpacked copy in errors."""
@@ -54,6 +56,7 @@ class McapSource:
         self._claimed = self._summary.message_counts() if self._summary else None
         self.jobs = BlockJobs(self._file, self._summary)
         self._messages = Counter[int]()  # channel id -> number of its messages
+        self.steps_left = 0
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
     def close(self) -> None:
@@ -82,18 +85,15 @@ class McapSource:
         """Yield all messages in file order; the last batch describes how the file ended."""
         if self._is_of_others():
             return
-        steps_left, read_to = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES, 0
+        self.steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
         for block in self._blocks():
             yield from self._batches_of(block)
             self.jobs.damaged_chunks += len(block.notes)
-            steps_left -= block.steps
-            read_to = block.starts[-1][1]
+            self.steps_left -= block.steps
             self.jobs.take_back(block)
-            if steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
+            if self.steps_left < 0:
+                self.jobs.truncated = f"is read up to byte {block.starts[-1][1]}: {MANY_RECORDS}"
                 break
-        if steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
-            self.jobs.suspicion = "it has more small records than a recorder writes into so few bytes"
-            self.jobs.truncated = f"is read up to byte {read_to}: {self.jobs.suspicion}"
         yield Batch(notes=self._closing_notes(), truncated=self.jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:

@@ -12,12 +12,12 @@ from mcap.records import Channel, Header, Schema
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.threads import InlineExecutor
 
-from ..format.encoding import MESSAGE_HEADER
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
 from ..format.events import TOPIC_PREFIX, Records, Stage
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
 from ..mcapfile.file import TornRecordError
 from ..mcapfile.records import Buffer, parse_record
-from ..reading.mcap_source import McapSource
+from ..reading.mcap_source import MANY_RECORDS, McapSource
 from ..reading.source import Text
 from ..writing.event_chunks import LIBRARY
 from ..writing.payloads import MOST_TOPICS, Payload, PayloadTopic
@@ -44,8 +44,11 @@ class Salvage(McapSource):
             yield from batch.texts
             payloads, self._payloads = self._payloads, []
             yield from payloads
-        if self.jobs.suspicion:
-            raise TraceFormatError(self._path, f"{self.jobs.suspicion}; not recovered")
+        suspicion = self.jobs.suspicion
+        if self.steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
+            suspicion = MANY_RECORDS
+        if suspicion:
+            raise TraceFormatError(self._path, f"{suspicion}; not recovered")
 
     def _check_origin(self) -> None:
         try:

@@ -158,6 +158,16 @@ loopback-report: setup
     cp out/kept/report/summary.parquet docs/results/loopback/
     {{bin}}/python scripts/stored_report.py keep out/kept/report/report.html docs/results/loopback/report.html.gz
 
+# The paper's claims: a sweep of some 75 minutes (root, two processors, nothing else running) and the table of docs/results/study.md
+paper-claims: setup
+    {{bin}}/dds-trace sweep plans/paper-claims.toml --out runs
+    {{bin}}/python scripts/quoted.py runs/paper-claims
+
+# The table of benchmarks/performance.md: our nodes and programs that do nothing else, in turn (half an hour)
+bench-node: setup
+    {{bin}}/python benchmarks/bench_node.py --rounds 5 --csv benchmarks/node.csv || true
+    {{bin}}/python scripts/quoted.py
+
 # Write the answers that README and the pages quote again from the traces of docs/results/ (a test fails where they differ)
 readme: setup
     {{bin}}/python scripts/quoted.py

@@ -1,11 +1,13 @@
-"""The own share of a node: the round trip between `dds-record` ping and relay, beside programs that do nothing else.
+"""The own share of a node: the round trip between `dds-record` ping and relay, and of programs that do nothing else.
 
-    python benchmarks/bench_node.py [--rounds 5] [--seconds 2] [--backend socket] [--awake] [--json]
+    python benchmarks/bench_node.py [--rounds 5] [--seconds 2] [--backend socket] [--awake] [--json] [--csv FILE]
 
-Against a blocking Python ping-pong and sockperf over TCP, against ddsperf in its waitset mode on Cyclone DDS, and against a
-bare rclpy echo. All run in turn, round by round, real processes over loopback; each ratio is the median over the rounds of
-ours to theirs, medians of the RTT. sockperf and ddsperf are Debian's (`sockperf`, `cyclonedds-tools`), looked for on PATH and
-at SOCKPERF and DDSPERF; what is not there is left out, and said. Exit code 1 if a bar is missed.
+Sockets against a blocking Python ping-pong, against C and against sockperf over TCP; zenoh against twenty lines of zenoh-python that return a message
+as it came, and that write into it, as a relay does (two more copies);
+Cyclone DDS against ddsperf in its waitset mode; ROS 2 against a bare rclpy echo on the default and on the events executor. All
+run in turn, round by round and each second round backwards, real processes over loopback; each ratio is the median over the
+rounds of ours to theirs, medians of the RTT. sockperf and ddsperf are Debian's (`sockperf`, `cyclonedds-tools`), looked for on
+PATH and at SOCKPERF and DDSPERF; what is not there is left out, and said. Exit code 1 if a bar is missed.
 
 Each side has a processor of its own (`taskset`), as two devices have: where the scheduler is free to, it puts two programs that wake each
 other on one processor, and then a blocking pair takes 18 us where 155 us are needed to wake another (measured). sockperf spins between two
@@ -18,7 +20,9 @@ what the programs do, and not how deep the cores of this machine sleep, on a vir
 from __future__ import annotations
 
 import argparse
+import csv
 import json
+import math
 import os
 import re
 import shutil
@@ -30,7 +34,7 @@ import time
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -42,10 +46,16 @@ from dds_trace.tracefile.reading.reader import read_trace
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    Measure: TypeAlias = "Callable[[Load, Path], float]"
+
 RECORD = Path(sys.executable).with_name("dds-record")
 PLAIN = Path(__file__).with_name("plain_nodes.py")
-SIZES_BYTES = (1_000, 33_000)
+TCP_PEER = Path(__file__).with_name("tcp_peer.c")
+SIZES_BYTES = (64, 1_000, 33_000, 145_000, 502_000, 1_000_000, 4_000_000)
+MOST_BYTE_S = 33_000_000
+"""Most payload bytes a second at a rate of `RATES_HZ`; larger messages are sent at `LARGE_HZ`."""
 RATES_HZ = (100, 1_000)
+LARGE_HZ = 10
 WARM_UP_S = 0.5
 PORT = 21_471
 DOMAIN_ID = 71
@@ -148,18 +158,24 @@ def output_of(command: Sequence[object], environment: Mapping[str, str] | None =
 
 
 def median_us(times_ns: Sequence[int], load: Load) -> float:
-    """Return the median of the times behind the warm-up, in us."""
+    """Return the median of the times after the warm-up, in us."""
     return statistics.median(times_ns[load.warm_up :]) / 1e3
 
 
-def ours(backend: str, data: str = "binary") -> Callable[[Load, Path], float]:
-    """Return the contender that is `dds-record` on a backend."""
+def times_in(printed: str) -> list[int]:
+    """Return the times of the last line; a middleware may print before it."""
+    times: list[int] = json.loads(printed.splitlines()[-1])
+    return times
+
+
+def ours(backend: str, *more: str) -> Measure:
+    """Return the contender that is `dds-record` on a backend, with `more` options."""
 
     def measure(load: Load, folder: Path) -> float:
-        common = [RECORD, "--backend", backend, "--domain", DOMAIN_ID, "--discovery", "localhost", "--force"]
+        common = [RECORD, "--backend", backend, "--domain", DOMAIN_ID, "--discovery", "localhost", "--force", *more]
         trace = folder / f"{backend}.mcap"
         relay = [*common, "--role", "relay", "--out", folder / f"{backend}-relay.mcap"]
-        ping = [*common, "--role", "ping", "--out", trace, "--data", data, "--size", load.size_bytes]
+        ping = [*common, "--role", "ping", "--out", trace, "--data", "binary", "--size", load.size_bytes]
         ping += ["--rate", load.rate_hz, "--messages", load.messages, "--warmup", load.warm_up]
         with serving(relay, "serves domain"):
             output_of(ping)
@@ -171,21 +187,26 @@ def ours(backend: str, data: str = "binary") -> Callable[[Load, Path], float]:
     return measure
 
 
-def blocking_python(load: Load, _folder: Path) -> float:
-    """Measure thirty lines of blocking sockets."""
-    with serving([sys.executable, PLAIN, "socket-echo", PORT, load.size_bytes], "ready"):
-        count = load.warm_up + load.messages
-        ping = [sys.executable, PLAIN, "socket-ping", PORT, load.size_bytes, load.rate_hz, count]
-        return median_us(json.loads(output_of(ping)), load)
+def plain(program: str, *first: object, environment: Mapping[str, str] | None = None) -> Measure:
+    """Return the contender that is a pair of `plain_nodes.py`; `first` are its first words."""
+
+    def measure(load: Load, _folder: Path) -> float:
+        words = [sys.executable, PLAIN]
+        with serving([*words, f"{program}-echo", *first, load.size_bytes], "ready", environment):
+            numbers = (load.size_bytes, load.rate_hz, load.warm_up + load.messages)
+            return median_us(times_in(output_of([*words, f"{program}-ping", *first, *numbers], environment)), load)
+
+    return measure
 
 
-def bare_rclpy(load: Load, _folder: Path) -> float:
-    """Measure serialized messages through rclpy alone, on the middleware that ours chooses."""
-    environment = {**LOCALHOST, "RMW_IMPLEMENTATION": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")}
-    with serving([sys.executable, PLAIN, "ros2-echo", load.size_bytes], "ready", environment):
-        count = load.warm_up + load.messages
-        ping = [sys.executable, PLAIN, "ros2-ping", load.size_bytes, load.rate_hz, count]
-        return median_us(json.loads(output_of(ping, environment)), load)
+def tcp_in_c(load: Load, folder: Path) -> float:
+    """Measure a blocking ping-pong in C, which is compiled once."""
+    program = folder / "tcp_peer"
+    if not program.exists():
+        subprocess.run([program_at("cc") or "cc", "-O2", "-o", program, TCP_PEER], check=True)
+    with serving([program, "echo", PORT, load.size_bytes], "ready"):
+        ping = [program, "ping", PORT, load.size_bytes, load.rate_hz, load.warm_up + load.messages]
+        return median_us(times_in(output_of(ping)), load)
 
 
 def sockperf(load: Load, _folder: Path) -> float:
@@ -221,29 +242,43 @@ def program_at(name: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Contest:
-    """Our node on one backend beside another program.
+    """Our node on one backend and another program.
 
     Attributes:
-        backend: that of ours.
-        data: data type that ours sends.
-        name: the other program, and what it needs on this machine.
+        more: further options of ours.
+        name: the other program; `needs` on this machine.
         measure: measures the other program's median RTT in us.
         bar: largest good ratio of ours to theirs; None where it is only stated.
+        most_bytes: largest message that the other program sends.
     """
 
     backend: str
-    data: str
     name: str
-    measure: Callable[[Load, Path], float]
+    measure: Measure
     bar: float | None
     needs: str | None = None
+    more: tuple[str, ...] = ()
+    most_bytes: int = 4_000_000
 
+    @property
+    def label(self) -> str:
+        """Return the name of ours."""
+        return " ".join((self.backend, *self.more[1::2]))
+
+
+RCLPY = {**LOCALHOST, "RMW_IMPLEMENTATION": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")}
+"""Bare rclpy on the middleware that ours chooses."""
 
 CONTESTS = (
-    Contest("socket", "binary", "blocking Python", blocking_python, 1.2),
-    Contest("socket", "binary", "sockperf", sockperf, 1.3, "sockperf"),
-    Contest("cyclonedds", "binary", "ddsperf waitset", ddsperf, 1.25, "ddsperf"),
-    Contest("ros2", "string", "bare rclpy", bare_rclpy, None),
+    Contest("socket", "blocking Python", plain("socket", PORT), 1.2),
+    Contest("socket", "C over TCP", tcp_in_c, None, "cc"),
+    Contest("socket", "sockperf", sockperf, 1.3, "sockperf", most_bytes=65_000),
+    Contest("zenoh", "bare zenoh", plain("zenoh", PORT + 2), 1.2),
+    Contest("zenoh", "zenoh, writing", plain("zenoh-write", PORT + 3), 1.2),
+    Contest("cyclonedds", "ddsperf waitset", ddsperf, 1.25, "ddsperf"),
+    Contest("ros2", "bare rclpy", plain("ros2", environment=RCLPY), None),
+    Contest("ros2", "rclpy, events", plain("ros2-events", environment=RCLPY), None),
+    Contest("ros2", "bare rclpy", plain("ros2", environment=RCLPY), None, more=("--executor", "single")),
 )
 
 
@@ -251,7 +286,7 @@ CONTESTS = (
 class Result:
     """The ratio of one contest under one load; times are medians over the rounds of the median RTT, in us."""
 
-    backend: str
+    ours: str
     against: str
     size_bytes: int
     rate_hz: int
@@ -267,33 +302,56 @@ class Result:
         return self.bar is None or self.ratio <= self.bar
 
 
+def measured_or_nan(measure: Measure, load: Load, folder: Path) -> float:
+    """Return NaN, and print why, where a program did not get through."""
+    try:
+        return measure(load, folder)
+    except (RuntimeError, ValueError, IndexError, subprocess.TimeoutExpired) as error:
+        print(f"{load}: {str(error)[-300:]}", file=sys.stderr)
+        return math.nan
+
+
 def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: Path) -> list[Result]:
-    """Measure every program once a round, each of ours once for all that it is compared with."""
-    own: dict[str, list[float]] = {contest.backend: [] for contest in contests}
-    other: dict[str, list[float]] = {contest.name: [] for contest in contests}
-    for _ in range(rounds):
-        for backend, data in dict.fromkeys((contest.backend, contest.data) for contest in contests):
-            own[backend].append(ours(backend, data)(load, folder))
-            for contest in contests:
-                if contest.backend == backend:
-                    other[contest.name].append(contest.measure(load, folder))
-    found = []
+    """Measure every program once a round, each of ours once for all that it is compared with, every second round backwards."""
+    contenders: dict[str, Measure] = {}
     for contest in contests:
-        ratios = [mine / theirs for mine, theirs in zip(own[contest.backend], other[contest.name], strict=True)]
-        found.append(
-            Result(
-                contest.backend,
-                contest.name,
-                load.size_bytes,
-                load.rate_hz,
-                round(statistics.median(own[contest.backend]), 1),
-                round(statistics.median(other[contest.name]), 1),
-                round(statistics.median(ratios), 3),
-                tuple(round(ratio, 3) for ratio in ratios),
-                contest.bar,
+        contenders[contest.label] = ours(contest.backend, *contest.more)
+        contenders[f"against {contest.name}"] = contest.measure
+    times_us: dict[str, list[float]] = {name: [] for name in contenders}
+    for number in range(rounds):
+        for name, measure in list(contenders.items())[:: -1 if number % 2 else 1]:
+            times_us[name].append(measured_or_nan(measure, load, folder))
+    results = []
+    for contest in contests:
+        own, other = times_us[contest.label], times_us[f"against {contest.name}"]
+        pairs = [pair for pair in zip(own, other, strict=True) if not math.isnan(sum(pair))]
+        if pairs:
+            ratios = [mine / theirs for mine, theirs in pairs]
+            medians_us = [round(statistics.median(times), 1) for times in zip(*pairs, strict=True)]
+            sizes = load.size_bytes, load.rate_hz, *medians_us
+            rounded = tuple(round(ratio, 3) for ratio in ratios)
+            results.append(
+                Result(contest.label, contest.name, *sizes, round(statistics.median(ratios), 3), rounded, contest.bar)
             )
-        )
-    return found
+    return results
+
+
+def loads_of(sizes: Sequence[int], rates: Sequence[int] | None) -> list[tuple[int, int]]:
+    """Return sizes and rates: both of `RATES_HZ`, for large messages a lower one."""
+    return [
+        (size, rate)
+        for size in sizes
+        for rate in rates or [hz for hz in RATES_HZ if size * hz <= MOST_BYTE_S] or [LARGE_HZ]
+    ]
+
+
+def write_csv(results: Sequence[Result], path: Path) -> None:
+    """Write a row for each result, all its rounds in one field."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = [{**asdict(result), "ratios": " ".join(map(str, result.ratios))} for result in results]
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def main() -> int:
@@ -301,7 +359,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=2, help="of each program and load, warm-up not included")
-    parser.add_argument("--backend", action="append", choices=sorted({each.backend for each in CONTESTS}))
+    parser.add_argument("--backend", action="append", choices=sorted({contest.backend for contest in CONTESTS}))
     parser.add_argument("--size", type=int, action="append", help=f"bytes (default: {SIZES_BYTES})")
     parser.add_argument("--rate", type=int, action="append", help=f"messages a second (default: {RATES_HZ})")
     parser.add_argument(
@@ -311,6 +369,7 @@ def main() -> int:
         "--awake", action="store_true", help="keep every core awake, as a robot's are not: for all programs alike"
     )
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--csv", type=Path, help="write the results there, for `python scripts/quoted.py`")
     options = parser.parse_args()
     global is_pinning  # noqa: PLW0603 - a setting of this program
     is_pinning = not options.unpinned
@@ -325,19 +384,21 @@ def main() -> int:
     results = []
     waking = awake_cores() if options.awake else nullcontext()
     with waking, tempfile.TemporaryDirectory(prefix="dds-trace-bench-") as folder:
-        for rate_hz in options.rate or RATES_HZ:
-            for size_bytes in options.size or SIZES_BYTES:
-                load = Load(size_bytes, rate_hz, options.seconds)
-                for result in measure_load(contests, load, options.rounds, Path(folder)):
-                    results.append(result)
-                    bar = "stated" if result.bar is None else f"<= {result.bar}"
-                    missed = "" if result.holds else "  MISSED"
-                    if not options.json:
-                        print(
-                            f"{result.backend:11}{result.against:16}{size_bytes:>7} B{rate_hz:>6} Hz"
-                            f"{result.ours_us:>9.0f} us{result.theirs_us:>9.0f} us{result.ratio:>7.2f}  {bar}{missed}",
-                            flush=True,
-                        )
+        for size_bytes, rate_hz in loads_of(options.size or SIZES_BYTES, options.rate):
+            load = Load(size_bytes, rate_hz, options.seconds)
+            fitting = [contest for contest in contests if size_bytes <= contest.most_bytes]
+            for result in measure_load(fitting, load, options.rounds, Path(folder)):
+                results.append(result)
+                bar = "stated" if result.bar is None else f"<= {result.bar}"
+                missed = "" if result.holds else "  MISSED"
+                if not options.json:
+                    print(
+                        f"{result.ours:13}{result.against:16}{size_bytes:>8} B{rate_hz:>6} Hz"
+                        f"{result.ours_us:>9.0f} us{result.theirs_us:>9.0f} us{result.ratio:>7.2f}  {bar}{missed}",
+                        flush=True,
+                    )
+    if options.csv:
+        write_csv(results, options.csv)
     if options.json:
         print(json.dumps([asdict(result) for result in results], indent=2))
     return 0 if all(result.holds for result in results) else 1

@@ -1,14 +1,15 @@
-"""Nodes without a recorder, which `bench_node.py` runs beside ours: blocking TCP sockets, and bare rclpy.
+"""Nodes without a recorder, for `bench_node.py`: blocking TCP sockets, bare rclpy on two executors, and bare zenoh.
 
     python benchmarks/plain_nodes.py socket-echo PORT BYTES
     python benchmarks/plain_nodes.py socket-ping PORT BYTES RATE MESSAGES
-    python benchmarks/plain_nodes.py ros2-echo BYTES
-    python benchmarks/plain_nodes.py ros2-ping BYTES RATE MESSAGES
+    python benchmarks/plain_nodes.py ros2-echo BYTES              # and ros2-events-echo, zenoh-echo PORT
+    python benchmarks/plain_nodes.py ros2-ping BYTES RATE MESSAGES  # and ros2-events-ping, zenoh-ping PORT
 
-An echo prints `ready` and serves until it is ended; a ping prints the round-trip times of its messages in ns, as JSON.
+An echo prints `ready` and serves until it is ended; a ping prints the round-trip times of its messages in ns, as JSON. Each
+message has its number: with one time of sending for all, an echo that takes longer than a period looks fast.
 """
 
-# ruff: noqa: PLC0415 - rclpy is loaded by the programs that use it alone
+# ruff: noqa: PLC0415 - rclpy and zenoh are loaded by the programs that use them
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ import socket
 import sys
 import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -64,8 +66,35 @@ def socket_ping(port: int, size: int, rate_hz: int, messages: int) -> None:
     print(json.dumps(times_ns))
 
 
-def ros2_node(name: str, incoming: str, outgoing: str, receive: Callable[[Any], None]) -> tuple[Any, Any]:
-    """Return an executor and a publisher: `receive` gets every serialized message of `incoming`."""
+class Echoes:
+    """The times of numbered messages; `receive` is called by the thread that takes their echoes."""
+
+    def __init__(self, messages: int) -> None:
+        self._sent_ns, self._back_ns = [0] * messages, [0] * messages
+
+    def receive(self, number: int) -> None:
+        self._back_ns[number] = time.monotonic_ns()
+
+    def send_all(self, rate_hz: int, send: Callable[[int], None]) -> None:
+        """Send at a rate, print the round trips after the last echo, or after a second, and end the process."""
+        due_ns = time.monotonic_ns()
+        for number in range(len(self._sent_ns)):
+            due_ns += 10**9 // rate_hz
+            time.sleep(max(due_ns - time.monotonic_ns(), 0) / 1e9)
+            self._sent_ns[number] = time.monotonic_ns()
+            send(number)
+        until_s = time.monotonic() + 1
+        while not all(self._back_ns) and time.monotonic() < until_s:
+            time.sleep(0.01)
+        pairs = zip(self._sent_ns, self._back_ns, strict=True)
+        print(json.dumps([back_ns - sent_ns for sent_ns, back_ns in pairs if back_ns]), flush=True)
+        os._exit(0)  # rclpy's own end waits for the spinning thread
+
+
+def ros2_node(
+    name: str, incoming: str, outgoing: str, receive: Callable[[Any], None], *, is_events: bool
+) -> tuple[Callable[[], None], Any]:
+    """Return what spins the executor, and a publisher; `receive` gets every serialized message of `incoming`."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from std_msgs.msg import String
@@ -74,40 +103,90 @@ def ros2_node(name: str, incoming: str, outgoing: str, receive: Callable[[Any], 
     node = rclpy.create_node(name)
     publisher = node.create_publisher(String, outgoing, 10)
     node.create_subscription(String, incoming, receive, 10, raw=True)
-    executor = SingleThreadedExecutor()
+    executor: Any = SingleThreadedExecutor()
+    if is_events:
+        from rclpy.experimental import EventsExecutor
+
+        executor = EventsExecutor()
     executor.add_node(node)
-    return executor, publisher
+
+    def spin() -> None:
+        while True:
+            executor.spin_once(timeout_sec=1)
+
+    return spin if is_events else executor.spin, publisher
 
 
-def ros2_echo(_size: int) -> None:
+def ros2_echo(_size: int, *, is_events: bool = False) -> None:
     """Send every message back, from the executor's thread."""
-    executor, publisher = ros2_node("plain_echo", *TOPICS, lambda message: publisher.publish(message))  # noqa: PLW0108 - made before the publisher is known
+    spin, publisher = ros2_node("plain_echo", *TOPICS, lambda message: publisher.publish(message), is_events=is_events)  # noqa: PLW0108 - made before the publisher is known
     print("ready", flush=True)
-    executor.spin()
+    spin()
 
 
-def ros2_ping(size: int, rate_hz: int, messages: int) -> None:
+def ros2_ping(size: int, rate_hz: int, messages: int, *, is_events: bool = False) -> None:
     """Publish on the main thread at a rate; a thread spins the executor, and stamps each echo first of all."""
-    sent_ns, times_ns = [0], []
-
-    def receive(_message: bytes) -> None:
-        times_ns.append(time.monotonic_ns() - sent_ns[0])
-
-    executor, publisher = ros2_node("plain_ping", *reversed(TOPICS), receive)
-    threading.Thread(target=executor.spin, daemon=True).start()
-    message = b"\0\1\0\0" + (size + 1).to_bytes(4, "little") + b"x" * size + b"\0"
+    echoes = Echoes(messages)
+    spin, publisher = ros2_node(
+        "plain_ping", *reversed(TOPICS), lambda message: echoes.receive(int(message[8:16], 16)), is_events=is_events
+    )
+    threading.Thread(target=spin, daemon=True).start()
+    head, text = b"\0\1\0\0" + (size + 1).to_bytes(4, "little"), b"x" * (size - 8) + b"\0"
     while publisher.get_subscription_count() < 1:
         time.sleep(0.05)
     time.sleep(1)  # the echo has to find the subscription of this side as well
-    due_ns = time.monotonic_ns()
-    for _ in range(messages):
-        due_ns += 10**9 // rate_hz
-        time.sleep(max(due_ns - time.monotonic_ns(), 0) / 1e9)
-        sent_ns[0] = time.monotonic_ns()
-        publisher.publish(message)
-    time.sleep(0.2)
-    print(json.dumps(times_ns), flush=True)
-    os._exit(0)  # rclpy's own end waits for the spinning thread
+    echoes.send_all(rate_hz, lambda number: publisher.publish(b"%b%08x%b" % (head, number, text)))
+
+
+def zenoh_session(port: int, *, listens: bool) -> Any:
+    import zenoh
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"peer"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5(f"{'listen' if listens else 'connect'}/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
+    if not listens:
+        config.insert_json5("listen/endpoints", "[]")
+    return zenoh.open(config)
+
+
+def zenoh_publisher(session: Any, key: str) -> Any:
+    import zenoh
+
+    return session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
+def zenoh_echo(port: int, _size: int, *, writes: bool = False) -> None:
+    """Send every message back from zenoh's thread, as it is or with eight bytes written, as a relay writes its id."""
+    session = zenoh_session(port, listens=True)
+    publisher = zenoh_publisher(session, TOPICS[1])
+
+    def receive(sample: Any) -> None:
+        if not writes:
+            publisher.put(sample.payload)
+            return
+        message = bytearray(sample.payload.to_bytes())
+        message[-8:] = b"%08x" % port
+        publisher.put(message)
+
+    subscriber = session.declare_subscriber(TOPICS[0], receive)
+    print("ready", flush=True)
+    threading.Event().wait()
+    subscriber.undeclare()
+
+
+def zenoh_ping(port: int, size: int, rate_hz: int, messages: int) -> None:
+    """Publish on the main thread at a rate; zenoh's thread stamps each echo."""
+    session, echoes = zenoh_session(port, listens=False), Echoes(messages)
+
+    def receive(sample: Any) -> None:
+        echoes.receive(int(sample.payload.to_bytes()[:8], 16))
+
+    subscriber = session.declare_subscriber(TOPICS[1], receive)
+    publisher, text = zenoh_publisher(session, TOPICS[0]), bytes(size - 8)
+    time.sleep(1)
+    echoes.send_all(rate_hz, lambda number: publisher.put(b"%08x%b" % (number, text)))
+    subscriber.undeclare()
 
 
 PROGRAMS: dict[str, Callable[..., None]] = {
@@ -115,6 +194,12 @@ PROGRAMS: dict[str, Callable[..., None]] = {
     "socket-ping": socket_ping,
     "ros2-echo": ros2_echo,
     "ros2-ping": ros2_ping,
+    "ros2-events-echo": partial(ros2_echo, is_events=True),
+    "ros2-events-ping": partial(ros2_ping, is_events=True),
+    "zenoh-echo": zenoh_echo,
+    "zenoh-ping": zenoh_ping,
+    "zenoh-write-echo": partial(zenoh_echo, writes=True),
+    "zenoh-write-ping": zenoh_ping,
 }
 
 if __name__ == "__main__":

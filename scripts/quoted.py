@@ -1,9 +1,11 @@
 """Answers quoted in README and the pages, made from the traces that docs/results/ keeps: `just readme`.
 
     python scripts/quoted.py            # writes each quote again; names the pages that changed
+    python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, both in a block; `table loopback` the first table of the Markdown report.
+a bag, both in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`, `link study` that of study/link.csv,
+`claims study` that of a sweep of plans/paper-claims.toml.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from stored_tables import CLAIMS, RATIOS, STUDY, claim_table, keep_claims, link_table, ratio_table, read_rows
+
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.reports.book.book import Book
@@ -26,9 +30,10 @@ from dds_trace.reports.terminal import render_brief
 from dds_trace.reports.topics.renderers import print_topics
 
 TOP = Path(__file__).parents[1]
-PAGES = (TOP / "README.md", *sorted((TOP / "docs").rglob("*.md")))
+PAGES = (TOP / "README.md", TOP / "benchmarks" / "performance.md", *sorted((TOP / "docs").rglob("*.md")))
 QUOTE = re.compile(
-    r"(?P<head><!-- quoted: (?P<kind>\w+) (?P<campaign>[\w-]+) -->\n)(?P<text>```text\n.*?```\n|(?:\|.*\n)+)", re.DOTALL
+    r"(?P<head><!-- quoted: (?P<kind>\w+) (?P<campaign>[\w-]+) -->\n)(?P<text>```text\n.*?```\n|(?:\|[^\n]*\n)+)",
+    re.DOTALL,
 )
 FOLDER_OF = {"robot-and-laptop": "two-machines"}
 """Folder that a person analyzes -> folder of docs/results/, where the two differ."""
@@ -48,6 +53,12 @@ def unpack(campaign: str, into: Path) -> Path:
 @cache
 def quote(kind: str, campaign: str) -> str:
     """Return what is quoted: the block or the table, as it is on the page."""
+    if kind == "ratios":
+        return ratio_table(read_rows(RATIOS))
+    if kind == "link":
+        return link_table(read_rows(STUDY / "link.csv"))
+    if kind == "claims":
+        return claim_table(read_rows(CLAIMS) if CLAIMS.exists() else [])
     with tempfile.TemporaryDirectory() as scratch:
         folder = unpack(campaign, Path(scratch))
         if kind == "topics":
@@ -73,7 +84,9 @@ def with_quotes(text: str) -> str:
 
 
 def main() -> int:
-    """Write the quotes again."""
+    """Write the quotes again, after the rows of a sweep of the claims, if its folder is given."""
+    if len(sys.argv) > 1:
+        keep_claims(Path(sys.argv[1]))
     os.environ["COLUMNS"] = "80"
     for page in PAGES:
         text = page.read_text(encoding="utf-8")

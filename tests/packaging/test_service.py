@@ -1,6 +1,7 @@
 import configparser
 import fnmatch
 import os
+import re
 import shlex
 import signal
 import socket
@@ -13,6 +14,7 @@ import yaml
 
 from dds_trace import analyze
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.version import __version__
 from dds_trace.recorder.service.running import list_recordings
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -144,3 +146,14 @@ def test_the_commands_of_the_compose_file_cross_two_domains(start, domains, tmp_
     analysis = analyze(tmp_path)
     assert analysis.summary["received"].to_list() == [100]
     assert analysis.summary["bridge"].to_list() == ["builtin"]
+
+
+def test_the_changelog_begins_with_this_version_and_has_a_heading_for_each_line():
+    text = (UNIT.parents[1] / "CHANGELOG.md").read_text(encoding="utf-8")
+    latest = text.split("\n## ")[1]
+    assert latest.startswith(f"{__version__} ")
+    introduction, *groups = latest.split("\n### ")
+    assert "\n- " not in introduction
+    assert len(groups) > 5
+    for group in groups:
+        assert re.search(r"\n- \S", group), group

@@ -14,7 +14,8 @@ import pytest
 from wire_packets import SPDP_WRITER, data, data_frag, rtps, stamped
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.wire.capture import WireCapture, WireOptions, domain_ports
+from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.wire.capture import WireCapture, WireOptions, domain_ports, run_interfaces
 from dds_trace.recorder.wire.packets.packet_filter import wire_program
 from dds_trace.recorder.wire.ring import NO_CAPTURE, PacketRing
 from dds_trace.tracefile.format.wire import Direction
@@ -160,3 +161,16 @@ def test_a_capture_that_was_killed_says_so(own):
         os.kill(capture.pid, signal.SIGKILL)
         with pytest.raises(OptionError, match="ended by itself"):
             capture.begin(1)
+
+
+def test_localhost_discovery_keeps_to_loopback():
+    assert run_interfaces(Discovery.LOCALHOST) == ("lo",)
+
+
+def test_subnet_discovery_uses_all_that_are_up_and_no_port_of_a_bridge(tmp_path, monkeypatch):
+    names = [name for _, name in socket.if_nameindex()]
+    monkeypatch.setattr(socket, "if_nameindex", lambda: [(1, "lo"), (2, "nowhere0")])
+    assert "lo" in names
+    assert run_interfaces(Discovery.SUBNET, tmp_path) == ("lo",)
+    (tmp_path / "lo" / "master").mkdir(parents=True)
+    assert run_interfaces(Discovery.SUBNET, tmp_path) == ()

@@ -1,10 +1,12 @@
 """The bookkeeping of a sweep, with a stand-in for `dds-record` that does as its script says."""
 
 import errno
+import json
 import os
 import signal
 import threading
 import time
+from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -12,7 +14,7 @@ import pytest
 from sweep_desk import COMMAND, FIRST, FOURTH, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
 
 import dds_trace.recorder.sweep.run.runner as runner_module
-from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
 from dds_trace.recorder.sweep import sweep as sweep_module
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.state import Status
@@ -321,3 +323,103 @@ def test_ping_that_is_killed_says_so_and_is_tried_again(desk):
     assert desk.sweep().missing == {}
     assert (FIRST, "failed: killed by signal 9 (SIGKILL)", False) in desk.heard.ended_cells
     assert desk.started[FIRST] == 2
+
+
+THREE = PLAN.replace("[100, 200]", "100") + "relays = 3\n"
+CELL = "ros2_same_binary_100Hz_relays-3"
+
+
+def test_each_relay_has_a_trace_of_its_own(desk):
+    assert desk.sweep(THREE).missing == {}
+    assert desk.started == {CELL: 1, "relay": 3}
+    assert desk.traces == sorted([*files_of(CELL), f"{CELL}.relay-2.mcap", f"{CELL}.relay-3.mcap"])
+    numbers = [
+        words[words.index("--relay-id") + 1] for start in desk.starts if "--relay-id" in (words := start["arguments"])
+    ]
+    assert sorted(numbers) == ["1", "2", "3"]
+    assert desk.state(CELL, THREE).status is Status.COMPLETE
+
+
+def test_a_relay_that_dies_is_started_again_with_the_others(desk):
+    desk.script(**{CELL: ["slow"], "relay": ["relay", "relay", "die"]})
+    assert desk.sweep(THREE).missing == {}
+    assert desk.started == {CELL: 2, "relay": 6}
+
+
+def test_a_resumed_sweep_has_nothing_to_do(desk):
+    desk.sweep(THREE)
+    before = Counter(desk.started)
+    assert desk.sweep(THREE).missing == {}
+    assert desk.started == before
+
+
+@pytest.fixture
+def target(desk):
+    folder = desk.folder / "home"
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("mine")
+    return folder
+
+
+@pytest.fixture
+def sweep_folder(desk):
+    folder = desk.folder / "runs/plan"
+    folder.mkdir(parents=True)
+    return folder
+
+
+def test_linked_folder_for_parts_is_refused(desk, sweep_folder, target):
+    (sweep_folder / ".parts").symlink_to(target)
+    with pytest.raises(OutputError, match=r"\.parts is a link"):
+        desk.sweep()
+    assert [path.name for path in target.iterdir()] == ["thesis.tex"]
+
+
+def test_foreign_files_among_the_parts_stay_and_are_told(desk, sweep_folder, target):
+    parts = sweep_folder / ".parts"
+    (parts / "a folder").mkdir(parents=True)
+    (parts / "notes.txt").write_text("mine")
+    (parts / "recording.mcap").write_text("mine")
+    (parts / "1-1700000000000-1.mcap").write_text("left by a killed sweep")
+    (parts / f"{FIRST}.ping.mcap").symlink_to(target / "thesis.tex")
+    (parts / f"{FIRST}.ping.mcap.log").symlink_to(target / "thesis.tex")
+    assert desk.sweep().missing == {}
+    assert [name for name in desk.traces if name != "recording.mcap"] == files_of(FIRST, SECOND)
+    assert sorted(path.name for path in parts.iterdir()) == ["a folder", "notes.txt", "recording.mcap"]
+    assert (target / "thesis.tex").read_text() == "mine"
+
+
+def test_folder_in_the_place_of_a_log_is_one_clear_error(desk, sweep_folder):
+    (sweep_folder / f".parts/{FIRST}.ping.mcap.log").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"\.log"):
+        desk.sweep()
+
+
+def test_folder_in_the_place_of_a_trace_is_one_clear_error(desk, sweep_folder):
+    (sweep_folder / f"{FIRST}.ping.mcap").mkdir()
+    with pytest.raises(OutputError, match=f"{FIRST}.ping.mcap"):
+        desk.sweep()
+    assert (sweep_folder / f"{FIRST}.ping.mcap").is_dir()
+
+
+def test_linked_lock_is_refused(desk, sweep_folder, target):
+    (sweep_folder / ".lock").symlink_to(target / "made.txt")
+    with pytest.raises(OutputError):
+        desk.sweep()
+    assert [path.name for path in target.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("cell", "segment"), [("../../home/thesis", "1-17-1.mcap"), (FIRST, "../../../home/thesis"), (FIRST, "*")]
+)
+def test_state_that_names_files_outside_is_refused_and_removes_nothing(desk, sweep_folder, target, cell, segment):
+    desk.sweep()
+    state = json.loads((sweep_folder / "state.json").read_text())
+    held = state["cells"].pop(FIRST)
+    state["cells"][cell] = {**held, "status": "recorded", "segment": segment}
+    (sweep_folder / "state.json").write_text(json.dumps(state))
+    (target / "thesis.ping.mcap").write_text("mine")
+    before = sorted(desk.folder.rglob("*"))
+    with pytest.raises(TraceFormatError, match="not the state of a sweep"):
+        desk.sweep()
+    assert sorted(desk.folder.rglob("*")) == before

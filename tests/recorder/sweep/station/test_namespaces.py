@@ -22,7 +22,6 @@ from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_st
 
 UDP_ECHO = Path(__file__).parents[3] / "support" / "udp_echo.py"
 
-
 FIRST = ("chrt", "-f", "5")
 """Start of a command with real-time priority, which other programs do not delay."""
 

@@ -1,7 +1,6 @@
 import importlib.util
-import subprocess
-import sys
 
+import processes
 import pytest
 
 from dds_trace.analyzer.pipeline import analyze
@@ -30,13 +29,8 @@ def test_throughput_and_latency_come_from_one_run(tmp_path, domain_id, backend):
         pytest.skip(f"{backend} is not installed")
     plan = tmp_path / "p.toml"
     plan.write_text(PLAN.format(backend=backend, domain=domain_id))
-    done = subprocess.run(
-        [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", tmp_path / "runs"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = processes.run("dds-trace", "sweep", plan, "--out", tmp_path / "runs")
+    assert done.status == 0, done.stderr
     (path,) = (tmp_path / "runs/p").glob("*_max_*.ping.mcap")
     trace = read_trace(path)
     run, sent = trace.runs[-1], trace.events[Stage.T1]

@@ -10,6 +10,7 @@ from shaped_bags import shapes, write_shape
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.recorder.payloads.bag import load_payload
+from dds_trace.tracefile.recovery.recordings import recover_recording
 
 MESSAGES = {"/imu": [imu(0.1), imu(0.2)], "/gps": [imu(0.3)]}
 SUFFIX = {StoragePlugin.MCAP: ".mcap", StoragePlugin.SQLITE3: ".db3"}
@@ -69,6 +70,25 @@ def test_a_file_that_the_bag_does_not_list_is_named_and_not_read(tmp_path, plugi
     assert topics == {"/imu": 2, "/gps": 1}
     assert detail.startswith(f"copy{SUFFIX[plugin]} is not listed")
     sentences(detail)
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_data_file_that_was_renamed_is_read_and_named(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
+    (bag / f"bag{SUFFIX[plugin]}").rename(bag / f"drive{SUFFIX[plugin]}")
+    topics, detail = topics_of(bag)
+    assert topics == {"/imu": 2, "/gps": 1}
+    assert f"drive{SUFFIX[plugin]} is not listed" in detail
+    assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
+    assert recover_recording(bag).messages == 3
+
+
+def test_types_of_a_database_without_msg_are_those_of_ros2(tmp_path):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
+    with sqlite3.connect(bag / "bag.db3") as database:
+        database.execute("UPDATE topics SET type = 'sensor_msgs/Imu'")
+    assert set(analyze_topics(bag).topics["message_type"]) == {"sensor_msgs/msg/Imu"}
+    assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)

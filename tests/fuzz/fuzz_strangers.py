@@ -15,7 +15,7 @@ from fuzz_shapes import shaped, shaped_seeds
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.printable import is_hidden
-from dds_trace.cli.defaults import FILE_NAME, read_defaults
+from dds_trace.cli.defaults import FILE_NAME, configurable, read_defaults
 from dds_trace.cli.record.command import app
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.backends.other_side import Strangers
@@ -38,7 +38,7 @@ class Target:
     def __init__(self, folder: Path) -> None:
         self._file = folder / FILE_NAME
         self._shapes = (self._announced, self._noted, self._defaults)
-        self._options = {max(one.opts, key=len).lstrip("-"): one for one in typer.main.get_command(app)._options()}
+        self._options = configurable(typer.main.get_command(app))
 
     def seeds(self) -> dict[str, bytes]:
         toml = b"[record]\nrate = 5\ntopics = ['/a']\nlabel = ['a=b']\n[sweep]\n"

@@ -127,6 +127,14 @@ class _Bag1Walk:
                 continue
             is_packed = record.opcode == _CHUNK and record.fields["compression"] != b"none"
             next_at = record.end if is_packed or record.opcode != _CHUNK else record.data_at
+            is_open = record.opcode == _CHUNK and not is_packed
+            if is_open and _number(record, "size") == record.end - next_at <= source.size - next_at:
+                following = self._record_at(source, record.end)
+                if following is not None or record.end == source.size:
+                    data = source.read(next_at, record.end - next_at)
+                    yield record._replace(unpacked=UnpackedRecords(data))
+                    at = record.end
+                    continue
             following = self._record_at(source, next_at)
             if is_packed:
                 record = self._unpacked(source, record)

@@ -384,7 +384,6 @@ class AnalysisBar:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `dds-analyze`."""
     from .trace import main as dds_trace
     from .trace import refuse_moved
 

@@ -20,12 +20,11 @@ VARIABLE = "DDS_TRACE_CONFIG"
 """Variable that names the file instead of all others; empty for none."""
 
 PRINT_CONFIG = "print_config"
-"""Parameter of each command with a table: whether it only prints what is in force."""
 
 TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
 
 _WITHOUT_DEFAULT = frozenset(
-    ("force", "check", "dry-run", "rehearse", "print", "print-config", "config", "version", "help", "write-limits")
+    "force check dry-run rehearse print print-config config version help write-limits".split()  # noqa: SIM905
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
 

@@ -26,14 +26,12 @@ if TYPE_CHECKING:
     from typer.models import ArgumentInfo, OptionInfo
 
 SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
-SHORT_COLUMNS = 46
-"""Columns of what an option means in `-h`."""
+SHORT_COLUMNS = 46  # of what an option means in `-h`
 
 
-def option(name: str, help: str, *, also: str = "", show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
+def option(name: str, help: str, *, show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
     flag, _, metavar = name.partition(" ")
-    flags = (flag, also) if also else (flag,)
-    info: OptionInfo = typer.Option(*flags, metavar=metavar or None, help=help, show_default=show_default, **more)
+    info: OptionInfo = typer.Option(flag, metavar=metavar or None, help=help, show_default=show_default, **more)
     return info
 
 
@@ -134,7 +132,6 @@ Version = Annotated[bool, typer.Option("--version", callback=_print_version, is_
 
 
 def ask_about_folder(path: Path, what: str) -> None:
-    """Ask whether a folder is meant by a name that looks like a file's; without a terminal, print that it is one."""
     if not path.suffix[1:].isalpha() or path.exists():
         return
     text = f"{path.name} becomes a folder, {what}"

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from enum import Enum
 from typing import Annotated, Any, TypeVar
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.limits import shown
+from dds_trace.base.limits import nearest, shown
 from dds_trace.recorder.choices import Discovery, Role
-from dds_trace.recorder.option_table import OPTIONS, choices_of, help_of
+from dds_trace.recorder.option import Option
+from dds_trace.recorder.option_table import OPTIONS, SETTINGS, choices_of, help_of, key_of
 
 from .program import option, starting
 
@@ -36,13 +38,71 @@ def _parameter(name: str) -> inspect.Parameter:
     row = OPTIONS[name]
     kind: Any = list[row.kind] if row.is_repeatable else row.kind  # type: ignore[name-defined]
     values = [] if issubclass(row.kind, Enum) else choices_of(row)
-    info = option(f"{row.name} {row.metavar}", help_of(row), autocompletion=starting(values) if values else None)
+    info = option(
+        f"{row.name} {row.metavar}",
+        help_of(row),
+        autocompletion=starting(values) if values else None,
+        hidden=row.name in SETTINGS,
+    )
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
         default=None if row.metavar else False,
         annotation=Annotated[kind | None if row.metavar else bool, info],
     )
+
+
+SettingsOption = Annotated[
+    list[str] | None,
+    option("-o KEY=VALUE", "A key of a plan, such as buffer=4MB; `-o help` lists them; repeatable.", is_eager=True),
+]
+
+
+def settings_as_options(words: Sequence[str]) -> list[str]:
+    """Return the words with each `-o KEY=VALUE` as the option of that key; with `-o help` print the keys and exit."""
+    rows = {key_of(row): row for row in SETTINGS.values()}
+    options: list[str] = []
+    remaining = iter(words)
+    for word in remaining:
+        if word != "-o":
+            options.append(word)
+            continue
+        key, equals, value = next(remaining, "help").partition("=")
+        key = key.replace("-", "_")
+        if key == "help":
+            print("\n".join(f"{key}={row.metavar or 'false'}  {help_of(row)}" for key, row in _rows_here(rows, words)))
+            sys.exit()
+        if key not in rows or not equals:
+            raise OptionError(f"-o {key}: write KEY=VALUE; {nearest(key, rows)}")
+        if rows[key].metavar:
+            options += [rows[key].name, value]
+        elif value in ("true", "false"):
+            options += [rows[key].name] if value == "false" else []
+        else:
+            raise OptionError(f"-o {key}={shown(value)}: write true or false")
+    return options
+
+
+def _rows_here(rows: Mapping[str, Option], words: Sequence[str]) -> list[tuple[str, Option]]:
+    from dds_trace.recorder.backends import load_backend
+
+    named = words[words.index("--backend") + 1 :][:1] if "--backend" in words else []
+    backend = load_backend(named[0] if named else OPTIONS["backend"].field_default)  # type: ignore[arg-type]
+    can_have = {
+        **{name: any(name in names for names in backend.sizes.values()) for name in ("buffer", "segment", "fragment")},
+        **dict.fromkeys(("clients", "call_timeout", "response_size"), bool(backend.calls)),
+        "when_full": backend.can_drop,
+        "priority": backend.priorities is not None,
+        "congestion_control": backend.has_congestion_control,
+        "multicast": backend.can_multicast,
+        "executor": backend.has_ros,
+    }
+    role = next((role for role in Role if role.value in words), None)
+    return [
+        (key, row)
+        for key, row in rows.items()
+        if can_have.get(key, True) and (role is None or not row.roles or role in row.roles)
+    ]
 
 
 def given_values(values: Mapping[str, Any]) -> dict[str, Any]:

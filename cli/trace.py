@@ -40,7 +40,6 @@ COMMANDS = {
     "bridge": "bridge:app",
     "doctor": "doctor:app",
 }
-"""Words of a command -> module and app."""
 
 _GROUPS = {
     "record": "Record a ping and its relay, topics of others, or clocks; list what records now.",
@@ -61,7 +60,6 @@ MOVED = {
     "bridge --list": "doctor",
     "bridge --print-config": "bridge NAME --config",
 }
-"""Command and option that went -> what does it now."""
 
 
 def refuse_moved(words: Sequence[str]) -> None:
@@ -125,10 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     def run() -> None:
         refuse_moved(words)
-        build(_words_to_complete() or words)(words or ["--help"], prog_name=PROGRAM)
+        typed = import_module(".record.command", __package__).words_of_role(words) if is_recording else words
+        build(_words_to_complete() or words)(typed or ["--help"], prog_name=PROGRAM)
 
     run_command(run, needs_stdout=not is_recording)
-
-
-if __name__ == "__main__":
-    main()

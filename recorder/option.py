@@ -91,9 +91,9 @@ def option(
         kind = str if parse is not None else {Whole: int, Real: float}.get(type(limit), str)
     name, _, metavar = name.partition(" ")
     text, _, default_words = help.partition(" Default: ")
+    kind = kind or type(default)
     row = Option(
-        *(name, text, metavar, kind or type(default), limit, parse, default_words, roles, in_key, axis, variables),
-        field_default=default,
+        name, text, metavar, kind, limit, parse, default_words, roles, in_key, axis, variables, field_default=default
     )
     if isinstance(default, dict):
         return field(default_factory=dict, metadata={"option": row})  # type: ignore[return-value]

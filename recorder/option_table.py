@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -125,6 +125,50 @@ OPTIONS: Mapping[str, Option] = {
     for name, row in options_of(record).items()
 }
 """Rows by field; no two records share a name."""
+
+
+SETTINGS = {
+    row.name: row
+    for row in OPTIONS.values()
+    if row.name[2:]
+    in [
+        "buffer",
+        "segment",
+        "fragment",
+        "when-full",
+        "priority",
+        "congestion-control",
+        "no-multicast",
+        "executor",
+        "serialization",
+        "flow",
+        "clients",
+        "call-timeout",
+        "response-size",
+        "ping-share",
+        "start-at",
+        "wake",
+        "load",
+        "load-to",
+        "relay-id",
+        "no-own-cost",
+    ]
+}
+"""Rows that a person gives as `-o KEY=VALUE`: a plan varies them."""
+
+
+def typed_words(words: Sequence[str]) -> list[str]:
+    """Return the options of a recording as a person types them."""
+    typed, remaining = [], iter(words)
+    for word in remaining:
+        row = SETTINGS.get(word)
+        value = "" if row is None else f"{key_of(row)}={next(remaining) if row.metavar else 'false'}"
+        typed += [word] if row is None else ["-o", value]
+    return typed
+
+
+def key_of(row: Option) -> str:
+    return row.name.removeprefix("--").removeprefix("no-").replace("-", "_")
 
 
 _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}

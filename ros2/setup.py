@@ -62,9 +62,7 @@ setup(
         (f"share/{PACKAGE}/launch", ["launch/ping_relay.launch.py"]),
     ],
     entry_points={
-        "console_scripts": [
-            f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep", "trace")
-        ]
+        "console_scripts": [f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "record", "trace")]
     },
     install_requires=[],  # an old setuptools would refuse to start a command for want of one; see requirements.txt
     zip_safe=False,

@@ -8,11 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import typer  # noqa: TC002 - it reads the annotation
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.choices import Role
-from dds_trace.recorder.option_table import OPTIONS, CommandOptions
+from dds_trace.recorder.option_table import OPTIONS, SETTINGS, CommandOptions, key_of
 
 from ..program import Version, ask_about_folder, command, make_app, run_command
-from ..table_options import default_discovery, default_domain, given_values, overridden, read_record, with_options
+from ..table_options import (
+    SettingsOption,
+    default_discovery,
+    default_domain,
+    given_values,
+    overridden,
+    read_record,
+    settings_as_options,
+    with_options,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -46,47 +56,19 @@ app = make_app(completes=True)
 @with_options(OPTIONS)
 def record_command(
     context: typer.Context,
+    settings_given: SettingsOption = None,  # noqa: ARG001 - read before
     version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,
 ) -> None:
-    """Record latency of ROS 2 / DDS messages, as `dds-trace record ROLE` does.
-
-    For example:
-
-        dds-record --role relay --out relay.mcap
-    """
+    """Record latency of ROS 2 / DDS messages, as `dds-trace record ROLE` does."""
     _record(context, given_values(values))
 
 
 _HELP = {
-    Role.PING: """Send messages on a schedule, and record their replies.
-
-    A relay on this or another device sends them back:
-
-        dds-trace record relay --out runs/relay.mcap
-
-        dds-trace record ping --out runs/ping.mcap
-
-        dds-trace analyze runs/
-    """,
-    Role.RELAY: """Send messages back, and record them; Ctrl-C ends.
-
-    For example:
-
-        dds-trace record relay --out runs/relay.mcap
-    """,
-    Role.TAP: """Record how late, how old and how complete topics of others arrive; Ctrl-C ends.
-
-    For example:
-
-        dds-trace record tap --topics /scan,/tf --out runs/tap.mcap
-    """,
-    Role.BEACON: """Compare the clocks of the devices that run one; Ctrl-C ends.
-
-    For example:
-
-        dds-trace record beacon --out runs/beacon.mcap
-    """,
+    Role.PING: "Send messages on a schedule, and record their replies; a relay sends them back.",
+    Role.RELAY: "Send messages back, and record them; Ctrl-C ends.",
+    Role.TAP: "Record how late, how old and how complete topics of others arrive; Ctrl-C ends.",
+    Role.BEACON: "Compare the clocks of the devices that run one; Ctrl-C ends.",
 }
 
 
@@ -97,7 +79,7 @@ def _role_app(role: Role) -> typer.Typer:
     def overridden_of_role(values: Mapping[str, Any]) -> dict[str, str]:
         return overridden({"role": role, **values})
 
-    def record_role(context: typer.Context, **values: Any) -> None:
+    def record_role(context: typer.Context, settings_given: SettingsOption = None, **values: Any) -> None:  # noqa: ARG001 - read before
         _record(context, {"role": role, **given_values(values)})
 
     record_role.__doc__ = _HELP[role]
@@ -111,7 +93,6 @@ ping, relay, tap, beacon = map(_role_app, Role)
 
 
 def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
-    from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
 
@@ -144,7 +125,6 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
 
 
 def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:
-    from dds_trace.base.errors import OptionError
 
     rows = [OPTIONS[name] for name in chosen if OPTIONS[name].roles and role not in OPTIONS[name].roles]
     if rows:
@@ -156,7 +136,6 @@ def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:
-    from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions
     from dds_trace.recorder.tap.tap import chosen_qos
@@ -188,6 +167,14 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
     return replace(options, rotation=replace(options.rotation, keep=command.keep))
 
 
+def words_of_role(words: Sequence[str]) -> list[str]:
+    """Return the words of `dds-trace record ROLE` with its settings as options; none of these is an option of its own."""
+    for word in words:
+        if (row := SETTINGS.get(word.partition("=")[0])) is not None:
+            raise OptionError(f"{row.name} is a key of a plan: give -o {key_of(row)}={row.metavar or 'false'}")
+    return settings_as_options(words)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     from ..trace import main as dds_trace
     from ..trace import refuse_moved
@@ -198,7 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     def run() -> None:
         refuse_moved(["record", *words])
-        app(words, prog_name="dds-record")
+        app(settings_as_options(words), prog_name="dds-record")
 
     run_command(run, needs_stdout=False)
 

@@ -15,7 +15,7 @@ import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import format_duration
 
 from ..program import command, make_app
 from .against import say_missing
@@ -66,38 +66,14 @@ def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = Fa
 
 
 def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
+    """Show the most that is recorded: looks at the default and each bundle, and a proof of both sides."""
     from dds_trace.recorder.sweep.advice import bundles
-    from dds_trace.recorder.sweep.plan.schedule import Remaining, plan_seconds
-    from dds_trace.recorder.sweep.rehearsal import check_plan
-    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
-    from .dry_run import check_arguments, print_reasons
+    from .dry_run import dry_run
 
-    refused = check_plan(plan, out / plan.name, check_arguments)
-    described: list[dict[str, Any]] = []
-    for vendor, cells in _cells_by_vendor(plan).items():
-        here = [cell for cell in cells if cell.name not in refused]
-        sides = 1 + len(bundles(vendor, plan))
-        passes = max(PROOFS, plan.run.repeats)
-        plan_here = replace(plan, cells=tuple(here))
-        described.append(
-            {
-                "vendor": vendor,
-                "look": sides * LOOKS * len(here),
-                "look_seconds": sides * plan_seconds(plan_here, passes=LOOKS).seconds if here else 0.0,
-                "proof": 2 * passes * len(here),
-                "proof_seconds": 2 * plan_seconds(plan_here, passes=passes).seconds if here else 0.0,
-            }
-        )
-    if as_json:
-        print(json.dumps({"plan": plan.name, "vendors": described, "cannot_start": refused}))
-    for row in described if not as_json else ():
-        print(
-            f"{row['vendor']}: first look {counted(row['look'], 'recording')}, about {Remaining(row['look_seconds'])}; where a bundle "
-            f"looks better, proof {counted(row['proof'], 'recording')}, about {Remaining(row['proof_seconds'])}"
-        )
-    print_reasons(refused)
-    return INCOMPLETE_EXIT_CODE if refused else 0
+    sides = 1 + max(len(bundles(vendor, plan)) for vendor in _cells_by_vendor(plan))
+    repeats = sides * LOOKS + 2 * max(PROOFS, plan.run.repeats)
+    return dry_run(replace(plan, run=replace(plan.run, repeats=repeats)), out, None, None, as_json=as_json)
 
 
 def _cells_by_vendor(plan: Plan) -> dict[str, list[Cell]]:

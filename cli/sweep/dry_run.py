@@ -48,7 +48,7 @@ def dry_run(
         print("\n".join(lines))
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
-    print_reasons(refused)
+    _print_reasons(refused)
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
@@ -71,7 +71,7 @@ def check_arguments(arguments: Sequence[str]) -> None:
         raise OptionError(str(message())) from err
 
 
-def print_reasons(refused: Mapping[str, str]) -> None:
+def _print_reasons(refused: Mapping[str, str]) -> None:
     names = defaultdict(list)
     for name, reason in refused.items():
         names[reason].append(name)

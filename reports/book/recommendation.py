@@ -194,27 +194,28 @@ QOS_DEFAULTS = {
 """Columns that are options of both sides, with the option's default."""
 
 SETTING_OPTIONS = {
+    "serialization": "-o serialization",
     "cpu_affinity": "--cpu-affinity",
-    "load": "--load",
-    "priority": "--priority",
-    "when_full": "--when-full",
+    "load": "-o load",
+    "priority": "-o priority",
+    "when_full": "-o when_full",
     "security": "--security",
     "realtime_priority": "--realtime",
     "wire": "--wire",
     "discovery": "--discovery",
     "transport": "--transport",
-    "executor": "--executor",
+    "executor": "-o executor",
     "tuned": "--tuned",
-    "congestion_control": "--congestion-control",
+    "congestion_control": "-o congestion_control",
     "deadline_ns": "--deadline",
     "lifespan_ns": "--lifespan",
     "rmw": "--rmw",
-    "multicast": "--no-multicast",
-    "buffer_bytes": "--buffer",
-    "segment_bytes": "--segment",
-    "fragment_bytes": "--fragment",
+    "multicast": "-o multicast",
+    "buffer_bytes": "-o buffer",
+    "segment_bytes": "-o segment",
+    "fragment_bytes": "-o fragment",
     "call": "--call",
-    "response_bytes": "--response-size",
+    "response_bytes": "-o response_size",
 }
 """Setting of one side -> its option; any other is a `--setting` of the ping."""
 
@@ -222,9 +223,9 @@ PING_OPTIONS = {
     "bridge_running": "--bridge-running",
     "bridge_listen": "--bridge-listen",
     "relays": "--relays",
-    "ping_share": "--ping-share",
-    "wake_ms": "--wake",
-    "clients": "--clients",
+    "ping_share": "-o ping_share",
+    "wake_ms": "-o wake",
+    "clients": "-o clients",
 }
 
 LISTENS_AT = "0.0.0.0:7447"
@@ -288,6 +289,8 @@ def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterat
 
 
 def _option(name: str, value: str) -> tuple[str, ...]:
+    if name.startswith("-o "):
+        return "-o", f"{name[3:]}={value}"
     return (name,) if value in ("true", "false") else (name, value)
 
 

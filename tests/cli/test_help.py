@@ -171,6 +171,30 @@ def test_an_option_that_went_names_the_command_that_does_it(words, now, capsys, 
     assert " ".join(now.split()[:2]) in trace.COMMANDS or now.split()[0] in {*trace.COMMANDS, "record"}
 
 
+def test_what_only_a_plan_varies_is_a_setting(tmp_path, monkeypatch, capsys):
+    taken = []
+    monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", lambda options, **_: taken.append(options))
+
+    def ends(*words):
+        with pytest.raises(SystemExit) as ended:
+            trace.main(["record", *words, "--backend", "socket", "--out", str(tmp_path / "x.mcap")])
+        return ended.value.code or 0, *capsys.readouterr()
+
+    assert ends("ping", "-o", "buffer=1MB", "-o", "own_cost=false")[0] == 0
+    assert (taken[0].node.buffer_bytes, taken[0].own_cost) == (1_000_000, False)
+    keys = {line.partition("=")[0] for line in ends("relay", "-o", "help")[1].splitlines()}
+    assert {"buffer", "congestion_control", "relay_id"} <= keys
+    assert not {"clients", "executor", "when_full"} & keys  # of a ping, or of other middlewares
+    for words, said in (
+        (("--buffer", "1MB"), "-o buffer=SIZE"),
+        (("-o", "bufer=1MB"), "did you mean 'buffer'"),
+        (("-o", "own_cost=no"), "true or false"),
+        (("-o", "buffer=x"), "--buffer 'x'"),
+    ):
+        code, _, err = ends("ping", *words)
+        assert (code, said in err) == (2, True), err
+
+
 def test_typer_is_used_by_its_public_interface():
     """No private module or attribute of it or of click, and no class of commands."""
     text = "\n".join(path.read_text() for path in Path(trace.__file__).parent.rglob("*.py"))

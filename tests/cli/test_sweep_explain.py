@@ -6,7 +6,8 @@ from campaigns import write_run
 from processes import run as run_program
 from trace_files import evenly
 
-from dds_trace.cli.sweep.explain import _lines, answer, made_explanation
+from dds_trace.cli.sweep.explain import _lines, answer
+from dds_trace.recorder.sweep.explain import explain_rates, explain_size
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 US = 1_000
@@ -52,7 +53,7 @@ def write_campaign(folder, explanation, latencies_us, extra=EXTRA):
 
 
 def rates():
-    return made_explanation(parse_plan('[axes]\nbackend = "cyclonedds"\nrate = [10, 500]', "p", "p.toml"), None)
+    return explain_rates(parse_plan('[axes]\nbackend = "cyclonedds"\nrate = [10, 500]', "p", "p.toml"))
 
 
 def test_shares_of_made_traces_are_the_ones_they_were_made_with(tmp_path):
@@ -90,7 +91,7 @@ def test_a_condition_that_its_process_did_not_have_counts_for_nothing(tmp_path):
 
 def test_a_size_whose_messages_are_lost_has_a_jump_and_the_factor_that_brings_them_back_moves_it(tmp_path):
     plan = parse_plan('[axes]\nbackend = "cyclonedds"\n', "p", "p.toml")
-    explanation = made_explanation(plan, "100KB..300KB")
+    explanation = explain_size(plan, "100KB..300KB")
     (setup,) = explanation.setups
     numbers = itertools.count(1)
     for key, (small, large) in setup.pairs.items():

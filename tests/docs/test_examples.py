@@ -18,6 +18,7 @@ from trace_files import SAMPLES, copy_sample
 
 from dds_trace.cli import analyze, trace
 from dds_trace.cli.record import command as record
+from dds_trace.cli.record.command import words_of_role
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 SMALL_PLAN = """
@@ -239,7 +240,9 @@ def test_options_within_a_sentence_are_those_of_the_program(line):
     assert {word for word in words if word.startswith("--")} <= {*known, "--help"}
     is_whole = words[:1] == ["record"] and given != words and not re.search(r"\b[A-Z]{3,}\b", line)
     if is_whole and command.name in ("ping", "relay", "tap", "beacon"):
-        command.main([*given, "--out", "new.mcap"], standalone_mode=False, obj=lambda options: options.check())
+        command.main(
+            [*words_of_role(given), "--out", "new.mcap"], standalone_mode=False, obj=lambda options: options.check()
+        )
 
 
 def test_the_kept_bag_is_small():

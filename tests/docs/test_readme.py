@@ -38,7 +38,7 @@ NOT_RUN = {
 }
 """Line that is not run -> why."""
 
-SHORT = ["--messages", "5", "--warmup", "1", "--rate", "100", "--no-own-cost", "--backend", "socket"]
+SHORT = ["--messages", "5", "--warmup", "1", "--rate", "100", "-o", "own_cost=false", "--backend", "socket"]
 """Behind the line of a ping: few messages, and over sockets, since those over ROS 2 are the business of other tests."""
 
 

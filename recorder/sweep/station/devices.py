@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Protocol
 
+from ...option_table import typed_words
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, place_of, remove_files
 from .programs import DEFAULTS_VARIABLE, Program, rehearse_program
 
@@ -153,7 +154,7 @@ class PrintedDevice(RelayDevice):
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
     _, role, *options = arguments
-    words = ["dds-trace", "record", role, *options, "--out", f"relay-{number}.mcap"]
+    words = ["dds-trace", "record", role, *typed_words(options), "--out", f"relay-{number}.mcap"]
     return f"{DEFAULTS_VARIABLE}= {shlex.join(words)}"
 
 

@@ -10,8 +10,10 @@ from wording import numbers
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.cli import trace
+from dds_trace.cli.record.command import words_of_role
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.option import options_of
+from dds_trace.recorder.option_table import SETTINGS, key_of
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
@@ -111,7 +113,7 @@ def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
 def taken(command):
     program, *words = shlex.split(command)
     options = []
-    trace.build(words)(words, obj=options.append, standalone_mode=False)
+    trace.build(words)(words_of_role(words), obj=options.append, standalone_mode=False)
     assert program == "dds-trace"
     return options[0]
 
@@ -164,12 +166,12 @@ def test_on_one_machine_and_of_a_bag_the_command_says_so():
 
 def test_every_setting_of_a_recording_has_its_option_in_the_commands():
     rows = {
-        name: row.name
+        name: f"-o {key_of(row)}" if row.name in SETTINGS else row.name
         for record in (PingOptions, RecordOptions, NodeOptions)
         for name, row in options_of(record).items()
         if row.in_key
     }
-    own = {"settings": "--setting", "serialization": "--serialization", **SETTING_OPTIONS, **PING_OPTIONS}
+    own = {"settings": "--setting", **SETTING_OPTIONS, **PING_OPTIONS}
     assert {name: own.get(name) for name in rows} == rows
 
 

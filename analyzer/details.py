@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -49,8 +50,9 @@ def collect_details(
 
     `judged` are the messages by which groups are compared.
     """
+    host_samples = host_sample_frame(campaign.traces)
     if not options.details:
-        return details_not_requested()
+        return replace(details_not_requested(), host_samples=host_samples)
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [
@@ -72,7 +74,6 @@ def collect_details(
             outages_ns=outage_spans(recoveries),
             options=options.ranking,
         )
-    host_samples = host_sample_frame(campaign.traces)
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),

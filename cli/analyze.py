@@ -344,8 +344,6 @@ SHARES = {"reading": 0.3, "pairing": 0.35, "judging": 0.2, "writing": 0.15}
 
 
 class AnalysisBar:
-    """Draws which step works, and how much of all is done; it never goes back and shows no guessed time."""
-
     def __init__(self) -> None:
         self.share = 0.0
         self._progress: Any = None

@@ -29,11 +29,6 @@ LEAST_LOSS = 0.005
 
 
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
-    """Return the gates of a file of limits on results; or those on values of topics in a recording of other tools.
-
-    Raises:
-        OptionError: it cannot be read, or something in it is not a limit.
-    """
     from dds_trace.analyzer.verdicts.gate import RECEIVED_RATIO, VALUES_OF_TOPICS
     from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
@@ -57,14 +52,13 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
         thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(one)]
     gates = gates_of(thresholds, str(path))
     if of_recording:
-        of_topics = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))
+        topic_gates = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))
         values = (*VALUES_OF_TOPICS, RECEIVED_RATIO)
-        return [gate for gate in limits_of_one_side(of_topics) if gate.name in values]
+        return [gate for gate in limits_of_one_side(topic_gates) if gate.name in values]
     return [gate for gate in gates if gate.metric not in VALUES_OF_TOPICS]
 
 
 def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
-    """Return a gate for each condition; for the results that it fits, a later one of the same kind takes the place of an earlier."""
     from dds_trace.analyzer.verdicts.gate import Against, parse_threshold
 
     gates: list[Gate] = []
@@ -103,7 +97,6 @@ def _patterns(result: str, where: str) -> Patterns:
 
 
 def limits_text(comparison: Comparison) -> str:
-    """Return limits by result, beyond 95 % of single runs of the new side."""
     from dds_trace.analyzer.model.names import group_words
     from dds_trace.analyzer.verdicts.gates import varying_columns
 
@@ -123,7 +116,6 @@ def limits_text(comparison: Comparison) -> str:
 
 
 def topic_limits_text(topics: pl.DataFrame) -> str:
-    """Return limits by topic, with room over the worst of good recordings (rows of `TopicReport.topics`)."""
     from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
 
     sections: dict[str, list[str]] = {}

@@ -57,12 +57,15 @@ from .matching import (
 )
 from .sides import (
     UNKNOWN,
+    RunLoad,
     SideError,
+    busier_side,
     difference_sentences,
     environment_differences,
     environment_of_group,
     errors_of,
     recorded_apart,
+    run_loads,
 )
 
 if TYPE_CHECKING:
@@ -120,6 +123,7 @@ class Comparison:
         unfinished: match columns of a group -> its runs without an end; no gate passes there.
         same_recordings: whether both sides are the same runs.
         row_keys: group of either side -> the match columns of its rows.
+        busier: match columns of groups that are not judged, as the machine of one side was busier.
     """
 
     rows: pl.DataFrame
@@ -139,6 +143,7 @@ class Comparison:
     unfinished: Mapping[Key, int] = field(default_factory=dict)
     same_recordings: bool = False
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
+    busier: frozenset[Key] = frozenset()
 
     def __repr__(self) -> str:
         """Return the number of results of both sides and of only one."""
@@ -172,6 +177,10 @@ class ComparedSide(Protocol):
     @property
     def findings(self) -> Sequence[Finding]:
         """What is doubtful."""
+
+    @property
+    def details(self) -> Any:
+        """Has the samples of the host."""
 
     @property
     def summary(self) -> pl.DataFrame:
@@ -220,6 +229,20 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         keys = [partners.get(group_key, key) for group_key, key in zip(side.select(match).rows(), renamed, strict=True)]
         return [comparison.row_keys.get(key, key) for key in keys]
 
+    def loads_of(side: ComparedSide, messages: pl.DataFrame, side_names: Mapping[str, str]) -> dict[Key, list[RunLoad]]:
+        loads = run_loads(side.sessions, side.runs, side.details.host_samples)
+        runs = messages.select(*match, "run_id").unique().filter(pl.col("run_id").is_in(list(loads)))
+        pairs = list(zip(keys_of(runs, side_names), runs["run_id"], strict=True))
+        return {key: [loads[run_id] for other, run_id in pairs if other == key] for key, _ in pairs}
+
+    order = recorded_apart(base.sessions, new.sessions)
+    # In turns both sides meet the same machine, and what differs goes with a side.
+    base_loads, new_loads = (loads_of(base, before, {}), loads_of(new, after, names)) if order else ({}, {})
+    busier = {key: text for key in base_loads if (text := busier_side(base_loads[key], new_loads.get(key, ())))}
+    verdicts = [
+        "inconclusive" if tuple(key) in busier else verdict
+        for *key, verdict in comparison.rows.select(*match, "verdict").iter_rows()
+    ]
     differences = environment_differences(base.sessions, new.sessions, names)
     environments = [environment_of_group(row, differences) for row in comparison.delivery.iter_rows(named=True)]
     return replace(
@@ -229,9 +252,12 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         environment=difference_sentences(differences),
         interleaved=partner_differences(partners, match),
         ignored=ignored_sentences(base_groups, new_groups, match),
-        order=recorded_apart(base.sessions, new.sessions),
         same_recordings=before.equals(after),
+        rows=comparison.rows.with_columns(pl.Series("verdict", verdicts, pl.String)),
+        order=order,
+        busier=frozenset(busier),
         errors=(
+            *(SideError(text, frozenset({key})) for key, text in busier.items()),
             *errors_of("base", base.findings, keys_of(base.summary, {})),
             *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),

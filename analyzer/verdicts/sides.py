@@ -6,10 +6,14 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.base.units import counted
-from dds_trace.tracefile.format.descriptions import Session
+import polars as pl
+
+from dds_trace.base.units import SECOND_NS, counted
+from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.json_fields import number_of
 
 from ..model.environment import lasting_parts
 from ..model.finding import Finding, Severity
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 
 
 SAME, UNKNOWN = "same", "unknown"
+_MACHINE_COLUMNS = ("cpu_percent", "cpu_mhz", "temperature_c")
 
 
 class Recorder(NamedTuple):
@@ -127,6 +132,48 @@ class SideError:
 
     def is_about(self, group: Key) -> bool:
         return not self.groups or group in self.groups
+
+
+LEAST_BUSIER, MORE_OF_OURS, SLOWER_CLOCK = 0.1, 1.25, 0.9
+
+
+RunLoad = tuple[float, float, float, float]
+"""Of the busiest machine: shares of its processors that others (the hypervisor, too) and the recorded programs took; MHz, Celsius."""
+
+
+def run_loads(sessions: Iterable[Session], runs: Iterable[Run], samples: pl.DataFrame) -> dict[int, RunLoad]:
+    cores = {session.session_id: number_of(session.host.get("cpu_cores")) or 1.0 for session in sessions}
+    ours = pl.sum_horizontal("node_cpu_percent", "bridge_cpu_percent")
+    processors = pl.col("session_id").replace_strict(cores, default=1.0, return_dtype=pl.Float64)
+    shares = samples.drop_nulls("cpu_percent").with_columns(ours=ours / processors)
+    loads = {}
+    for run in runs:
+        ping_samples = shares.filter(session_id=int(str(run.extra.get("session_id", "0")), 16))
+        first, last = (ping_samples.select(end("wall_ns")).item() for end in (pl.min, pl.max))
+        if first is None:
+            continue
+        meanwhile = shares.filter(pl.col("wall_ns").is_between(first - SECOND_NS, last))
+        by_session = meanwhile.group_by("device", "session_id").agg(pl.col("ours", *_MACHINE_COLUMNS).mean())
+        machines = by_session.group_by("device").agg(pl.col("ours").sum(), pl.col(*_MACHINE_COLUMNS).mean())
+        loads[run.run_id] = max(
+            ((cpu_percent - ours_percent) / 100, ours_percent / 100, mhz or 0.0, celsius or 0.0)
+            for ours_percent, cpu_percent, mhz, celsius in machines.select("ours", *_MACHINE_COLUMNS).iter_rows()
+        )
+    return loads
+
+
+def busier_side(base: Sequence[RunLoad], new: Sequence[RunLoad]) -> str:
+    """Return which side's machine was busier or throttled, by the typical run; empty where it took more itself: that is no excuse."""
+    if not base or not new:
+        return ""
+    typical = [[median(column) for column in zip(*runs, strict=True)] for runs in (base, new)]
+    for side, busy, calm in (("base", *typical), ("new side", *reversed(typical))):
+        is_hot = busy[2] < SLOWER_CLOCK * calm[2] and busy[3] > calm[3]
+        if busy[1] <= MORE_OF_OURS * calm[1] + 0.01 and (busy[0] - calm[0] > LEAST_BUSIER or is_hot):
+            others = f"other programs took {busy[0]:.0%} of the {side}'s processors, {calm[0]:.0%} on the other side"
+            heat = f"the {side}'s processors were hotter, at {busy[2]:.0f} and not {calm[2]:.0f} MHz"
+            return f"{heat if is_hot else others}: record again"
+    return ""
 
 
 WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_failed", "ended_by_error"})

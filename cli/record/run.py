@@ -58,8 +58,6 @@ def describe_progress(progress: Progress) -> str:
 
 
 class TerminalWatch:
-    """A `Watch` on stderr: notes are lines, progress is one line that a terminal redraws."""
-
     def __init__(self) -> None:
         self._console = plain_console(stderr=True)
         # Without its own thread: drawing holds the interpreter lock, and a received message would wait.
@@ -125,7 +123,6 @@ LEAVE_S = 10.0
 def record_until_stopped(
     options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
 ) -> NoReturn:
-    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace."""
     stop = stop_at_signals()
     codes: list[int] = []
     with TerminalWatch() as watch:

@@ -25,8 +25,6 @@ SAME = "SAME"
 
 @dataclass(frozen=True, slots=True)
 class NewSide:
-    """The new side; `command` is its `dds-record`, None for this installation's."""
-
     name: str
     plan: Plan
     command: tuple[str, ...] | None = None

@@ -142,7 +142,6 @@ _COLORS = {GateOutcome.PASSED: "brightgreen", GateOutcome.REGRESSED: "red"}
 
 
 def render_annotations(info: ComparisonInfo) -> str:
-    """Return an error for each regressed gate and a warning for each inconclusive one, then the answer as a notice."""
     kinds = {GateOutcome.REGRESSED: "error", GateOutcome.INCONCLUSIVE: "warning"}
     lines = []
     for gated in info.gates:

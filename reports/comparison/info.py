@@ -38,13 +38,14 @@ WORST_FIRST = (
     "loses more",
     "slower",
     "no clear change",
+    "undecided",
     "too few runs",
     "the same",
     "loses less",
     "faster",
 )
 
-UNCHANGED = {"no clear change", "too few runs", "the same"}
+UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +183,7 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
     for label, delivery in zip(labels, comparison.delivery.to_dicts(), strict=True):
         key = tuple(delivery[name] for name in match)
         rows = tuple(changes[key].to_dicts())
-        verdict = _verdict(delivery, rows)
+        verdict = _verdict(delivery, rows, is_busier=key in comparison.busier)
         groups.append(
             ComparedGroup(
                 label=label,
@@ -197,10 +198,11 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
     return tuple(sorted(groups, key=_rank))
 
 
-def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
+def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], *, is_busier: bool) -> str:
     verdicts = {row["verdict"] for row in rows}
     rules = (
         (delivery["is_dead"], "no reply came back"),
+        (is_busier, "undecided"),
         (delivery["verdict"] == "worse", "loses more"),
         ("worse" in verdicts, "slower"),
         (all(row["basis"] == Basis.WITHIN_RUN.value for row in rows), "too few runs"),
@@ -288,7 +290,6 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], l
 
 
 def _range_words(sight: DetectableChange, labels: Sequence[str]) -> str:
-    """Return `from 8.12 % on at Binary 33 KB, from 24.2 % on at Binary 4 MB`; of one result `from 8.12 % on`."""
     ends = [(sight.least_ratio, sight.least_result), (sight.smallest_ratio, sight.most_result)]
     words = [(f"from {change_words(ratio).removeprefix('+')} on", result) for ratio, result in ends]
     if words[0][0] == words[1][0]:
@@ -342,7 +343,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
         ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
-        ("Finding of severity error", [error.text for error in comparison.errors]),
+        ("Not judged", dict.fromkeys(error.text for error in comparison.errors)),
     )
     return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
 

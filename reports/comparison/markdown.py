@@ -36,7 +36,6 @@ _MARKS = {
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    """Return the verdict, a table of at most ten rows and what to do, as a comment takes it; or everything."""
     most = None if shows_all else MOST_ROWS
     mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
     lines = ["# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]

@@ -167,7 +167,6 @@ GateCells = tuple[str, str, str, str, str]
 
 
 def gate_rows(gates: Sequence[Gated], *, shows_all: bool = False) -> list[tuple[GateOutcome, GateCells]]:
-    """Return a row for each failed gate and result, then one for each other gate, of the result that is nearest to failing."""
     rows: dict[object, list[Gated]] = {}
     for number, gated in enumerate(gates):
         is_single = shows_all or gated.result.outcome is GateOutcome.REGRESSED
@@ -200,7 +199,6 @@ def found_from_words(result: GateResult, found: float) -> str:
 
 
 def gate_notes(gates: Sequence[Gated]) -> list[str]:
-    """Return why gates failed that measured nothing, and once what it takes to decide the others."""
     notes = [
         f"{gated.result.gate.text}: {gated.where}: {gated.result.reason}"
         for gated in gates

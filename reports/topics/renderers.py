@@ -44,7 +44,6 @@ _OF_HOLE = ("start_s", "duration_s", "missing", "inside")
 
 
 def render_json(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
-    """Return the report as JSON; a value that is not known is null."""
     topics = [
         {
             **{_RENAMED.get(name, name): _plain(value) for name, value in row.items()},

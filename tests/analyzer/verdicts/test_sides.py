@@ -1,9 +1,11 @@
 import pytest
 from campaigns import write_run
-from trace_files import Message, evenly, ping_session, relay_session, write_pair
+from trace_files import Message, evenly, ping_session, relay_session, run, write_pair
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import compare
+from dds_trace.analyzer.verdicts.gate import parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.sides import (
     Recorder,
     difference_sentences,
@@ -117,3 +119,51 @@ def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):
     row = next(line for line in text.splitlines() if line.startswith("| Binary"))
     assert row.endswith("| unlike: ping kernel |")
     assert "Unlike environments: kernel differs (ping of" in text
+
+
+CALM = {"busy": 40.0, "ours": 60.0}
+
+
+def record_on(folder, first, way_ns, *, busy, ours, mhz=2000.0, temperature_c=50.0):
+    """Three runs of a machine with two processors; `busy` is percent of both, `ours` of one for each process."""
+    host = {"cpu_percent": busy, "cpu_mhz": mhz, "temperature_c": temperature_c}
+    sample = {"host": host, "processes": {"self": {"cpu_percent": ours}}}
+    for number in range(first, first + 3):
+        messages = evenly((way_ns + s for s in range(200)), start_ns=number * 10**9)
+        start = {"device": "pc", "host": {"cpu_cores": 2}, "wall_anchor_ns": number * 10**12}
+        described = {
+            "run_id": number,
+            "planned_messages": 200,
+            "published": 200,
+            "extra": {"session_id": f"{number:x}"},
+        }
+        ping, relay = ping_session(session_id=number, **start), relay_session(session_id=1000 + number, **start)
+        write_pair(folder / str(number), messages, ping=ping, relay=relay, runs=[run(**described)], host=[sample] * 4)
+
+
+@pytest.mark.parametrize(
+    ("base", "new", "slower", "outcome"),
+    [
+        (CALM, CALM, 1.0, "passed"),
+        (CALM, CALM, 1.5, "regressed"),
+        (CALM, {"busy": 80.0, "ours": 60.0}, 1.5, "inconclusive"),
+        ({"busy": 80.0, "ours": 60.0}, CALM, 1.0, "inconclusive"),
+        (CALM, {**CALM, "mhz": 1500.0, "temperature_c": 85.0}, 1.5, "inconclusive"),
+        (CALM, {"busy": 80.0, "ours": 140.0}, 1.5, "regressed"),  # it takes the processor itself
+        (CALM, {"busy": 95.0, "ours": 140.0}, 1.5, "regressed"),  # and others take more, too
+        (CALM, {**CALM, "mhz": 1500.0}, 1.5, "regressed"),  # it sleeps: the clock falls, and nothing gets hotter
+    ],
+)
+def test_a_side_on_a_busier_machine_is_not_judged_and_a_slower_change_never_excused(
+    tmp_path, base, new, slower, outcome
+):
+    record_on(tmp_path / "base", 1, 400_000, **base)
+    record_on(tmp_path / "new", 11, int(400_000 * slower), **new)
+    found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
+    results = judge_gates(found, [parse_gate("latency_p50 > +10%")])
+    assert [result.outcome.value for result in results] == [outcome]
+    info = comparison_info(found, results)
+    words = {"passed": "the same", "regressed": "slower", "inconclusive": "undecided"}
+    assert [group.verdict for group in info.groups] == [words[outcome]]
+    assert any("record again" in note for note in info.notes) == (outcome == "inconclusive")
+    assert info.said.startswith("Slower") == (outcome == "regressed")

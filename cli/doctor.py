@@ -57,7 +57,8 @@ def doctor_command(
 
 
 def all_checks(out: Path | None) -> list[Check]:
-    return [*_middlewares(), *_bridges(), *_security(), *_machine(), *_permissions(), *_costs(out)]
+    # Security last: a secured node of ROS 2 leaves its environment to the ones after it.
+    return [*_middlewares(), *_bridges(), *_machine(), *_permissions(), *_costs(out), *_security()]
 
 
 def _installed() -> list[Backend]:

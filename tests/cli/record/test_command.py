@@ -1,5 +1,6 @@
 import json
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -257,6 +258,15 @@ def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tm
     costs = [check for check in json.loads(result.output) if check["part"] == "cost"]
     assert [check["works"] for check in costs] == [True] + [False] * (len(costs) - 1)
     sentences(costs[0]["detail"], costs[-1]["detail"])
+
+
+@pytest.mark.middleware
+def test_doctor_measures_the_floor_of_what_is_installed():
+    program = Path(sys.executable).with_name("dds-trace")
+    checks = json.loads(subprocess.run([program, "doctor", "--json"], check=True, capture_output=True).stdout)
+    floors = {check["name"]: check["works"] for check in checks if check["name"].startswith("floor of")}
+    installed = [check for check in checks if check["part"] == "middlewares" and check["works"]]
+    assert floors == {check["name"].replace("--backend", "floor of"): True for check in installed}
 
 
 def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):

@@ -57,8 +57,7 @@ def doctor_command(
 
 
 def all_checks(out: Path | None) -> list[Check]:
-    # Security last: a secured node of ROS 2 leaves its environment to the ones after it.
-    return [*_middlewares(), *_bridges(), *_machine(), *_permissions(), *_costs(out), *_security()]
+    return [*_middlewares(), *_bridges(), *_security(), *_machine(), *_permissions(), *_costs(out)]
 
 
 def _installed() -> list[Backend]:
@@ -94,7 +93,7 @@ def _security() -> Iterator[Check]:
 
     for backend in _installed():
         for level in backend.security[-1:]:
-            name = f"--backend {backend.name} --security {level.value}"
+            name, environment = f"--backend {backend.name} --security {level.value}", dict(os.environ)
             try:
                 with tempfile.TemporaryDirectory() as folder, opened_keys(level, f"{folder}/keys") as keys:
                     options = NodeOptions(
@@ -104,6 +103,9 @@ def _security() -> Iterator[Check]:
                 yield Check("security", name, True, "a node opens with it")
             except TraceError as err:
                 yield Check("security", name, False, str(err))
+            finally:
+                os.environ.clear()
+                os.environ |= environment  # without what a node of ROS 2 sets for its keys
 
 
 def _machine() -> Iterator[Check]:

@@ -64,7 +64,7 @@ def test_every_command_line_of_the_readme_runs(tmp_path, monkeypatch, domain_id,
         for line in (line for line in LINES if line not in NOT_RUN):
             program, *words = shlex.split(line)
             if words[0] == "record":
-                command = RunningCommand(program, *words, *(SHORT[-3:] if "relay" in words else SHORT))
+                command = RunningCommand(program, *words, *(SHORT[-4:] if "relay" in words else SHORT))
                 stack.callback(command.clean_up)
                 if "relay" in words:
                     relay = command

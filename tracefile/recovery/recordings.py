@@ -102,6 +102,7 @@ def is_of_others(path: Path) -> bool:
 
 def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:
     """Write every whole message into a new recording next to the original: `NAME.recovered.mcap`, or `NAME-recovered` of a folder."""
+    path = path if path.name else path.absolute()
     is_folder = path.is_dir()
     name = f"{path.name}-recovered" if is_folder else f"{path.stem}.recovered{path.suffix}"
     target = path.with_name(name) if destination is None else destination

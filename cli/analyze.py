@@ -382,8 +382,8 @@ class AnalysisBar:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
+    from .trace import PROGRAM, build, follow_moved
     from .trace import main as dds_trace
-    from .trace import refuse_moved
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] in (["compare"], ["watch"]):
@@ -392,8 +392,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     avoid_slow_sorts()
 
     def run() -> None:
-        refuse_moved(["analyze", *words])
-        app(words, prog_name="dds-analyze")
+        now = follow_moved(["analyze", *words])
+        if now[0] == "analyze":
+            app(now[1:], prog_name="dds-analyze")
+        build(now)(now, prog_name=PROGRAM)
 
     run_command(run)
 

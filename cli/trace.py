@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import say
 from dds_trace.base.threads import tune_gc
 
 from .program import SETTINGS, ShortHelp, Version, make_app, run_command
@@ -62,11 +63,23 @@ MOVED = {
 }
 
 
-def refuse_moved(words: Sequence[str]) -> None:
-    for word in words[1:]:
-        option = word.partition("=")[0]
-        if now := MOVED.get(f"{words[0]} {option}"):
-            raise OptionError(f"{option} went; use `{PROGRAM} {now}`")
+FOLLOWED = ("record --recover", "record --self-test", "analyze --topics")
+"""Of `MOVED`, the flags of which the other words are those of the command now."""
+
+
+def follow_moved(words: Sequence[str]) -> list[str]:
+    """Return the words as they are written now; raise an `OptionError` that names the command where more of them changed."""
+    for index, word in enumerate(words[1:], 1):
+        option, _, value = word.partition("=")
+        moved = f"{words[0]} {option}"
+        if moved not in MOVED:
+            continue
+        now = f"{option} went; use `{PROGRAM} {MOVED[moved]}`"
+        if moved not in FOLLOWED:
+            raise OptionError(now)
+        say(now)
+        return [MOVED[moved].split()[0], *words[1:index], *[value] * bool(value), *words[index + 1 :]]
+    return list(words)
 
 
 def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
@@ -122,8 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         avoid_slow_sorts()
 
     def run() -> None:
-        refuse_moved(words)
-        typed = import_module(".record.command", __package__).words_of_role(words) if is_recording else words
-        build(_words_to_complete() or words)(typed or ["--help"], prog_name=PROGRAM)
+        now = follow_moved(words)
+        typed = import_module(".record.command", __package__).words_of_role(now) if now[:1] == ["record"] else now
+        build(_words_to_complete() or now)(typed or ["--help"], prog_name=PROGRAM)
 
     run_command(run, needs_stdout=not is_recording)

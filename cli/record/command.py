@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer  # noqa: TC002 - it reads the annotation
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS, SETTINGS, CommandOptions, key_of
 
@@ -168,24 +169,26 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
 
 
 def words_of_role(words: Sequence[str]) -> list[str]:
-    """Return the words of `dds-trace record ROLE` with its settings as options; none of these is an option of its own."""
+    """Return the words of `dds-trace record ROLE` with its settings as options; what was an option of its own is said."""
     for word in words:
         if (row := SETTINGS.get(word.partition("=")[0])) is not None:
-            raise OptionError(f"{row.name} is a key of a plan: give -o {key_of(row)}={row.metavar or 'false'}")
+            say(f"{row.name} is a key of a plan now: -o {key_of(row)}={row.metavar or 'false'}")
     return settings_as_options(words)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
+    from ..trace import PROGRAM, build, follow_moved
     from ..trace import main as dds_trace
-    from ..trace import refuse_moved
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] == ["status"]:
         dds_trace(["record", *words])
 
     def run() -> None:
-        refuse_moved(["record", *words])
-        app(settings_as_options(words), prog_name="dds-record")
+        now = follow_moved(["record", *words])
+        if now[0] == "record":
+            app(settings_as_options(now[1:]), prog_name="dds-record")
+        build(now)(now, prog_name=PROGRAM)
 
     run_command(run, needs_stdout=False)
 

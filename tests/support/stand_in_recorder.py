@@ -31,7 +31,7 @@ FAILURES = {
 }
 """Behaviour -> exit code and last words."""
 
-UNTIL_STOPPED = {"slow", "relay", "lossy"}
+UNTIL_STOPPED = {"slow", "late", "relay", "lossy"}
 """Behaviours that write their trace when they are told to stop; the others at once."""
 
 
@@ -39,6 +39,7 @@ def main():
     options = [value for option, value in zip(sys.argv[1:], sys.argv[2:]) if option == "--label"]  # noqa: B905 - runs in a bare Python
     cell = next((label[len("cell=") :] for label in options if label.startswith("cell=")), "relay")
     behaviour, trace = begin(cell)
+    out = sys.argv[sys.argv.index("--out") + 1]
     if behaviour in {"ok", "loses", "silent", "half", "bridge dies"}:  # a real ping sends only after the relay's echo
         wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in FAILURES:
@@ -55,9 +56,12 @@ def main():
     if behaviour in UNTIL_STOPPED:
         print(f"relay {os.environ.get('STAND_IN_RELAY', '0000beef')} serves domain", flush=True)
         (FOLDER / f"waiting-{cell}").touch()
+        if behaviour == "late":  # it has begun to send
+            Path(f"{out}.ring").touch()
         wait_for(lambda: told_to_stop)
+        Path(f"{out}.ring").unlink(missing_ok=True)
         (FOLDER / f"waiting-{cell}").unlink(missing_ok=True)
-    shutil.copy(FOLDER / "traces" / trace, sys.argv[sys.argv.index("--out") + 1])
+    shutil.copy(FOLDER / "traces" / trace, out)
     return 12 if behaviour == "silent" else 0
 
 
@@ -80,7 +84,7 @@ def begin(cell):
         json.dump(script, file)
     with (FOLDER / "starts.jsonl").open("a") as starts:
         starts.write(json.dumps({"cell": cell, "arguments": sys.argv[1:]}) + "\n")
-    copied = {"ok": f"ok-{number}", "silent": "loses"}
+    copied = {"ok": f"ok-{number}", "silent": "loses", "late": "slow"}
     return behaviour, f"{copied.get(behaviour, behaviour)}.mcap"
 
 

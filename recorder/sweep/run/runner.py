@@ -242,13 +242,15 @@ class Runner:
             for draft in drafts.values():
                 remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
 
+    def _shape_link(self, cell: Cell) -> None:
+        if self._station.pair is not None and (shaped := self.plan.link_of(cell)) is not None:
+            self._station.pair.shape(replace(shaped, queue_ms=cell.queue or shaped.queue_ms))
+        self._report_link()  # traffic counts for this attempt from here on
+
     def _attempt(
         self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
     ) -> tuple[list[CellResult], LinkReport | None]:
-        first = next(iter(drafts))
-        if self._station.pair is not None and (shaped := self.plan.link_of(first)) is not None:
-            self._station.pair.shape(replace(shaped, queue_ms=first.queue or shaped.queue_ms))
-        self._report_link()  # traffic counts for this attempt from here on
+        self._shape_link(next(iter(drafts)))
         drive_link = self._station.drive_link
         if drive_link is not None:
             drive_link(starts=False)
@@ -256,8 +258,8 @@ class Runner:
         lead_s = start_lead_s(len(drafts))
         start = ["--start-at", f"{time.time() + lead_s:.3f}"] if lead_s else []
         run, station = self.plan.run, self._station
-        longest_s = max(run.planned_seconds(cell.rate, cell.outage) for cell in drafts)
-        limit_s = START_ALLOWANCE_S + station.wait_s + lead_s + longest_s + run.cutoff_seconds
+        longest_s = lead_s + max(run.planned_seconds(cell.rate, cell.outage) for cell in drafts) + run.cutoff_seconds
+        limit_s, has_begun = START_ALLOWANCE_S + station.wait_s + longest_s, False
         programs: dict[Cell, Program] = {}
         ended: dict[Cell, int] = {}
         try:
@@ -272,6 +274,8 @@ class Runner:
                 _check_programs(programs.values())
                 if not ring_path(next(iter(drafts.values()))).exists():  # the first message follows
                     continue
+                if not has_begun:
+                    limit_s, has_begun = min(limit_s, time.monotonic() - began_s + longest_s), True
                 if drive_link is not None:
                     drive_link(starts=True)
                     drive_link, poll_s = None, POLL_S

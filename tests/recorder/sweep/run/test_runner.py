@@ -183,9 +183,10 @@ def test_full_disk_ends_the_sweep_and_the_next_one_goes_on_with_the_relays_trace
     assert desk.traces == files_of(FIRST, SECOND)
 
 
-def test_run_that_takes_too_long_is_cut_off_and_says_how_far_it_got(desk, monkeypatch):
-    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", -19.0)  # with the wait for an echo: one second
-    desk.script(**{FIRST: ["slow"]})
+@pytest.mark.parametrize(("run", "allowance_s"), [("slow", -19.0), ("late", 3600.0)], ids=["no message", "begun"])
+def test_run_that_takes_too_long_is_cut_off_and_says_how_far_it_got(desk, monkeypatch, run, allowance_s):
+    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", allowance_s)  # 20 s more until an echo
+    desk.script(**{FIRST: [run]})
     desk.sweep()
     heard = {name: outcome for name, outcome, _ in desk.heard.ended_cells}
     assert "cut off after 2 of 4" in heard[FIRST]

@@ -382,22 +382,15 @@ class AnalysisBar:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from .trace import PROGRAM, build, follow_moved
     from .trace import main as dds_trace
+    from .trace import run_alias
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] in (["compare"], ["watch"]):
         dds_trace(words)
     tune_gc()
     avoid_slow_sorts()
-
-    def run() -> None:
-        now = follow_moved(["analyze", *words])
-        if now[0] == "analyze":
-            app(now[1:], prog_name="dds-analyze")
-        build(now)(now, prog_name=PROGRAM)
-
-    run_command(run)
+    run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]))
 
 
 if __name__ == "__main__":

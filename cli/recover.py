@@ -21,15 +21,11 @@ def recover_command(
 
     dds-trace recover runs/ping.mcap
     """
-    limits.check(limits.INPUT, str(path), "FILE")
-    limits.check(limits.PATH, None if out is None else str(out), "--out")
-    recover_trace(path, out)
-
-
-def recover_trace(path: Path, out: Path | None = None) -> None:
     from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
     from dds_trace.tracefile.recovery.recover import recover
 
+    limits.check(limits.INPUT, str(path), "FILE")
+    limits.check(limits.PATH, None if out is None else str(out), "--out")
     report = recover_recording(path, out) if is_of_others(path) else recover(path, out)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")

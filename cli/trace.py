@@ -82,6 +82,14 @@ def follow_moved(words: Sequence[str]) -> list[str]:
     return list(words)
 
 
+def run_alias(name: str, app: typer.Typer, words: Sequence[str]) -> None:
+    """Run the app of `dds-record` or `dds-analyze`; words that moved are those of `dds-trace`."""
+    now = follow_moved(words)
+    if now[0] == words[0]:
+        app(now[1:], prog_name=name)
+    build(now)(now, prog_name=PROGRAM)
+
+
 def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
     """Record and analyze the latency of ROS 2 / DDS messages.
 

@@ -177,20 +177,13 @@ def words_of_role(words: Sequence[str]) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from ..trace import PROGRAM, build, follow_moved
     from ..trace import main as dds_trace
+    from ..trace import run_alias
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] == ["status"]:
         dds_trace(["record", *words])
-
-    def run() -> None:
-        now = follow_moved(["record", *words])
-        if now[0] == "record":
-            app(settings_as_options(now[1:]), prog_name="dds-record")
-        build(now)(now, prog_name=PROGRAM)
-
-    run_command(run, needs_stdout=False)
+    run_command(lambda: run_alias("dds-record", app, ["record", *settings_as_options(words)]), needs_stdout=False)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
-from dds_trace.cli.recover import recover_trace
+from dds_trace.cli.recover import recover_command
 from dds_trace.recorder.payloads import STRING
 from dds_trace.recorder.payloads.bag import load_payload
 from dds_trace.tracefile.reading.recorded import Condition
@@ -79,7 +79,7 @@ def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, p
     file.write_bytes(file.read_bytes()[: -file.stat().st_size // 5])
     before = file.read_bytes()
     assert is_of_others(bag)
-    recover_trace(bag)
+    recover_command(bag)
     shown = capsys.readouterr().out
     count = int(re.search(r"(\d+) messages recovered", shown)[1])
     assert count > 0

@@ -18,6 +18,8 @@ import ctypes
 import os
 import tempfile
 from contextlib import contextmanager, nullcontext
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -227,6 +229,64 @@ def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]
         yield {} if text is None else {"profile": f"written by dds-trace{where}"}
 
 
+_SENDS = (
+    ("Publisher", "publish", "rcl_publish"),
+    ("Client", "send_request", "rcl_send_request"),
+    ("ActionClient", "send_goal_request", "rcl_action_send_goal_request"),
+    ("ActionClient", "send_result_request", "rcl_action_send_result_request"),
+    ("ActionServer", "publish_feedback", "rcl_action_publish_feedback"),
+)
+"""Class and method of rclpy's binding, and the function of rcl that it calls."""
+
+
+def may_block(options: NodeOptions) -> bool:
+    """Return whether a send waits for as long as the other device does not read."""
+    return options.transport is Transport.LARGE_DATA or "LARGE_DATA" in os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
+
+
+def send_unlocked() -> None:
+    """Have rclpy send without the interpreter's lock in this process, so that its other threads run meanwhile.
+
+    rclpy keeps that lock until a message is sent, over TCP for ever if need be: not even Ctrl-C ends the process then.
+    """
+    binding = import_module("rclpy.impl.implementation_singleton").rclpy_implementation
+    for kind, method, function in _SENDS:
+        setattr(getattr(binding, kind), method, _sending(function))
+    binding.Publisher.publish_raw = _publish_raw
+
+
+def _send(function: str, entity: Any, message: Any, number: Any = None) -> None:
+    status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), message, number)
+    if status:
+        raise BackendUnavailableError(f"ROS 2 cannot send a message ({function}: status {status})")
+
+
+@cache
+def _function_of_rcl(name: str) -> Any:
+    return ctypes.CDLL("librcl_action.so" if name.startswith("rcl_action") else "librcl.so")[name]
+
+
+def _sending(function: str) -> Callable[[Any, Any], int | None]:
+    def send(entity: Any, message: Any) -> int | None:
+        create, convert, destroy = _conversion_of(type(message))
+        number, converted = ctypes.c_int64(), ctypes.c_void_p(create())
+        try:
+            convert(message, converted)
+            _send(function, entity, converted, None if "publish" in function else ctypes.byref(number))
+        finally:
+            destroy(converted)
+        return number.value
+
+    return send
+
+
+def _publish_raw(publisher: Any, message: bytes | bytearray) -> None:
+    size = len(message)
+    data = (ctypes.c_char * size).from_buffer(message if isinstance(message, bytearray) else bytearray(message))
+    serialized = _SerializedMessage(ctypes.addressof(data), size, size)
+    _send("rcl_publish_serialized_message", publisher, ctypes.byref(serialized))
+
+
 class _SerializedMessage(ctypes.Structure):
     """`rcl_serialized_message_t` of rcl/types.h; its allocator is not used."""
 
@@ -238,18 +298,15 @@ class _SerializedMessage(ctypes.Structure):
     )
 
 
-def publish_unlocked(handle: Any) -> Callable[[bytes | bytearray], None]:
-    """Return the function that publishes a serialized message; rclpy's own keeps the interpreter's lock until it is sent."""
-    publish = ctypes.CDLL("librcl.so").rcl_publish_serialized_message
-    publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
-
-    def send(message: bytes | bytearray) -> None:
-        size = len(message)
-        data = (ctypes.c_char * size).from_buffer(message if isinstance(message, bytearray) else bytearray(message))
-        serialized = _SerializedMessage(ctypes.addressof(data), size, size)
-        with handle:
-            status = publish(handle.pointer, ctypes.byref(serialized), None)
-        if status:
-            raise BackendUnavailableError(f"ROS 2 cannot publish {size} bytes (status {status})")
-
-    return send
+@cache
+def _conversion_of(message_class: type) -> list[Any]:
+    """Return what creates, fills and destroys a message of this class in C, from where rclpy takes them."""
+    pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(
+        ("PyCapsule_GetPointer", ctypes.pythonapi)
+    )
+    forms = {
+        "_CREATE_ROS_MESSAGE": ctypes.PYFUNCTYPE(ctypes.c_void_p),
+        "_CONVERT_FROM_PY": ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p),
+        "_DESTROY_ROS_MESSAGE": ctypes.PYFUNCTYPE(None, ctypes.c_void_p),
+    }
+    return [form(pointer_of(getattr(type(message_class), name), None)) for name, form in forms.items()]

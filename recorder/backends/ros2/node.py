@@ -18,11 +18,11 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
-from ...choices import ExecutorKind, Transport
+from ...choices import ExecutorKind
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Publication, ThreadedNode, TopicView
 from ..other_side import NOT_TEXT
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
-from .fastdds_profile import publish_unlocked
+from .fastdds_profile import may_block, send_unlocked
 from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
@@ -51,6 +51,8 @@ class Ros2Node(ThreadedNode):
         rclpy = _rclpy()
         super().__init__(options)
         self._on_closed = on_closed
+        if may_block(options):
+            send_unlocked()
         self._context = rclpy.Context()
         try:
             rclpy.init(context=self._context, domain_id=options.domain_id)
@@ -80,10 +82,7 @@ class Ros2Node(ThreadedNode):
         self._further: tuple[Ros2Node, ...] = ()
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
-        opened = self._open_publisher(_RawPublisher, topic, type_name, qos)
-        if self.options.transport is Transport.LARGE_DATA:  # TCP blocks while the other device does not read
-            opened.publish = publish_unlocked(opened.publisher.handle)  # type: ignore[method-assign]
-        return opened
+        return self._open_publisher(_RawPublisher, topic, type_name, qos)
 
     def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
         return self._open_publisher(_ObjectPublisher, topic, type_name, qos)

@@ -214,7 +214,10 @@ def sockperf(load: Load, _folder: Path) -> float:
     program = program_at("sockperf")
     common = ["--tcp", "-i", "127.0.0.1", "-p", PORT + 1, "-m", load.size_bytes]
     with serving([program, "server", *common], r"LISTEN|listen on"):
-        time.sleep(0.3)  # it says so before it listens
+        while (
+            f":{PORT + 1:04X} 00000000:0000 0A" not in Path("/proc/net/tcp").read_text()
+        ):  # it says so before it listens
+            time.sleep(0.01)
         ping = [program, "ping-pong", *common, "--mps", load.rate_hz, "-t", load.seconds + WARM_UP_S, "--full-rtt"]
         printed = output_of(ping)
     found = re.search(r"percentile 50\.000 =\s+([\d.]+)", printed)

@@ -112,7 +112,11 @@ class Soak:
         relay = [str(Path(sys.executable).with_name("dds-record")), "--role", "relay", "--backend", backend]
         relay += ["--domain", str(DOMAIN), "--discovery", "localhost", "--rotate", "2min", "--keep", "3"]
         relay += ["--depth", str(DEPTH)]
-        self._relay = subprocess.Popen([*relay, "--out", str(folder / "relay.mcap")], stderr=subprocess.DEVNULL)
+        self._relay = subprocess.Popen([*relay, "--out", str(folder / "relay.mcap")], stderr=subprocess.PIPE, text=True)
+        assert self._relay.stderr is not None
+        if not any("serves" in line for line in self._relay.stderr):
+            raise RuntimeError("the relay ended before it served")
+        threading.Thread(target=self._relay.stderr.read, daemon=True).start()
 
     def measure(self) -> list[Sample]:
         """Send for the time asked for, and return the relay's samples."""

@@ -19,8 +19,9 @@ trap 'stop_relay; rm -rf "$new"' EXIT
 
 start_relay() { # FOLDER OPTION...
   mkdir -p "$new/$1"
-  "$bin/dds-record" --role relay --domain 10 --device beta --out "$new/$1/relay.mcap" "${@:2}" &
+  "$bin/dds-record" --role relay --domain 10 --device beta --out "$new/$1/relay.mcap" "${@:2}" 2>"$new/said" &
   relay=$!
+  grep -qm1 serves <(tail -f -n +1 --pid="$relay" "$new/said") # without a line of that kind the relay has ended
 }
 ping() { # FOLDER NAME OPTION...
   "$bin/dds-record" --role ping --device alpha --connectivity loopback --warmup 10 \

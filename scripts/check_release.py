@@ -86,10 +86,13 @@ def exchange(backend: str, programs: Path, folder: Path, *data: str) -> None:
     relay = subprocess.Popen(
         [programs / "dds-record", "--role", "relay", *common, "--out", folder / "relay.mcap"],
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
         env=FOREIGN,
     )
     try:
+        if not any("serves" in line for line in relay.stderr or ()):
+            raise CheckError(f"the relay over {backend} ended before it served")
         ping = ("--role", "ping", *common, *data, "--wait", "60", "--out", folder / "ping.mcap")
         rate = () if data else ("--messages", "30", "--warmup", "0", "--rate", "50")
         run([programs / "dds-record", *ping, *rate])

@@ -33,6 +33,7 @@ TRANSPORTS = {
     "ros2-udp": ("--backend", "ros2", "--transport", "udp"),
     "ros2-shm": ("--backend", "ros2", "--transport", "shm"),
     "ros2-large-data": ("--backend", "ros2", "--transport", "large-data"),
+    "ros2-typed-large-data": ("--backend", "ros2", "--transport", "large-data", "--serialization", "typed"),
     "cyclonedds": ("--backend", "cyclonedds"),
     "zenoh": ("--backend", "zenoh"),
     "socket-tcp": ("--backend", "socket"),
@@ -63,12 +64,14 @@ LOST, HELD_UP_S, LAST_S = 12, 1.0, 15
 LARGE = ("--data", "binary", "--rate", "20", "--warmup", "0", "--size")
 """Of such a size that a TCP connection's buffers hold a few seconds of them: with more than the buffers hold sent in both directions
 at a time, Fast DDS 2.14 waits for itself (eProsima/Fast-DDS, issue 4203)."""
-SIZES = {"ros2-large-data": "50KB"}
+SIZES = {"ros2-large-data": "50KB", "ros2-typed-large-data": "50KB"}
 SMALL = ("--data", "string", "--size", "64B", "--rate", "20", "--warmup", "0")
 
 
 def has(role: str, transport: str, fault: str) -> bool:
     is_socket, is_call = transport.startswith("socket"), role in ("client", "server")
+    if "typed" in transport:
+        return role in ("ping", "relay")
     if is_call and not (transport.startswith("ros2") or transport == "zenoh"):
         return False
     return not (role == "tap" and is_socket) and not (fault == "link down" and transport == "ros2-shm")
@@ -82,6 +85,7 @@ QUICK = (
     ("tap", "ros2-udp", "busy machine"),
     ("beacon", "zenoh", "peer stopped"),
     ("server", "ros2-shm", "peer gone"),
+    ("client", "ros2-large-data", "link down"),
 )
 
 
@@ -129,7 +133,7 @@ class Bench:
             prefix = () if self._pair is None else self._side(is_tested=is_tested).prefix
             command = self._stack.enter_context(running("dds-record", *arguments, prefix=prefix))
             if part in ("relay", "beacon"):
-                command.wait_for_line("domain")
+                command.wait_for_line("serves" if part == "relay" else "in domain")
             (self.tested if is_tested else self.peers).append(command)
             self.outs += [out] * is_tested
 

@@ -24,7 +24,9 @@ PACKAGES = {"ros2": ("rclpy", "test_msgs"), "zenoh": ("zenoh",)}
     ("backend", "call", "more", "size"),
     [
         ("ros2", "service", ("--size", "33KB", "--clients", 2), 33_000),
+        ("ros2", "service", ("--transport", "large-data", "--size", "33KB"), 33_000),
         ("ros2", "action", ("--response-size", "2KB"), 4),
+        ("ros2", "action", ("--transport", "large-data", "--response-size", "2KB"), 4),
         ("zenoh", "service", ("--size", "33KB", "--response-size", "1KB", "--clients", 2), 33_000),
     ],
 )
@@ -33,7 +35,7 @@ def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more,
         pytest.skip(f"{PACKAGES[backend]} are not all installed")
     common = ("--backend", backend, "--call", call, "--no-own-cost", *ROOMY)
     for_both = more[: more.index("--clients")] if "--clients" in more else more
-    served = for_both[for_both.index("--response-size") :] if "--response-size" in for_both else ()
+    served = tuple(word for word in for_both if word not in ("--size", "33KB"))
     with relay(domain_id, tmp_path / "relay.mcap", *common, *served) as command:
         done = ping(
             *(domain_id, tmp_path / "ping.mcap", *common, *more, "--rate", 40, "--call-timeout", 60),

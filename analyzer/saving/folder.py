@@ -18,7 +18,7 @@ from pathlib import Path
 from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import OutputError, OutputExistsError, TraceFormatError
-from dds_trace.base.files import replacing
+from dds_trace.base.files import open_regular, read_regular, replacing
 from dds_trace.base.version import __version__
 
 from .records import from_json
@@ -112,7 +112,7 @@ def read_folder(folder: Path) -> dict[str, Path]:
 def _read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_bytes())
+        manifest = json.loads(read_regular(path))
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             raise TraceFormatError(path, "not the manifest of a saved analysis")
         if isinstance(manifest.get("version"), int) and manifest["version"] > VERSION:
@@ -150,7 +150,7 @@ def _remove(path: Path) -> None:
 
 def _sha256(path: Path) -> str:
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while piece := file.read(_AT_ONCE_BYTES):
             digest.update(piece)
     return digest.hexdigest()

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.files import read_regular
 
 from ..choices import Security
 
@@ -88,13 +89,16 @@ def opened_keys(level: Security, folder: str | None) -> Iterator[str | None]:
 
 def _check(path: Path, level: Security) -> None:
     try:
-        status, made_for = path.stat(), (path / LEVEL_FILE).read_text().strip()
-    except OSError as err:
-        raise OptionError(f"--keys {path}: {err.strerror}; give a folder that dds-trace made, or a new name") from err
+        status, made_for = path.stat(), Security(read_regular(path / LEVEL_FILE).decode(errors="replace").strip())
+    except (OSError, ValueError) as err:
+        reason = getattr(err, "strerror", None) or f"its file {LEVEL_FILE} names no level"
+        raise OptionError(f"--keys {path}: {reason}; give a folder that dds-trace made, or a new name") from err
     if status.st_uid != os.geteuid() or status.st_mode & 0o077:
         raise OptionError(f"--keys {path}: others can read it; chmod 700 it, as your own user")
-    if made_for != level.value:
-        raise OptionError(f"--keys {path}: made for --security {made_for}, not {level.value}; give another folder")
+    if made_for is not level:
+        raise OptionError(
+            f"--keys {path}: made for --security {made_for.value}, not {level.value}; give another folder"
+        )
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import os
 import socket
 import sys
 import threading
@@ -24,6 +25,7 @@ from typing import TypeAlias
 from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
+from dds_trace.base.files import open_regular
 from dds_trace.base.local_server import LocalServer
 from dds_trace.base.streams import say
 
@@ -65,7 +67,8 @@ def sweep_status(folder: Path) -> SweepStatus:
     total = SweepStatus()
     for path in sorted(folder.rglob(_STATE)):
         try:
-            state, changed_s = json.loads(path.read_text()), path.stat().st_mtime
+            with open_regular(path) as file:
+                state, changed_s = json.load(file), os.fstat(file.fileno()).st_mtime
             recorded = sum(cell["status"] in _DONE for cell in state["cells"].values())
             planned, left_s = int(state["planned"]), float(state["left_s"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):

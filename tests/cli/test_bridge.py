@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from processes import relay
 from waiting import wait_until
 
 from dds_trace.base.errors import TraceError
@@ -159,11 +160,11 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
 
     ping_domain, relay_domain = str(domains.take()), str(domains.take())
     out = tmp_path / "ping.mcap"
-    record = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost"]
-    relay = [*record, "--role", "relay", "--domain", relay_domain, "--out", str(tmp_path / "relay.mcap")]
-    ping = [*record, "--role", "ping", "--domain", ping_domain, "--relay-domain", relay_domain, "--rate", "50"]
+    ping = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost", "--role", "ping"]
+    ping += ["--domain", ping_domain, "--relay-domain", relay_domain, "--rate", "50"]
     ping += ["--bridge", "builtin", "--messages", "400", "--size", "1KB", "--out", str(out)]
-    with subprocess.Popen(relay) as relaying, subprocess.Popen(ping) as pinging:
+    serving = relay(relay_domain, tmp_path / "relay.mcap", "--discovery", "localhost")
+    with serving as relaying, subprocess.Popen(ping) as pinging:
         wait_until(lambda: received() > 20, 60, step_s=0.1)
         bridge = next(
             child
@@ -172,7 +173,7 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
         )
         bridge.kill()
         pinging.wait(60)
-        relaying.send_signal(signal.SIGTERM)
+        relaying.stop()
     with out.open("rb") as stream:
         sessions = [
             json.loads(message.data[8:].rstrip(b"\0"))

@@ -6,6 +6,8 @@ import os
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from dds_trace.base.files import read_regular
+
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Call, Security, Transport
@@ -66,7 +68,7 @@ def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
         return variables.get(vendor, {})
     name = PROFILE_VARIABLES[package_version("fastdds") is not None]  # Fast DDS 3 has the second
     # By default the RMW publishes in a way that no flow controller takes.
-    is_paced = b"flow_controller_name" in path.read_bytes()
+    is_paced = b"flow_controller_name" in read_regular(path)
     return {name: str(path), **({"RMW_FASTRTPS_PUBLICATION_MODE": "ASYNCHRONOUS"} if is_paced else {})}
 
 

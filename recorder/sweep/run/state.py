@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.base.files import open_regular
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
 from ..folder import is_segment_name, replace_text
@@ -108,7 +109,8 @@ class SweepState:
 
     def _load(self) -> None:
         try:
-            document = json.loads(self.path.read_text())
+            with open_regular(self.path) as file:
+                document = json.load(file)
             version, digest = document["format"], document["plan_digest"]
             self._cells = {
                 name: replace(

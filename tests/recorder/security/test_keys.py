@@ -1,3 +1,4 @@
+import os
 import stat
 from email import message_from_bytes
 from pathlib import Path
@@ -76,7 +77,9 @@ def test_without_security_there_are_no_keys():
         assert keys is None
 
 
-@pytest.mark.parametrize("fault", ["none given", "open to others", "of another level", "no folder of ours"])
+@pytest.mark.parametrize(
+    "fault", ["none given", "open to others", "of another level", "no folder of ours", "a pipe", "a secret"]
+)
 def test_keys_that_cannot_be_used_are_one_line(tmp_path, monkeypatch, sentences, fault):
     monkeypatch.delenv(keys_module.VARIABLE, raising=False)
     folder = tmp_path / "keys"
@@ -84,6 +87,11 @@ def test_keys_that_cannot_be_used_are_one_line(tmp_path, monkeypatch, sentences,
         folder.mkdir(mode=0o700)
     else:
         make_keys(folder, Security.ENCRYPT_DATA if fault == "of another level" else Security.SIGN)
+    if fault == "a pipe":
+        (folder / keys_module.LEVEL_FILE).unlink()
+        os.mkfifo(folder / keys_module.LEVEL_FILE)
+    if fault == "a secret":
+        (folder / keys_module.LEVEL_FILE).write_text("root:x\n")
     if fault == "open to others":
         folder.chmod(0o750)
     given = None if fault == "none given" else str(folder)

@@ -1,4 +1,5 @@
 import json
+import os
 import signal
 import socket
 import struct
@@ -202,6 +203,8 @@ def test_the_status_tells_how_far_the_sweeps_are(watcher, tmp_path):
         state = {"cells": cells, "planned": 5, "left_s": left_s}
         (tmp_path / name / "state.json").write_text(json.dumps(state))
     (tmp_path / "state.json").write_text("[]")
+    (tmp_path / "pipe").mkdir()
+    os.mkfifo(tmp_path / "pipe" / "state.json")
     told = status()
     assert (told["done"], told["planned"]) == (4, 10)
     assert 0 <= told["age_s"] < 60

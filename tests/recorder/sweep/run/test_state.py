@@ -62,10 +62,14 @@ def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
         *((text, "not the state") for text in ("", "{", "[]", '{"format": 1}')),
         ('{"format": 1, "plan_digest": "d1", "cells": 3}', "not the state"),
         ('{"format": 2, "plan_digest": "d1", "cells": {}}', "format 2"),
+        (None, "not a regular file"),
     ],
 )
 def test_file_that_is_no_state_of_this_version(tmp_path, text, word):
-    (tmp_path / "state.json").write_text(text)
+    if text is None:
+        os.mkfifo(tmp_path / "state.json")
+    else:
+        (tmp_path / "state.json").write_text(text)
     with pytest.raises(TraceFormatError, match=rf"state\.json.*{word}"):
         open_state(tmp_path)
 

@@ -6,13 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import relay
-from waiting import wait_until
 
-from dds_trace.base.errors import TraceError
 from dds_trace.cli import doctor
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
-from dds_trace.tracefile.format.events import Stage
 
 BRIDGE = [sys.executable, "-m", "dds_trace", "bridge"]
 
@@ -143,45 +139,3 @@ def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
     assert "killed by signal 9 (SIGKILL)" in said
     assert "bridging domains" in said
     assert not guard.is_running()
-
-
-@pytest.mark.middleware
-def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(domains, tmp_path):
-    import psutil
-    from mcap.reader import make_reader
-
-    from dds_trace.tracefile.reading.reader import read_trace
-
-    def received():
-        try:
-            return len(read_trace(out).events[Stage.T2])
-        except TraceError:
-            return 0  # not begun yet
-
-    ping_domain, relay_domain = str(domains.take()), str(domains.take())
-    out = tmp_path / "ping.mcap"
-    ping = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost", "--role", "ping"]
-    ping += ["--domain", ping_domain, "--relay-domain", relay_domain, "--rate", "50"]
-    ping += ["--bridge", "builtin", "--messages", "400", "--size", "1KB", "--out", str(out)]
-    serving = relay(relay_domain, tmp_path / "relay.mcap", "--discovery", "localhost")
-    with serving as relaying, subprocess.Popen(ping) as pinging:
-        wait_until(lambda: received() > 20, 60, step_s=0.1)
-        bridge = next(
-            child
-            for child in psutil.Process(pinging.pid).children(recursive=True)
-            if "dds_trace.recorder.bridges.builtin" in child.cmdline() and "guard.py" not in " ".join(child.cmdline())
-        )
-        bridge.kill()
-        pinging.wait(60)
-        relaying.stop()
-    with out.open("rb") as stream:
-        sessions = [
-            json.loads(message.data[8:].rstrip(b"\0"))
-            for _, _, message in make_reader(stream, validate_crcs=True).iter_messages(["/dds_trace/session"])
-        ]
-    told = sessions[-1]["bridge"]
-    assert sessions[-1]["state"] == "closed"
-    assert told["state"] == "died"
-    assert told["programs"][0]["exit_code"] == 128 + signal.SIGKILL
-    assert told["programs"][0]["log_tail"].startswith("bridging domains")
-    assert received() > 20

@@ -41,6 +41,9 @@ def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path)
     assert told["error"].startswith(reason)
     assert session["error"] == told["error"]
     assert (session["state"], session["bridge"]["state"]) == ("closed", "died")
+    (described,) = session["bridge"]["programs"]
+    assert described["exit_code"] == 128 + signal.SIGKILL
+    assert described["log_tail"].startswith("bridging domains")
     assert run["state"] == "finished"
     assert 0 < run["published"] < 100_000
 
@@ -75,11 +78,12 @@ def test_losses_within_the_limit_are_no_error(domain_id, tmp_path):
     assert last_json(tmp_path / "ping.mcap", "session")["error"] is None
 
 
-def test_ctrl_c_before_the_first_echo_leaves_no_file(domain_id, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_before_the_first_echo_leaves_no_file(domain_id, tmp_path, number):
     out = tmp_path / "traces" / "ping.mcap"
     with running("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG) as command:
         command.wait_for_line("waiting for an echo")
-        done = command.stop(signal.SIGINT)
+        done = command.stop(number)
     assert (done.status, done.stdout, "nothing was written" in done.stderr) == (130, "", True)
     assert list(tmp_path.iterdir()) == []
 

@@ -80,10 +80,6 @@ Leave: TypeAlias = "Callable[[Recorded | BaseException], AbstractContextManager[
 """Given the end of a recording whose trace is closed: the context in which the middleware is left."""
 
 
-def leave_unhurried(_end: Recorded | BaseException) -> AbstractContextManager[object]:
-    return nullcontext()
-
-
 class BaseRecording(ABC):
     """One recording.
 
@@ -111,7 +107,7 @@ class BaseRecording(ABC):
         *,
         rehearses: bool,
         load: MachineLoad | None = None,
-        leave: Leave = leave_unhurried,
+        leave: Leave = nullcontext,
     ) -> None:
         self.options = options
         self.rehearses = rehearses

@@ -8,7 +8,7 @@ import secrets
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from .applied.applied import Applied, Snapshot, read_applied
 from .backends import load_backend
 from .backends.node import Node
 from .backends.qos import warn_of_depth
-from .base_recording import LOOK_S, BaseRecording, Leave, Recorded, leave_unhurried
+from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
 from .beacon.recording import BeaconRecording
 from .bridges.process.running import check_requested_bridge, open_requested_bridge
 from .choices import Call, Load
@@ -67,12 +67,7 @@ ALL_RELAYS_S = 3.0
 
 
 def record(
-    options: RecordOptions,
-    stop: threading.Event,
-    watch: Watch,
-    *,
-    rehearses: bool = False,
-    leave: Leave = leave_unhurried,
+    options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False, leave: Leave = nullcontext
 ) -> Recorded:
     """Record in the role of the options until it is done or `stop` is set; `watch` receives notes and progress.
 

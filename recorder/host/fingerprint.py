@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -104,20 +105,15 @@ def _wifi_links() -> dict[str, dict[str, float]]:
     links = wifi_signals()
     iw = shutil.which("iw", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
     for interface, link in links.items():
-        text = _run_iw(iw, interface) if iw else ""
+        text = ""
+        with suppress(OSError, subprocess.TimeoutExpired):
+            command = [iw or "iw", "dev", interface, "link"]
+            text = subprocess.run(command, capture_output=True, text=True, timeout=_IW_TIMEOUT_S, check=False).stdout
         for name, pattern in (("frequency_mhz", r"freq: ([\d.]+)"), ("bitrate_mbit_s", r"tx bitrate: ([\d.]+) MBit/s")):
             value = re.search(pattern, text)
             if value:
                 link[name] = float(value[1])
     return links
-
-
-def _run_iw(iw: str, interface: str) -> str:
-    command = [iw, "dev", interface, "link"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=_IW_TIMEOUT_S, check=False).stdout
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
 
 
 def _container_name() -> str | None:

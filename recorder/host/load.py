@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,11 +106,9 @@ def _check_stealing(others: Sequence[str]) -> None:
 
 def _cpu_seconds(pid: int) -> float:
     total_s = 0.0
-    try:
+    with suppress(psutil.Error):
         program = psutil.Process(pid)
         for process in (program, *program.children(recursive=True)):
             times = process.cpu_times()
             total_s += times.user + times.system
-    except psutil.Error:
-        return total_s
     return total_s

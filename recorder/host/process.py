@@ -12,6 +12,7 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import sys
 import threading
 import time
@@ -49,8 +50,8 @@ _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Json]:
     """Give this process its CPUs and real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
 
-    Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
-    back (`base.threads.run_in_background`). Returns the session's fields of what was requested.
+    Threads that write the trace or sample the host give the priority back (`base.threads.run_in_background`). Returns
+    the session's fields of what was requested.
 
     Raises:
         OptionError: a value is impossible on this machine, or the system does not permit it.
@@ -213,32 +214,19 @@ def stop_at_signals() -> StopEvent:
     return stop
 
 
-class _SignalEvent(ctypes.Structure):
-    """`struct sigevent` of sigevent(7), 64 bytes."""
-
-    _fields_ = (
-        ("value", ctypes.c_void_p),
-        ("signo", ctypes.c_int),
-        ("notify", ctypes.c_int),
-        ("function", ctypes.c_void_p),
-        ("attributes", ctypes.c_void_p),
-        ("rest", ctypes.c_char * 32),
-    )
-
-
 def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:
     """End the process with `exit_code` after this time; return what calls that off.
 
-    A timer of the C library calls its `_exit` in a thread of its own. Nothing prevents that: no thread that keeps the
-    interpreter's lock for ever, as one of a middleware that waits for another device may.
+    A timer of the C library calls its `_exit`, also while a thread keeps the interpreter's lock.
     """
     libc = library = ctypes.CDLL(None)
     if not hasattr(library, "timer_create"):  # glibc before 2.34
         library = ctypes.CDLL("librt.so.1")
     end = ctypes.cast(libc._exit, ctypes.c_void_p)  # noqa: SLF001 - _exit(2)
-    event = _SignalEvent(exit_code, 0, _SIGEV_THREAD, end, None, b"")
+    # `struct sigevent` of sigevent(7)
+    event = struct.pack("PiiP40x", exit_code, 0, _SIGEV_THREAD, end.value)
     timer, after = ctypes.c_void_p(), (ctypes.c_long * 4)(0, 0, int(seconds), round(seconds % 1 * 1e9))
-    if library.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
+    if library.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(timer)) != 0:
         return lambda: None
     library.timer_settime(timer, 0, after, None)
     return lambda: library.timer_delete(timer)

@@ -87,9 +87,6 @@ class Clients(Generic[SentT]):
         self.callers = [publisher for publisher in publishers if isinstance(publisher, Caller)]
         self._publishers = publishers
 
-    def are_matched(self) -> bool:
-        return all(caller.is_matched() for caller in self.callers)
-
     def close(self) -> None:
         for publisher in self._publishers:
             publisher.close()

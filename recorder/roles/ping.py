@@ -205,7 +205,7 @@ class Ping(Generic[SentT, ReceivedT]):
                     return True
             elif now_ns - began_ns > timeout_s * SECOND_NS:
                 return False
-            elif now_ns >= next_ns and self._publisher.are_matched():
+            elif now_ns >= next_ns and all(caller.is_matched() for caller in self._publisher.callers):
                 self._probe()
                 is_quick = relays > 1 and sent < QUICK_PROBES
                 next_ns = now_ns + (QUICK_NS if is_quick else PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)])

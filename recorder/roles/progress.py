@@ -60,7 +60,7 @@ class RelayProgress:
 
 @dataclass(frozen=True, slots=True)
 class TapProgress:
-    """Messages, joined topics, publishers heard and messages missing by their numbers; `rows` with `--live`."""
+    """`missing` are messages by their numbers; `rows` come with `--live`."""
 
     messages: int
     topics: int

@@ -239,16 +239,14 @@ _SENDS = (
 """Class and method of rclpy's binding, and the function of rcl that it calls."""
 
 
-def may_block(options: NodeOptions) -> bool:
-    """Return whether a send waits for as long as the other device does not read."""
-    return options.transport is Transport.LARGE_DATA or "LARGE_DATA" in os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
+def send_unlocked(options: NodeOptions) -> None:
+    """Over TCP, have this process send without the interpreter's lock.
 
-
-def send_unlocked() -> None:
-    """Have rclpy send without the interpreter's lock in this process, so that its other threads run meanwhile.
-
-    rclpy keeps that lock until a message is sent, over TCP for ever if need be: not even Ctrl-C ends the process then.
+    rclpy keeps it until a message is sent: not even Ctrl-C ends a process that sends into a full connection.
     """
+    uses_tcp = "LARGE_DATA" in os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
+    if not uses_tcp and options.transport is not Transport.LARGE_DATA:
+        return
     binding = import_module("rclpy.impl.implementation_singleton").rclpy_implementation
     for kind, method, function in _SENDS:
         setattr(getattr(binding, kind), method, _sending(function))
@@ -256,7 +254,8 @@ def send_unlocked() -> None:
 
 
 def _send(function: str, entity: Any, message: Any, number: Any = None) -> None:
-    status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), message, number)
+    with entity:
+        status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), message, number)
     if status:
         raise BackendUnavailableError(f"ROS 2 cannot send a message ({function}: status {status})")
 
@@ -268,7 +267,7 @@ def _function_of_rcl(name: str) -> Any:
 
 def _sending(function: str) -> Callable[[Any, Any], int | None]:
     def send(entity: Any, message: Any) -> int | None:
-        create, convert, destroy = _conversion_of(type(message))
+        create, convert, destroy = _conversion_of(message.__class__)
         number, converted = ctypes.c_int64(), ctypes.c_void_p(create())
         try:
             convert(message, converted)
@@ -283,24 +282,14 @@ def _sending(function: str) -> Callable[[Any, Any], int | None]:
 def _publish_raw(publisher: Any, message: bytes | bytearray) -> None:
     size = len(message)
     data = (ctypes.c_char * size).from_buffer(message if isinstance(message, bytearray) else bytearray(message))
-    serialized = _SerializedMessage(ctypes.addressof(data), size, size)
+    # `rcl_serialized_message_t` of rcl/types.h: buffer, length, capacity, unused allocator
+    serialized = (ctypes.c_size_t * 8)(ctypes.addressof(data), size, size)
     _send("rcl_publish_serialized_message", publisher, ctypes.byref(serialized))
-
-
-class _SerializedMessage(ctypes.Structure):
-    """`rcl_serialized_message_t` of rcl/types.h; its allocator is not used."""
-
-    _fields_ = (
-        ("buffer", ctypes.c_void_p),
-        ("buffer_length", ctypes.c_size_t),
-        ("buffer_capacity", ctypes.c_size_t),
-        ("allocator", ctypes.c_void_p * 5),
-    )
 
 
 @cache
 def _conversion_of(message_class: type) -> list[Any]:
-    """Return what creates, fills and destroys a message of this class in C, from where rclpy takes them."""
+    """Return what creates, fills and destroys a message of this class in C."""
     pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(
         ("PyCapsule_GetPointer", ctypes.pythonapi)
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 import inspect
 import signal
 import threading
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -22,11 +22,11 @@ from ...choices import ExecutorKind
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Publication, ThreadedNode, TopicView
 from ..other_side import NOT_TEXT
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
-from .fastdds_profile import may_block, send_unlocked
+from .fastdds_profile import send_unlocked
 from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription, TapReceive, TopicPatterns
 
@@ -51,8 +51,7 @@ class Ros2Node(ThreadedNode):
         rclpy = _rclpy()
         super().__init__(options)
         self._on_closed = on_closed
-        if may_block(options):
-            send_unlocked()
+        send_unlocked(options)
         self._context = rclpy.Context()
         try:
             rclpy.init(context=self._context, domain_id=options.domain_id)
@@ -139,7 +138,7 @@ class Ros2Node(ThreadedNode):
         return [publication for name, types in names for publication in self._publications(name, types, own_gid)]
 
     def _names_and_types(self, names: Sequence[str]) -> list[tuple[str, list[str]]]:
-        """Return the graph's topics; where a name is not text, which fails the list, those of ROS nodes and of `names`."""
+        """Return the graph's topics; where a name is not text, which fails the list, the topics of ROS nodes and of `names`."""
         try:
             return self._node.get_topic_names_and_types()  # type: ignore[no-any-return]
         except UnicodeDecodeError:
@@ -348,17 +347,15 @@ def running_rmw() -> str:
     return str(_rclpy().utilities.get_rmw_implementation_identifier())
 
 
-class _python_signal_handlers:  # noqa: N801 - used as a function
-    """Restores Python's handlers of SIGINT and SIGTERM, which the EventsExecutor replaces."""
-
-    _signals = (signal.SIGINT, signal.SIGTERM)
-
-    def __enter__(self) -> None:
-        self._handlers = [signal.getsignal(number) for number in self._signals]
-
-    def __exit__(self, *_: object) -> None:
+@contextmanager
+def _python_signal_handlers() -> Iterator[None]:
+    """Restore Python's handlers of SIGINT and SIGTERM, which the EventsExecutor replaces."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
         if threading.current_thread() is threading.main_thread():
-            for number, handler in zip(self._signals, self._handlers, strict=True):
+            for number, handler in handlers.items():
                 signal.signal(number, handler)
 
 

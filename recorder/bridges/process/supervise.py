@@ -36,7 +36,6 @@ class GuardReport:
     exit_code: int
     """Its exit code, or 128 + signal."""
     left_behind: int
-    """Number of children that outlived it."""
     log_bytes: int
 
 
@@ -64,17 +63,9 @@ class SupervisedProgram:
         self._processes: dict[int, psutil.Process] = {}
         guard = Path(__file__).with_name("guard.py")
         # -I -S: the guard needs only the standard library, and must start whatever is installed.
+        words = sys.executable, "-I", "-S", guard, folder, up_pattern or "", STOP_PATIENCE_S, *self.command
         self._guard = subprocess.Popen(
-            [
-                sys.executable,
-                "-I",
-                "-S",
-                str(guard),
-                str(folder),
-                up_pattern or "",
-                str(STOP_PATIENCE_S),
-                *self.command,
-            ],
+            list(map(str, words)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=dict(environment),
@@ -110,10 +101,11 @@ class SupervisedProgram:
 
     def load(self) -> ProgramLoad:
         loads = []
-        for pid in self._pids():
-            with contextlib.suppress(psutil.Error):  # it has ended
-                process = self._processes.setdefault(pid, psutil.Process(pid))
-                loads.append((process.cpu_percent(), process.memory_info().rss))
+        with contextlib.suppress(psutil.Error):  # the guard has ended
+            for child in psutil.Process(self._guard.pid).children(recursive=True):
+                with contextlib.suppress(psutil.Error):  # it has ended
+                    process = self._processes.setdefault(child.pid, child)
+                    loads.append((process.cpu_percent(), process.memory_info().rss))
         return ProgramLoad(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
 
     def stop(self) -> None:
@@ -130,12 +122,6 @@ class SupervisedProgram:
             self._guard.wait()
         self._read_report()
         self._last_log = self._last_log or self.log_tail()
-
-    def _pids(self) -> list[int]:
-        try:
-            return [child.pid for child in psutil.Process(self._guard.pid).children(recursive=True)]
-        except psutil.Error:
-            return []
 
     def _read_report(self) -> GuardReport:
         if self._report is None:

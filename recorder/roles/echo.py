@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 class RelayView:
     """The relays' endpoints that a ping sees: subscriptions on its topic, publishers of replies.
 
-    `incompatible` has a line for each pair that never matches by its quality of service, `unassignable` for each side with
-    another definition of the type.
+    `incompatible` has a line for each pair that never matches by quality of service, `unassignable` for each side with
+    another type definition.
     """
 
     subscriptions: tuple[Endpoint, ...]

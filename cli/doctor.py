@@ -70,9 +70,9 @@ def _middlewares() -> Iterator[Check]:
     from dds_trace.recorder.backends import load_backends
 
     for backend in load_backends():
-        found = backend.find_installed()
-        names = ", ".join(filter(None, found)) or "installed"
-        yield Check("middlewares", f"--backend {backend.name}", bool(found), names if found else backend.install)
+        installed = backend.find_installed()
+        names = ", ".join(filter(None, installed)) or "installed"
+        yield Check("middlewares", f"--backend {backend.name}", bool(installed), names if installed else backend.install)
 
 
 def _bridges() -> Iterator[Check]:

@@ -47,9 +47,9 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
             raise OptionError(f"{table.where}: an accepted change has a reason and a commit")
         limits = {key: value for key, value in table.values.items() if key not in {"result", "reason", "commit"}}
         accepted = f"{why[0]} ({why[1]})"
-        one = replace(table, values=limits)
+        limits_table = replace(table, values=limits)
         result = table.take("result", str, "")
-        thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(one)]
+        thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(limits_table)]
     gates = gates_of(thresholds, str(path))
     if of_recording:
         topic_gates = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))

@@ -60,7 +60,7 @@ def report_topics(
     if report.verdict == DAMAGED:
         return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
-        return overall_outcome(one.outcome for one in judged).exit_code, written
+        return overall_outcome(gated.outcome for gated in judged).exit_code, written
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
 
 
@@ -73,9 +73,9 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
         *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
     )
     judged = list(_judge(topics, None, gates))
-    for one in judged:
-        say(one.line)
-    return overall_outcome(one.outcome for one in judged).exit_code
+    for gated in judged:
+        say(gated.line)
+    return overall_outcome(gated.outcome for gated in judged).exit_code
 
 
 def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:

@@ -141,8 +141,8 @@ def card_marks(book: Book) -> list[Mark]:
 
 def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     answer = book.answer
-    sentences = [one for one in answer.sentences if one[0] is not PointKind.LOSS] or answer.sentences
-    fastest = next((one for one in sentences if one[0] is PointKind.FASTEST), sentences[0])
+    sentences = [sentence for sentence in answer.sentences if sentence[0] is not PointKind.LOSS] or answer.sentences
+    fastest = next((sentence for sentence in sentences if sentence[0] is PointKind.FASTEST), sentences[0])
     shown = sentences[0] if PointKind.FORGED in answer.kinds else fastest
     return *shown, book.fastest[0].cases if book.fastest else ()
 

@@ -75,6 +75,6 @@ class Engine(ExitStack):
         if self._executor is None:
             return (load(path, self._spool.folder) for path in paths)
         firsts = range(0, len(paths), _FILES_PER_JOB)
-        some = ([*paths[first : first + _FILES_PER_JOB]] for first in firsts)
-        jobs = ((0, partial(self._executor.submit, load_some, part, self._spool.folder)) for part in some)
+        batches = ([*paths[first : first + _FILES_PER_JOB]] for first in firsts)
+        jobs = ((0, partial(self._executor.submit, load_some, part, self._spool.folder)) for part in batches)
         return (trace for traces in in_turn(jobs, 2 * self._count + 1, 0) for trace in traces)

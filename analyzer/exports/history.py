@@ -86,7 +86,7 @@ def otava_csv(analysis: Analysis) -> str:
     started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")
-    values = {re.sub(r"\W+", "_", f"{one.result} {one.name}"): one.value for one in _measures(analysis)}
+    values = {re.sub(r"\W+", "_", f"{measure.result} {measure.name}"): measure.value for measure in _measures(analysis)}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows(

@@ -68,10 +68,10 @@ def _set_clocks(evidence: Evidence) -> pl.DataFrame:
         # In another time namespace it is the monotonic clock that jumped.
         if is_one_machine and abs(set_ns) > _SET_NS and (set_ns > 0 or wall_ns < 0):
             steps.append((after, set_ns, "before"))
-    for one in evidence.topics.wall_readings:
-        at = int(abs(one.steps_ns).argmax())
-        after_s = (one.first_ns[at] - one.session.monotonic_anchor_ns) / 1e9
-        steps.append((one.session, int(one.steps_ns[at]), f"{after_s:.0f} s after the start of"))
+    for reading in evidence.topics.wall_readings:
+        at = int(abs(reading.steps_ns).argmax())
+        after_s = (reading.first_ns[at] - reading.session.monotonic_anchor_ns) / 1e9
+        steps.append((reading.session, int(reading.steps_ns[at]), f"{after_s:.0f} s after the start of"))
     rows = [
         {
             "where": session.device,

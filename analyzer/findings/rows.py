@@ -67,8 +67,8 @@ class _Sentence(Formatter):
         if format_spec.startswith("# "):
             return counted(value, *format_spec[2:].split("|"))
         if "|" in format_spec:
-            one, many = format_spec.split("|")
-            return one if value == 1 else many
+            singular, many = format_spec.split("|")
+            return singular if value == 1 else many
         return str(super().format_field(value, format_spec))
 
 

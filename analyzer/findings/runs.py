@@ -204,8 +204,8 @@ def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple
         boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
         clock_fits = segment_table(fit_devices(clock_knots, boots))
         details = replace(details, clock_fits=clock_fits, clock_knots=clock_knots)
-    found = forged_or_foreign(replace(evidence, details=details))
-    return tuple(sorted({group for finding in found for group in finding.groups}))
+    findings = forged_or_foreign(replace(evidence, details=details))
+    return tuple(sorted({group for finding in findings for group in finding.groups}))
 
 
 def _is_whole(evidence: Evidence, session: Session) -> bool:

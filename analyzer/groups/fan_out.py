@@ -60,16 +60,16 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
     for run_id, members in exchanges.items():
         runs[tuple(sorted(groups[run_id]))].append(members)
     if any(map(_is_crowded, exchanges.values())) and rows.has_rows:
-        for together, of_runs in sorted(runs.items()):
+        for together, crowded in sorted(runs.items()):
             frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
-            own_rows = frame.filter(pl.col("run_id").is_in([of_run[0].run.run_id for of_run in of_runs]))
-            relays = _by_relay(together[0], of_runs, own_rows) if max(map(len, of_runs)) > 1 else []
+            own_rows = frame.filter(pl.col("run_id").is_in([exchange_runs[0].run.run_id for exchange_runs in crowded]))
+            relays = _by_relay(together[0], crowded, own_rows) if max(map(len, crowded)) > 1 else []
             rows_of["fan_out"].append(
                 {
                     "group": together[0],
                     "groups": " ".join(map(str, together)),
                     **_times(own_rows, relays),
-                    **_costs(of_runs, host_samples),
+                    **_costs(crowded, host_samples),
                 }
             )
             rows_of["fan_out_positions"] += relays

@@ -71,11 +71,11 @@ def interval_rows(
 
     def runs_of(metric: str) -> Runs | None:
         values, sending = column(f"{metric}_ns"), all_messages
-        known = column("clock_bound_ns") if metric in ONE_WAY_METRICS else values
-        if known.null_count() == len(known):
+        bounds = column("clock_bound_ns") if metric in ONE_WAY_METRICS else values
+        if bounds.null_count() == len(bounds):
             return None
-        if known.null_count():
-            has_value = is_present(known)
+        if bounds.null_count():
+            has_value = is_present(bounds)
             values = values.filter(pl.Series(has_value))
             sending = _Sending.of(sent_ns[has_value], run_of_row[has_value])
         return sending.runs(present(values))

@@ -127,8 +127,8 @@ def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[i
 def _records(traces: Iterable[Trace]) -> pl.DataFrame:
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
-    is_kept = packed["direction"] != Direction.RECEIVED
-    capture, sent = np.repeat(np.arange(len(parts)), list(map(len, parts)))[is_kept], packed[is_kept]
+    is_sent = packed["direction"] != Direction.RECEIVED
+    capture, sent = np.repeat(np.arange(len(parts)), list(map(len, parts)))[is_sent], packed[is_sent]
     # On the loopback interface both captures have the message: one record is enough. A capture has a record for each other
     # interface on which a message left; files may be copies.
     is_sent = pl.col("direction") == Direction.SENT.value

@@ -178,7 +178,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
         for run in trace.trace.runs:
             runs[run.run_id] = max(
-                runs.setdefault(run.run_id, run), run, key=lambda one: (one.state == "finished", one.published)
+                runs.setdefault(run.run_id, run), run, key=lambda run: (run.state == "finished", run.published)
             )
             run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
     campaign = Campaign(

@@ -84,10 +84,10 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
         if special:
             yield special
             continue
-        own = _steps(name, stamps)
-        if len(own) <= _MOST_STEPS:
-            steps += own
-        if not own and (growth := _growth(name, stamps)):
+        clock_steps = _steps(name, stamps)
+        if len(clock_steps) <= _MOST_STEPS:
+            steps += clock_steps
+        if not clock_steps and (growth := _growth(name, stamps)):
             yield growth
     while steps:
         first = steps[0]

@@ -41,16 +41,16 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
         raise MissingEventsError(f"{path}: no such file or folder")
     recordings: list[Path] = []
     for name, folders, files in os.walk(path):
-        here = Path(name)
-        if here.resolve() in skipped:
+        parent = Path(name)
+        if parent.resolve() in skipped:
             folders.clear()
         elif METADATA_NAME in files:
-            recordings.append(here)
+            recordings.append(parent)
             folders.clear()
         else:
             unpacked = set(files)
             recordings += [
-                here / file
+                parent / file
                 for file in files
                 if file.endswith(_SUFFIXES) and not (file.endswith(".zstd") and file[:-5] in unpacked)
             ]

@@ -69,14 +69,14 @@ class DeviceClocks:
         for session in sessions:
             zero_ns = session.wall_anchor_ns - session.monotonic_anchor_ns
             zeros[machine_of_session(session)].append((session.wall_anchor_ns, zero_ns, ANCHOR_NS))
-        moved = {machine_of_session(one.session) for one in readings if (one.bound_ns > ANCHOR_NS).any()}
-        for one in readings:
-            for at_ns in (one.first_ns, one.last_ns) if machine_of_session(one.session) in moved else ():
+        moved = {machine_of_session(reading.session) for reading in readings if (reading.bound_ns > ANCHOR_NS).any()}
+        for reading in readings:
+            for at_ns in (reading.first_ns, reading.last_ns) if machine_of_session(reading.session) in moved else ():
                 rows_of_zero = zip(
-                    (at_ns + one.zero_ns).tolist(), one.zero_ns.tolist(), one.bound_ns.tolist(), strict=True
+                    (at_ns + reading.zero_ns).tolist(), reading.zero_ns.tolist(), reading.bound_ns.tolist(), strict=True
                 )
-                zeros[machine_of_session(one.session)] += rows_of_zero
-        self._zeros = {machine: np.array(sorted(known), np.int64) for machine, known in zeros.items()}
+                zeros[machine_of_session(reading.session)] += rows_of_zero
+        self._zeros = {machine: np.array(sorted(rows), np.int64) for machine, rows in zeros.items()}
         """By machine, in order of wall time: wall time, wall clock at monotonic zero, error."""
         self._links: dict[Machine, dict[Machine, list[_Link]]] = defaultdict(lambda: defaultdict(list))
         for (ping, relay), messages in _messages_by_pair(sessions, runs, rows).items():
@@ -357,7 +357,7 @@ def follow_wall_clocks(campaign: Campaign) -> Iterator[WallReadings]:
         if len({(session.device, session.extra.get("boot_id")) for session in sessions}) == 1:
             events = [part.load() for part in parts_of_trace]
             at_ns, wall_ns = (
-                np.concatenate([getattr(one, f"{n}_ns") for one in events]) for n in ("monotonic", "received")
+                np.concatenate([getattr(part, f"{n}_ns") for part in events]) for n in ("monotonic", "received")
             )
             seconds = (
                 pl.DataFrame({"at": at_ns, "zero": wall_ns - at_ns})

@@ -87,7 +87,7 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
     cells = [cell for group in groups for cell in group.cells]
     plan_here = replace(plan, cells=tuple(cell for cell in plan.cells if cell.name not in refused))
     seconds = plan_seconds(plan_here)
-    of_these = f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
+    startable = f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
     described: dict[str, object] = {
         "plan": plan.name,
         "seconds": seconds.seconds,
@@ -105,7 +105,7 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
     lines += _remarks(plan)
     lines.append(
         f"plan {plan.name}: {counted(len(cells), 'recording')}, {len(plan.excluded)} left out, "
-        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{of_these}"
+        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{startable}"
     )
     if until is not None:
         most = plan_seconds(plan_here, passes=until.max_passes)

@@ -138,12 +138,12 @@ class ZenohNode(Node):
         tokens = (self._key("endpoint", PUBLISHER, "*", "*", "*"), GRAPH_KEY.format(domain_id=self.options.domain_id))
         replies = [reply for token in tokens for reply in liveliness.get(token, timeout=LOOK_S)]
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-        own = [publication for key in sorted(keys) if (publication := _own_publication(key)) is not None]
+        endpoints = [publication for key in sorted(keys) if (publication := _own_publication(key)) is not None]
         types = defaultdict[str, set[str]](set)
-        for publication in own:
+        for publication in endpoints:
             types[publication.topic].add(publication.type_name)
         self._own_types = dict(types)
-        publications = [*own, *map(parse_token, sorted(keys))]
+        publications = [*endpoints, *map(parse_token, sorted(keys))]
         return [
             *(publication for publication in publications if publication is not None and matches(publication.topic)),
             *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS

@@ -90,10 +90,10 @@ def time_paced_events(record: Record, count: int) -> tuple[NDArray[np.float64], 
     """
     now = time.monotonic_ns
     times, readings = np.zeros(count), []
-    every = max(count // _COLD_TIMER_READINGS, 1)
+    interval = max(count // _COLD_TIMER_READINGS, 1)
     start_ns, ticks = now(), itertools.count(1)
     for sequence in range(count):
-        if sequence % every == 0:
+        if sequence % interval == 0:
             time.sleep(max(start_ns + next(ticks) * PACE_NS - now(), 0) / 1e9)
             stamped_ns = now()
             readings.append(now() - stamped_ns)

@@ -187,7 +187,7 @@ def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
 
 def _meeting_options(options: NodeOptions) -> str:
     usual, durations = Qos(), requested_durations(options.qos)
-    given = {
+    requested = {
         "rmw": options.rmw or "",
         "call": "" if options.call is Call.NONE else options.call.value,
         "transport": "" if options.transport is Transport.DEFAULT else options.transport.value,
@@ -199,7 +199,7 @@ def _meeting_options(options: NodeOptions) -> str:
         "security": "" if options.security is Security.OFF else f"{options.security.value} --keys {options.keys}",
         "deadline": spell_duration(durations["deadline"], digits=9) if "deadline" in durations else "",
     }
-    return "".join(f"--{name} {value} " for name, value in given.items() if value)
+    return "".join(f"--{name} {value} " for name, value in requested.items() if value)
 
 
 def _listed(endpoints: tuple[Endpoint, ...]) -> str:

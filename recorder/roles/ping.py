@@ -322,10 +322,10 @@ class Ping(Generic[SentT, ReceivedT]):
             arrival = feed.take(stop)
             if arrival is None:
                 return
-            taken, arrival_ns = arrival
-            message = self._lane.message_of(self.plan.payload.data_type, taken)
+            raw, arrival_ns = arrival
+            message = self._lane.message_of(self.plan.payload.data_type, raw)
             self._stamps.write(message, self.run_id, sequence)
-            yield message, taken.payload_bytes, arrival_ns
+            yield message, raw.payload_bytes, arrival_ns
 
     @property
     def blocked_ns(self) -> int:

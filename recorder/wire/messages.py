@@ -206,14 +206,14 @@ def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:
     sent = rows[rows["direction"] != Direction.RECEIVED]
     counts = []
     for repeats in np.unique(sent["repeats"]).tolist():
-        of_count = sent[sent["repeats"] == repeats]
+        datagrams = sent[sent["repeats"] == repeats]
         if not repeats:
-            counts.append(RepeatCount(0, len(of_count)))
+            counts.append(RepeatCount(0, len(datagrams)))
             continue
-        delays_ns = of_count["resent_after_ns"]
+        delays_ns = datagrams["resent_after_ns"]
         p50_ns, p90_ns, p99_ns = np.percentile(delays_ns, (50, 90, 99)).tolist()
-        heartbeats_p50 = float(np.median(of_count["waited_heartbeats"]))
+        heartbeats_p50 = float(np.median(datagrams["waited_heartbeats"]))
         counts.append(
-            RepeatCount(repeats, len(of_count), p50_ns, p90_ns, p99_ns, float(delays_ns.max()), heartbeats_p50)
+            RepeatCount(repeats, len(datagrams), p50_ns, p90_ns, p99_ns, float(delays_ns.max()), heartbeats_p50)
         )
     return tuple(counts)

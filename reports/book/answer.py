@@ -360,6 +360,7 @@ def _against_fastest(
     return (f"{joined(parts[:MOST_COMPARED])} as {preposition} {fastest}",) if parts else ()
 
 
-def _are_apart(intervals: Intervals, own_ns: float, own: int, base: int) -> bool:
-    (own_low, own_high), (base_low, base_high) = (intervals.ends("latency", "p50", group) for group in (own, base))
-    return (own_low or 0) > (base_high or own_ns) or (own_high or own_ns) < (base_low or 0)
+def _are_apart(intervals: Intervals, p50_ns: float, group: int, base: int) -> bool:
+    low, high = intervals.ends("latency", "p50", group)
+    base_low, base_high = intervals.ends("latency", "p50", base)
+    return (low or 0) > (base_high or p50_ns) or (high or p50_ns) < (base_low or 0)

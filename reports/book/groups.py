@@ -197,7 +197,7 @@ def series_labels(series: Sequence[Series]) -> list[str]:
 
 
 def _setting_part(series: Sequence[Series]) -> Callable[[Series], str]:
-    word = setting_word(one.setting for one in series)
+    word = setting_word(member.setting for member in series)
     return lambda member: word(member.setting)
 
 

@@ -57,7 +57,7 @@ def forged_sentence(analysis: Analysis, groups: Groups) -> str:
 def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
     """Return how long each setup took to come back: median and range of its runs."""
     series = {group.index: groups.series_of(group) for group in groups.groups}
-    labels = setup_labels({group: asdict(one) for group, one in series.items()}, groups.vendors)
+    labels = setup_labels({group: asdict(member) for group, member in series.items()}, groups.vendors)
     outages: dict[tuple[str, float, str], dict[str, list[float | None]]] = {}
     for group, by, never, back_ns in analysis.details.recoveries.select("group", "by", "never", "back_ns").iter_rows():
         if group in series:

@@ -121,4 +121,4 @@ def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
     decided = [outcome for outcome in outcomes if outcome.is_decided]
     if len(decided) > 1:
         return None
-    return decided[0] if decided else min(outcomes, key=lambda one: one.is_interleaved)
+    return decided[0] if decided else min(outcomes, key=lambda outcome: outcome.is_interleaved)

@@ -279,9 +279,9 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironm
     sections: dict[str, list[RecordedRow]] = {}
     for (section, name), by_column in described.items():
         values = tuple(_joined(by_column.get(column, {})) for column in shown)
-        distinct = [tuple(sorted(own)) for own in by_column.values()]
+        distinct = [tuple(sorted(texts)) for texts in by_column.values()]
         # Middleware, domain and link are what a campaign varies on purpose.
-        unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(own) > 1 for own in distinct))
+        unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(texts) > 1 for texts in distinct))
         sections.setdefault(section, []).append(RecordedRow(name, values, unlike))
     ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
     return RecordedEnvironment(

@@ -216,11 +216,11 @@ def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], *, 
 def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
     judged = [row for row in rows if row["verdict"] == verdict]
     tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
-    own = [row for row in tested if row["verdict"] == verdict]
-    if own:
-        if len(own) == len(tested):
+    agreeing = [row for row in tested if row["verdict"] == verdict]
+    if agreeing:
+        if len(agreeing) == len(tested):
             return ""
-        return ", ".join(statistic_words(row["statistic"]) for row in own)
+        return ", ".join(statistic_words(row["statistic"]) for row in agreeing)
     return ", ".join(dict.fromkeys(metric_words(row["metric"]).lower() for row in judged))
 
 
@@ -268,7 +268,7 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], l
     # Where each result is slower or faster, no change was missed.
     proven = ("worse", "better")
     open_ones = {row["statistic"] for group in groups for row in group.shown() if row["verdict"] not in proven}
-    visible = [one for one in sights if (one.metric, one.statistic) in shown and one.statistic in open_ones]
+    visible = [sight for sight in sights if (sight.metric, sight.statistic) in shown and sight.statistic in open_ones]
     parts = [
         f"of {with_article(sight.statistic)} {_range_words(sight, labels)}"
         for sight in visible

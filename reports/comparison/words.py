@@ -178,8 +178,8 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     is_above = alike[0].result.gate.operator in (">", ">=")
     measured = [gated for gated in alike if gated.result.measured is not None] or alike
     worst = max(measured, key=lambda gated: (gated.result.measured or 0.0) * (1 if is_above else -1))
-    found = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
-    found_words = [found_from_words(worst.result, end) for end in found]
+    limits = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
+    limit_words = [found_from_words(worst.result, end) for end in limits]
     words = measured_words(worst.result, worst.result.measured)
     interval = gate_interval_words(worst.result)
     _, space, unit = words.rpartition(" ")
@@ -188,14 +188,14 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
         MARKS[worst.result.outcome],
         worst.result.gate.text,
         words if interval in (words, "unknown") else f"{words} ({interval.removesuffix(space + unit)})",
-        ends_words(found_words[0], found_words[-1]) if len(set(found_words)) > 1 else "".join(found_words[:1]),
+        ends_words(limit_words[0], limit_words[-1]) if len(set(limit_words)) > 1 else "".join(limit_words[:1]),
         worst.where + more,
     )
 
 
-def found_from_words(result: GateResult, found: float) -> str:
+def found_from_words(result: GateResult, limit: float) -> str:
     is_ratio = result.gate.against is Against.RATIO
-    return WIDE if is_ratio and found > MOST_RATIO else measured_words(result, found)
+    return WIDE if is_ratio and limit > MOST_RATIO else measured_words(result, limit)
 
 
 def gate_notes(gates: Sequence[Gated]) -> list[str]:

@@ -62,10 +62,10 @@ def opened_figures(book: Book, drawn: Sequence[tuple[FigureMaker | LineFigure, F
     On one device pair also those that are `opened`; on several these have a panel for each.
     """
     options = {key: len(dimension.options) for key, dimension in book.facets.dimensions.items()}
-    over = sorted((("rate", lines.LATENCY_BY_RATE), ("size", lines.LATENCY_BY_SIZE)), key=lambda one: -options[one[0]])
-    wanted = [lines.BY_DEVICE, *(maker for _, maker in over), lines.VENDOR_COMPARISON]
+    over = sorted((("rate", lines.LATENCY_BY_RATE), ("size", lines.LATENCY_BY_SIZE)), key=lambda key: -options[key[0]])
+    makers = [lines.BY_DEVICE, *(maker for _, maker in over), lines.VENDOR_COMPARISON]
     best = next(
-        (one for one in wanted if 0 < len(one.info(book).panels) <= MOST_OPENED_PANELS), lines.VENDOR_COMPARISON
+        (maker for maker in makers if 0 < len(maker.info(book).panels) <= MOST_OPENED_PANELS), lines.VENDOR_COMPARISON
     )
     whole = options["place"] == 1 or is_few(book)
     return frozenset(

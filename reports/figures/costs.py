@@ -103,7 +103,7 @@ def interference_info(book: Book) -> BridgeCost:
     for row in book.analysis.details.interference.iter_rows(named=True):
         if (cost := cost_of(row)) is not None:
             costs.setdefault(row["group"], {})[row["statistic"]] = cost
-    cells = {group: BridgedCell(own, None) for group, own in costs.items()}
+    cells = {group: BridgedCell(values, None) for group, values in costs.items()}
     facet = Facet("plane", "place")
     return BridgeCost(facet, facet_panels(book, facet, cells.__contains__), cells)
 

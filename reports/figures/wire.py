@@ -56,8 +56,8 @@ def wire_cost_info(book: Book) -> WireCost:
             part = PART_OF_CLASS.get(wire_class, "other")
             shares.setdefault(group, dict.fromkeys(PART_LABELS, 0.0))[part] += share
     parts = {
-        group: tuple(WirePart(name, share * ratios[group], share) for name, share in own.items() if share)
-        for group, own in shares.items()
+        group: tuple(WirePart(name, share * ratios[group], share) for name, share in parts.items() if share)
+        for group, parts in shares.items()
     }
     facet = plane_facet(book)
     incomplete = details.wire.filter(~details.wire["complete"])["group"].to_list()

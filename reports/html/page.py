@@ -171,7 +171,7 @@ def _aligned(unit: str, value_ns: float | None, text: str) -> tuple[str, str]:
 
 
 def _tint(cell: SizeCell, row: SizeRow) -> int:
-    times = [one.p50_ns for one in row.cells if one and _is_time(one.p50_ns) and one.p50_ns > 0]
+    times = [other.p50_ns for other in row.cells if other and _is_time(other.p50_ns) and other.p50_ns > 0]
     return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 

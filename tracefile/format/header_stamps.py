@@ -101,7 +101,7 @@ class Types:
                 pending += [part.type for part in parts[type_name]]
         containing = parts.keys() & {_HEADER}
         while (
-            more := {one for one, fields in parts.items() if any(part.type in containing for part in fields)}
+            more := {kind for kind, fields in parts.items() if any(part.type in containing for part in fields)}
             - containing
         ):
             containing |= more

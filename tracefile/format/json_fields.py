@@ -60,8 +60,8 @@ class DescriptionFields:
     A method that takes a field raises `TraceFormatError` if it is missing or of another type.
     """
 
-    def __init__(self, left: dict[str, Json], path: Path | str, what: str) -> None:
-        self._left = left
+    def __init__(self, fields: dict[str, Json], path: Path | str, what: str) -> None:
+        self._unread = fields
         self._path = path
         self._what = what
 
@@ -120,15 +120,15 @@ class DescriptionFields:
 
     def optional(self, name: str, kind: type[T], limit: Limit | None = None) -> T | None:
         """Take a value of type `kind` within `limit`, or null."""
-        if name in self._left and self._left[name] is None:
-            del self._left[name]
+        if name in self._unread and self._unread[name] is None:
+            del self._unread[name]
             return None
         value = self._take(name, kind, f"null or {kind.__name__}")
         return value if limit is None else self._limited(name, value, limit)
 
     def rest(self) -> dict[str, Json]:
         """Return what was not taken."""
-        return self._left
+        return self._unread
 
     def _limited(self, name: str, value: T, limit: Limit) -> T:
         fault = limit.fault(value)
@@ -139,9 +139,9 @@ class DescriptionFields:
         return value
 
     def _pop(self, name: str) -> Json:
-        if name not in self._left:
+        if name not in self._unread:
             raise TraceFormatError(self._path, f"the {self._what} description has no field {name!r}")
-        return self._left.pop(name)
+        return self._unread.pop(name)
 
     def _take(self, name: str, kind: type[T], kind_name: str) -> T:
         value = self._pop(name)

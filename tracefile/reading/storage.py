@@ -50,16 +50,16 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
         raise MissingEventsError(f"{folder}: no such file or folder")
     traces: list[Path] = []
     for name, folders, files in os.walk(folder):
-        here, real = Path(name), Path(name).resolve()
+        parent, real = Path(name), Path(name).resolve()
 
         def is_left_out(child: Path, real: Path = real) -> bool:
             # Only a link leads elsewhere, and resolving every path is slow.
             return (child.resolve() if child.is_symlink() else real / child.name) in left_out
 
-        searched = [child for child in folders if not is_left_out(here / child)]
-        traces += [here / child for child in searched if is_bag(here / child)]
-        folders[:] = [child for child in searched if not is_bag(here / child)]
-        traces += [here / file for file in files if file.endswith(".mcap") and not is_left_out(here / file)]
+        searched = [child for child in folders if not is_left_out(parent / child)]
+        traces += [parent / child for child in searched if is_bag(parent / child)]
+        folders[:] = [child for child in searched if not is_bag(parent / child)]
+        traces += [parent / file for file in files if file.endswith(".mcap") and not is_left_out(parent / file)]
     return sorted(traces)
 
 

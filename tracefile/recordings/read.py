@@ -67,7 +67,7 @@ def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str,
 
 class _UnpackedBytes:
     def __init__(self, size_bytes: int) -> None:
-        self._left = most_unpacked_bytes(size_bytes)
+        self._room_bytes = most_unpacked_bytes(size_bytes)
 
     def unpacked(self, message: RawMessage) -> bytes:
         """Return the data; serialized CDR begins with a zero byte, so it is never taken for a zstd frame."""
@@ -77,10 +77,10 @@ class _UnpackedBytes:
             data = unpack_zstd(message.data, MAX_RECORD_BYTES + 1)
         except (zstandard.ZstdError, MemoryError):
             return message.data
-        self._left -= len(data)
+        self._room_bytes -= len(data)
         if len(data) > MAX_RECORD_BYTES:
             raise UnreadableError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
-        if self._left < 0:
+        if self._room_bytes < 0:
             raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
         return data
 

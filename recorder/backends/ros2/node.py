@@ -143,12 +143,12 @@ class Ros2Node(ThreadedNode):
             return self._node.get_topic_names_and_types()  # type: ignore[no-any-return]
         except UnicodeDecodeError:
             self.strangers.count_once(NOT_TEXT)
-        found = {name: list[str]() for name in names if name.startswith("/") and not set(name) & set("*?[")}
+        types_by_topic = {name: list[str]() for name in names if name.startswith("/") and not set(name) & set("*?[")}
         with suppress(UnicodeDecodeError):
             for node in self._node.get_node_names_and_namespaces():
                 with suppress(Exception):  # it left, or this one is the stranger
-                    found.update(self._node.get_publisher_names_and_types_by_node(*node))
-        return list(found.items())
+                    types_by_topic.update(self._node.get_publisher_names_and_types_by_node(*node))
+        return list(types_by_topic.items())
 
     def _infos(self, name: str) -> list[Any] | None:
         with suppress(Exception):  # not a name of ROS, or the name of a node is not text

@@ -44,7 +44,7 @@ class SocketNode(ThreadedNode):
         _check_qos(options.qos, PROTOCOLS[options.transport])
         self._peers = peers
         self._receivers: dict[str, tuple[Receive[RawMessage], ...]] = {}
-        self._own = Greeting(options.name)
+        self._greeting = Greeting(options.name)
         is_local = options.discovery is Discovery.LOCALHOST
         listen = ("127.0.0.1" if is_local else "", port) if options.listens else None
         resolved = [_resolve(address) for address in peers]
@@ -62,7 +62,7 @@ class SocketNode(ThreadedNode):
                 raise OptionError(f"--congestion-control {options.congestion_control}: UDP has none; leave it out")
             buffer_bytes = options.buffer_bytes or (BUFFER_BYTES if options.tuned else None)
             links = UdpLinks(
-                self._own, listen, resolved, self._receivers, self.strangers, buffer_bytes, options.fragment_bytes
+                self._greeting, listen, resolved, self._receivers, self.strangers, buffer_bytes, options.fragment_bytes
             )
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
@@ -74,7 +74,7 @@ class SocketNode(ThreadedNode):
             if options.keys is not None:
                 context = tls_context(options.keys, listens=options.listens)
                 secure = partial(TlsSocket, context=context, listens=options.listens)
-            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare, self.strangers, secure)
+            self._links = TcpLinks(self._greeting, listen, resolved, self._receivers, prepare, self.strangers, secure)
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)
@@ -85,7 +85,7 @@ class SocketNode(ThreadedNode):
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
-        self._own.publishers = {**self._own.publishers, topic: type_name}
+        self._greeting.publishers = {**self._greeting.publishers, topic: type_name}
         self._links.announce()
         return _SocketPublisher(self._links.sender(topic), partial(self._withdraw_publisher, topic))
 
@@ -94,18 +94,18 @@ class SocketNode(ThreadedNode):
     ) -> Subscription:
         _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._receivers[topic] = (*self._receivers.get(topic, ()), receive)
-        self._own.subscriptions = {**self._own.subscriptions, topic: type_name}
+        self._greeting.subscriptions = {**self._greeting.subscriptions, topic: type_name}
         self._links.announce()
         return NodeSubscription(partial(self._withdraw_subscription, topic, receive))
 
     def _withdraw_publisher(self, topic: str) -> None:
-        self._own.publishers = _without(self._own.publishers, topic)
+        self._greeting.publishers = _without(self._greeting.publishers, topic)
         self._links.announce()
 
     def _withdraw_subscription(self, topic: str, receive: Receive[RawMessage]) -> None:
         self._receivers[topic] = tuple(other for other in self._receivers[topic] if other is not receive)
         if not self._receivers[topic]:
-            self._own.subscriptions = _without(self._own.subscriptions, topic)
+            self._greeting.subscriptions = _without(self._greeting.subscriptions, topic)
             self._links.announce()
 
     def read_security(self) -> str:
@@ -120,7 +120,7 @@ class SocketNode(ThreadedNode):
         return self._links.poll
 
     def look_at(self, topic: str) -> TopicView:
-        greetings = [self._own, *self._links.greetings()]
+        greetings = [self._greeting, *self._links.greetings()]
         return TopicView(
             topic,
             tuple(Endpoint(node.name, node.publishers[topic]) for node in greetings if topic in node.publishers),

@@ -61,7 +61,7 @@ class TcpLinks:
 
     def __init__(
         self,
-        own: Greeting,
+        greeting: Greeting,
         listen: Address | None,
         peers: Sequence[Address],
         receivers: Receivers,
@@ -72,7 +72,7 @@ class TcpLinks:
         self.security, self._secure = "", secure  # the latest secured connection in words
         self._handshakes = threading.Semaphore(MAX_PEERS)
         self._strangers = strangers
-        self._own = own
+        self._greeting = greeting
         self._receivers = receivers
         self._prepare = prepare
         self._delivering = FastLock()
@@ -97,7 +97,7 @@ class TcpLinks:
 
     def announce(self) -> None:
         for peer in self._connected:
-            peer.greet(self._own)
+            peer.greet(self._greeting)
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
         """Return a function that sends a frame; it blocks while a peer does not read."""
@@ -206,7 +206,7 @@ class TcpLinks:
 
     def _join(self, connection: socket.socket | TlsSocket, address: Address | None) -> None:
         peer = _TcpPeer(connection, self._has_memory, is_chosen=address is not None)
-        peer.greet(self._own)
+        peer.greet(self._greeting)
         name = f"{threading.current_thread().name}-{connection.fileno()}"
         peer.thread = threading.Thread(target=self._serve, args=(peer, address), name=name, daemon=True)
         with self._changing:  # `interrupt` joins the threads of the peers that it sees: each has started

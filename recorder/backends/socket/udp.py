@@ -63,7 +63,7 @@ class UdpLinks:
 
     def __init__(
         self,
-        own: Greeting,
+        greeting: Greeting,
         listen: Address | None,
         peers: Sequence[Address],
         receivers: Receivers,
@@ -78,7 +78,7 @@ class UdpLinks:
         self._secret = secrets.token_bytes(16)
         self._cookies: dict[Address, str] = {}  # of relays, for our greetings to them
         self._unfinished_bytes = 0  # of all peers
-        self._own = own
+        self._greeting = greeting
         self._receivers = receivers
         self._socket = bound_socket(socket.SOCK_DGRAM, listen or ("", 0))
         if buffer_bytes is not None:
@@ -108,7 +108,7 @@ class UdpLinks:
             self._greet(address)
 
     def _greet(self, address: Address) -> None:
-        self._send_to([address], b"", self._own.to_bytes(self._cookies.get(address, "")))
+        self._send_to([address], b"", self._greeting.to_bytes(self._cookies.get(address, "")))
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
         return partial(self._send, topic)

@@ -25,17 +25,17 @@ PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 AGAINST_LABEL = "against"
 
 
-def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace = ONLY_RELAY) -> list[str]:
-    device = plan.hosts[place.host] if plan.hosts else plan.relay
+def relay_arguments(plan: Plan, need: Cell, number: int = 1, position: RelayPlace = ONLY_RELAY) -> list[str]:
+    device = plan.hosts[position.host] if plan.hosts else plan.relay
     flows = plan.flows or [cell.flow for cell in sender_cells(need) if cell.flow]
     is_single = need.receivers == 1
     if need.hosts > 1 and device.name is None:
-        device = replace(device, name=device.ssh or f"host-{place.host + 1}")
+        device = replace(device, name=device.ssh or f"host-{position.host + 1}")
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
         *_axis_arguments(need, RELAY_AXES),
         *(argument for flow in flows for argument in ("--flow", flow)),
-        *(() if is_single else ("--relay-id", str(place.number))),
+        *(() if is_single else ("--relay-id", str(position.number))),
         *_common_arguments(plan, need, device, number, is_single=is_single),
     ]
 

@@ -44,10 +44,10 @@ class SweepProgress:
 class PlainProgress(SweepProgress):
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._cells = self._done = 0
+        self._cells = self._complete = 0
 
     def begin(self, cells: int, complete: int) -> None:
-        self._cells, self._done = cells, complete
+        self._cells, self._complete = cells, complete
         if complete:
             self.note(f"{complete} of {counted(cells, 'recording is', 'recordings are')} there already")
 
@@ -55,9 +55,9 @@ class PlainProgress(SweepProgress):
         self.note(f"relay: {name}")
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        self._done += complete
+        self._complete += complete
         total = f"/{self._cells}" if self._cells else ""
-        self.note(f"[{self._done}{total}] {name}: {outcome}")
+        self.note(f"[{self._complete}{total}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
         self._console.print(printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True)
@@ -87,7 +87,7 @@ class RichProgress(PlainProgress):
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         super().ended(name, outcome, complete=complete)
-        self._progress.update(self._task, completed=self._done)
+        self._progress.update(self._task, completed=self._complete)
 
     def end(self) -> None:
         self._progress.stop()

@@ -23,7 +23,7 @@ def test_relays_of_each_host_have_numbers_and_the_hosts_names():
     assert cell.name == "cyclonedds_same_binary_10Hz_relays-2_hosts-3"
     assert relay_places(cell) == [(1, 0), (2, 0), (3, 1), (4, 1), (5, 2), (6, 2)]
     plan = plan_of("relays = 2\nhosts = 3", NETWORK)
-    last = relay_arguments(plan, cell.relay, place=relay_places(cell)[-1])
+    last = relay_arguments(plan, cell.relay, position=relay_places(cell)[-1])
     assert (given(last, "--relay-id"), given(last, "--device")) == (["6"], ["host-3"])
     ping = ping_arguments(plan, cell, 5.0, "10.0.0.2", ["10.0.0.3", "10.0.0.4"])
     assert given(ping, "--relays") == ["6"]
@@ -59,7 +59,7 @@ def test_several_senders_run_together(axis, letter, topics):
 def test_each_device_of_a_list_has_its_own_relay():
     plan = plan_of("hosts = 2", DEVICES)
     places = relay_places(plan.cells[0])
-    names = [given(relay_arguments(plan, plan.cells[0].relay, place=place), "--device") for place in places]
+    names = [given(relay_arguments(plan, plan.cells[0].relay, position=place), "--device") for place in places]
     assert names == [["left"], ["right"]]
     assert (plan.has_two_devices, plan.relay.reached_at) == (True, "left")
 

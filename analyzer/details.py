@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import polars as pl
@@ -92,6 +93,7 @@ def collect_details(
     )
 
 
+@cache
 def details_not_requested() -> Details:
     no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
     no_roundtrips = pair_exchanges([], {}, details=False)

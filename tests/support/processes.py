@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -12,7 +13,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from waiting import PATIENCE_S, wait_until
 from warm_start import MODULES, WarmProcess
@@ -137,3 +138,13 @@ def ping(domain_id: int, out: Path, *more: object) -> Finished:
 def run(*arguments: object, environment: dict[str, str] | None = None) -> Finished:
     with running(*arguments, environment=environment) as command:
         return command.finish()
+
+
+def sweep(folder: Path, text: str) -> dict[str, Any]:
+    """Return what the sweep of a plan prints; it starts cold with network namespaces, outside of which a warm one would stay."""
+    plan = folder / "p.toml"
+    plan.write_text(text)
+    cold = {"PATH": os.environ["PATH"]} if "namespaces = true" in text else None
+    done = run("dds-trace", "sweep", plan, "--out", folder / "runs", "--json", environment=cold)
+    assert done.status == 0, done.stderr
+    return json.loads(done.stdout)

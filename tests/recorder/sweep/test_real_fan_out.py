@@ -1,4 +1,3 @@
-import json
 import os
 import signal
 import subprocess
@@ -7,6 +6,7 @@ import time
 
 import pytest
 from namespaces import needs_namespaces
+from processes import sweep
 
 from dds_trace.analyzer.pipeline import analyze
 
@@ -27,12 +27,6 @@ def command(folder, text):
     plan = folder / "p.toml"
     plan.write_text(text)
     return [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", folder / "runs", "--json"]
-
-
-def sweep(folder, text):
-    done = subprocess.run(command(folder, text), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def test_three_relays_answer_each_message(tmp_path, domain_id):

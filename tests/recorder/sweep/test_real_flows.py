@@ -1,9 +1,6 @@
-import json
-import subprocess
-import sys
-
 import pytest
 from namespaces import needs_namespaces
+from processes import sweep
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import Stage
@@ -46,16 +43,6 @@ rate = 50
 outage = {seconds}
 outage_by = "{by}"
 """
-
-
-def sweep(tmp_path, text):
-    plan = tmp_path / "p.toml"
-    plan.write_text(text)
-    # Not by the stand-ins of `processes`, which would stay outside of a namespace.
-    command = [sys.executable, "-m", "dds_trace", "sweep", plan, "--out", tmp_path / "runs", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
 
 
 def test_two_flows_of_one_kind_of_data_share_a_relay_and_run_together(tmp_path, domain_id):

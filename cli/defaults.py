@@ -29,7 +29,7 @@ _WITHOUT_DEFAULT = frozenset(
 """Options without a configured default: they overwrite, or do something else than the command."""
 
 _OF_THE_USER = frozenset(("PATH", "FILE", "FOLDER", "HOST", "PORT", "ADDRESS", "SIDE", "TYPE", "MODE", "RMW", "BRIDGE"))
-"""Metavars of paths, rights of files, addresses, programs and of what is sent: a working folder's file may be somebody else's."""
+"""Metavars of paths, rights of files, addresses, programs and of what is sent: another user may have written the file of a working folder."""
 
 _ACTING = frozenset(("keep", "open", "payload"))
 """Options that remove files, start a program, or store what others send."""

@@ -72,7 +72,9 @@ def _middlewares() -> Iterator[Check]:
     for backend in load_backends():
         installed = backend.find_installed()
         names = ", ".join(filter(None, installed)) or "installed"
-        yield Check("middlewares", f"--backend {backend.name}", bool(installed), names if installed else backend.install)
+        yield Check(
+            "middlewares", f"--backend {backend.name}", bool(installed), names if installed else backend.install
+        )
 
 
 def _bridges() -> Iterator[Check]:

@@ -64,7 +64,7 @@ MOVED = {
 
 
 FOLLOWED = ("record --recover", "record --self-test", "analyze --topics")
-"""Of `MOVED`, the flags of which the other words are those of the command now."""
+"""Flags in `MOVED` that keep their other words in the new command."""
 
 
 def follow_moved(words: Sequence[str]) -> list[str]:

@@ -77,7 +77,7 @@ class Recorded:
 
 
 Leave: TypeAlias = "Callable[[Recorded | BaseException], AbstractContextManager[object]]"
-"""Given the end of a recording whose trace is closed: the context in which the middleware is left."""
+"""Given the end of a recording with its trace closed: the context in which the middleware is left."""
 
 
 class BaseRecording(ABC):

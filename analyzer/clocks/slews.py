@@ -1,7 +1,7 @@
 """Slews: stretches of time in which a clock was made to run fast or slow.
 
 Between two devices a slew shows in the steps of their fit, whose drift ends at `DRIFT_LIMIT_PPB`, or below that in knots
-whose rates differ; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
+with different rates; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
 
 
 def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Bools:
-    """Return which windows have a half whose offset is outside the window's own bound.
+    """Return which windows have a half with its offset outside the window's own bound.
 
     Few lines respect every message of a clock that bends, so the bound is small where it is wrong. The half is checked at
     its tightest message; with fewer messages to respect, its bound is never smaller.

@@ -21,7 +21,7 @@ from .batches import BatchOutput, is_large, keep_freed_memory, process, process_
 _MOST_THREADS = 2  # each has a batch in memory; the caller writes the rows
 
 _MOST_EVENTS_AHEAD = 8_000_000
-"""Events of batches in progress, or whose results wait; a larger batch is processed on its own."""
+"""Events of batches in progress or with waiting results; a larger batch is processed on its own."""
 
 FILES_FOR_PROCESSES = 2_000
 """Traces from which on worker processes pay (`benchmarks/performance.md`)."""

@@ -176,7 +176,7 @@ def _is_direct(exchange: Exchange) -> bool:
     "Record the relay's whole trace as well, which says how many replies it sent, or repeat where nobody else can send.",
 )
 def doubtful_replies(evidence: Evidence) -> Iterator[Observation]:
-    """Different replies to one message, of which one may be somebody else's."""
+    """Different replies to one message: one may be from another program."""
     for exchange, group, counts in evidence.counts_by_exchange():
         doubtful = counts["unclear"] - _second_sources(evidence, exchange, counts)
         # A network may copy the datagrams of sockets, which carry no stamp of their sender.

@@ -247,7 +247,7 @@ def _late(rows: pl.DataFrame, batch: Batch) -> pl.LazyFrame:
 
 
 def find_outages(rows: pl.DataFrame) -> pl.LazyFrame:
-    """Return outages by the index of the exchange, `row` being that of the first lost message."""
+    """Return outages by the index of the exchange, `row` is the index of its first lost message."""
     steady = runs_of(rows, pl.col("in_time") & ~pl.col("lost")).filter(pl.col("messages") >= RECOVERED_MESSAGES)
     return (
         runs_of(rows, pl.col("lost"))

@@ -29,7 +29,7 @@ MOST_ROWS = 1_000_000
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:
     """Append a row `UNSENT` for each message that never left (by run_id).
 
-    `publish_ns` is that of the last row of the run and relay; other times are null.
+    `publish_ns` is from the last row of the run and relay; other times are null.
     """
     last = roundtrips.filter(pl.col("run_id").is_in(list(unsent))) if unsent else roundtrips.head(0)
     if last.is_empty():

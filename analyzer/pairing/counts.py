@@ -47,7 +47,7 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 
 `published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `duplicated`: messages with duplicates; `second_source`,
 `unclear`: these of `PairedMessages`. `relay_gaps`: replies without T3 or T4.
-`early`: replies whose T2 is below their T4, which one clock cannot read.
+`early`: replies with T2 below T4, which one clock cannot read.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
 `orphans`: T2, T3 and T4 of counted messages without T1. `with_warmup`: messages of the run with a T1, warm-up included;

@@ -305,7 +305,7 @@ class Doubt:
 def find_ping_session(
     campaign: Campaign, run: Run, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session that the run names, else that of the traces with its T1; several become a `Doubt`."""
+    """Return the session that the run names, else the one of the traces with its T1; several become a `Doubt`."""
     session = campaign.sessions.get(session_of_run(run))
     if session is not None:
         return session

@@ -42,7 +42,7 @@ _MOST_TWICE = 0.9
 """Least expected messages per message of a pattern."""
 
 _NEIGHBOURS, _PHASE_LOST = 8, 0.65
-"""Messages on either side whose phases must differ, and by how many periods."""
+"""Messages on either side that must differ in phase, and by how many periods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ def _single(times_ns: Int64, period_ns: float) -> Regularity:
 
 
 def _without_queues(ratio: Float64) -> tuple[Float64, int]:
-    """Return intervals as they were sent, and how many messages a last stall, whose queue is cut off, may lack.
+    """Return intervals as they were sent, and how many messages a last stall, with its queue cut off, may lack.
 
     After a stall its messages come at once: only what these do not make up for is missing.
     """

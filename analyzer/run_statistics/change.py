@@ -84,7 +84,7 @@ class LeastVariances:
 def least_variances(sides: Iterable[tuple[Estimate, Estimate, Passes | None]]) -> LeastVariances:
     """Return the mean variances of a statistic over the groups of a comparison; 0 where they are alike by Bartlett's test.
 
-    Few runs of two modes agree by chance in some of many groups, whose difference a test would take for certain.
+    Few runs of two modes agree by chance in some of many groups, and a test would take their difference for certain.
     """
     runs: dict[tuple[int, int], list[Float64]] = {}
     pairs: dict[int, list[Float64]] = {}
@@ -275,7 +275,7 @@ class DetectableChange:
     """The smallest change of one statistic of one metric that the verdicts of a comparison would have detected.
 
     Attributes:
-        told: groups whose runs allow a verdict and an estimate of the smallest change.
+        told: groups with runs that allow a verdict and an estimate of the smallest change.
         smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
             have been called slower with a probability of at least 80 %; None without such an estimate.
         least_ratio: the same of the group in which the least is found; in the others it takes more, up to `smallest_ratio`.

@@ -41,7 +41,7 @@ class StudentTest:
 
 
 def welch_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:
-    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947).
+    """Return the test of two independent samples with different variances (B. L. Welch, Biometrika 34, 1947).
 
     `least_variance` is a lower bound of the variance of a value: samples that are equal by chance do not make the mean surer.
     """

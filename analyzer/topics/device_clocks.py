@@ -139,7 +139,7 @@ class DeviceClocks:
         return abs(first_ns - second_ns) < _SAME_ZERO_NS
 
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
-        """Return the links of the shortest way between machines; those of one clock are a step without links."""
+        """Return the links of the shortest way between machines; a step within one clock has no link."""
         paths: dict[Machine, list[list[_Link]]] = {start: []}
         remaining = deque([start])
         while remaining:

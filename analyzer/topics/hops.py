@@ -1,4 +1,4 @@
-"""Chains of topics, whose messages carry the header stamp of their sources, and what each hop takes."""
+"""Chains of topics, by the header stamps that messages take over from their sources, and what each hop takes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOP_SCHEMA = frame_schema(
 """By hop: `stamp` to `publish`, `publish` to `receive`, `receive` to the next topic's `publish`."""
 
 LEAST_CHAINED = 0.5
-"""Share of messages whose header stamp an earlier topic had, if made of its messages."""
+"""Share of messages with a header stamp of an earlier topic, if made of its messages."""
 
 _QUANTILES = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
 """Statistic -> quantile, and the values that it takes."""

@@ -179,7 +179,7 @@ def _missing_numbers(sequence: NDArray[np.uint64]) -> NDArray[np.uint64]:
 def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceClocks) -> tuple[Machine | None, bool]:
     """Return the publisher's machine, None if unknown, and whether it is only assumed, being the only one.
 
-    The tap next to it may know. Else it is the only machine whose clock can have made the stamps, else the one that hears
+    The tap next to it may know. Else it is the only machine with a clock that can have made the stamps, else the one that hears
     messages first.
     """
     local = {tap.machine for tap in stream.heard if tap.is_local}

@@ -138,7 +138,7 @@ class CycloneNode(ThreadedNode):
 
         is_of_type: dict[int, bool] = {}
 
-        # A writer whose type has another name and the same members matches as well.
+        # A writer with a type of another name and the same members matches as well.
         def on_sample(message: RawMessage, info: Any) -> None:
             handle = info.publication_handle
             if handle not in is_of_type:

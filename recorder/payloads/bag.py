@@ -143,7 +143,7 @@ def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> 
 
 
 def _types_of(topic: RecordedTopic) -> Typestore:
-    """Return the recording's types of a topic, else those of ROS 2, which have hardly changed."""
+    """Return the recording's types of a topic, else the types of ROS 2, which have hardly changed."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415 - only bags need it
 
     if not topic.definition:

@@ -250,7 +250,7 @@ class Ping(Generic[SentT, ReceivedT]):
         return self.finish(sink)
 
     def finish(self, sink: TraceSink) -> Run:
-        """Write the finished run, also of a ping whose thread is still sending."""
+        """Write the finished run, also while the thread is still sending."""
         if self._pending:
             self._strangers.count(UNMET, len(self._pending))
         self._published += self.blocked_ns > 0 and not self._probing_ns  # the middleware has it

@@ -88,7 +88,7 @@ class Role(Protocol):
 
     @property
     def traffic(self) -> Traffic:
-        """The messages so far, of which the kernel's counters must know."""
+        """The messages so far, as the kernel must have counted them."""
 
     def progress(self) -> Progress: ...
 

@@ -302,7 +302,7 @@ MOST_COMPARED = 3
 def place_sentence(groups: Groups, values: Values, intervals: Intervals) -> str:
     """Say how many times as long a message takes over each link, and from each device, as over and from the fastest.
 
-    Factors are of results without losses whose intervals between runs do not overlap.
+    Factors are of results without losses and with intervals between runs that do not overlap.
     """
     relays = {series.relay_device for series in groups.series}
     same_relay = len(relays) == 1 and not relays & {series.ping_device for series in groups.series}

@@ -42,7 +42,7 @@ MOST_NAMED = 3
 
 
 def forged_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return which results are not to be used, or are doubtful, as replies may be somebody else's."""
+    """Return which results are not to be used, or are doubtful, as replies may be from another program."""
     labels = group_labels(groups)
     sentences = []
     for code, words in (FORGED, "Do not use, as somebody else may have answered"), (DOUBTFUL, "Doubtful"):
@@ -190,7 +190,7 @@ def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[J
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `cases` are those of `place`."""
+    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `cases` are of `place`."""
 
     heading: str
     lines: tuple[tuple[str, str, bool], ...]

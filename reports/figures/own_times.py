@@ -1,4 +1,4 @@
-"""Times that a group has besides those of its messages: to the first message, and from the end of an outage to the first reply."""
+"""Times of a group, not of its messages: to the first message, and from the end of an outage to the first reply."""
 
 from __future__ import annotations
 

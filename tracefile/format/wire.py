@@ -27,7 +27,7 @@ NEVER_NS = -1
 
 DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
 AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
-"""Classes of traffic whose bytes are discovery, and repeats."""
+"""Classes of traffic that are discovery, and repeats."""
 
 MESSAGE_ROW = np.dtype(
     [

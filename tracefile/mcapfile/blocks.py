@@ -74,8 +74,6 @@ class Block:
 
 @dataclass(slots=True)
 class BlockJobs:
-    """The blocks of a file in order, as jobs that make them."""
-
     file: RecordFile
     summary: Summary | None
     notes: list[str] = field(default_factory=list)

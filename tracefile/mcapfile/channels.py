@@ -20,8 +20,6 @@ _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hun
 
 @dataclass(frozen=True, slots=True)
 class DeclaredChannel:
-    """A channel as its file declares it."""
-
     topic: str
     stage: Stage | None
     fault: str | None

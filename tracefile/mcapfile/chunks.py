@@ -33,8 +33,6 @@ class DamagedChunkError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class PackedChunk:
-    """A chunk as its own header describes it."""
-
     offset: int
     data_offset: int
     packed_bytes: int

@@ -57,8 +57,6 @@ class RecordHeader:
 
 
 class RecordFile(AbstractContextManager["RecordFile"]):
-    """A MCAP file, opened for reading at any offset."""
-
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
         self._ahead, self._ahead_at = b"", 0
@@ -131,7 +129,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             offset += RECORD_HEADER.size + length
 
     def parse(self, kind: type[R], header: RecordHeader) -> R:
-        """Read and parse a record."""
         name = record_name(header.opcode)
         if header.length > MAX_RECORD_BYTES:
             raise TornRecordError(header.offset, f"a {name} record claims {counted(header.length, 'byte')}")
@@ -179,7 +176,6 @@ class Summary:
 
 
 def read_summary(file: RecordFile) -> Summary | None:
-    """Read the summary."""
     footer_at = file.size - _FOOTER_BYTES - len(MAGIC)
     if footer_at < len(MAGIC):
         return None

@@ -39,8 +39,6 @@ class ChannelEvents(NamedTuple):
 
 @dataclass(slots=True)
 class Scan:
-    """Offsets of the records in a buffer."""
-
     runs: list[tuple[int, int]] = field(default_factory=list)
     others: list[tuple[int, int, int]] = field(default_factory=list)
     end: int = 0

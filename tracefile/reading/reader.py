@@ -71,7 +71,7 @@ class ColumnsBuilder:
 
 
 class _StageColumns:
-    """Events of one stage, all columns in one piece of memory, unfilled parts of which are never allocated."""
+    """Events of one stage, all columns in one piece of memory; unfilled parts are never allocated."""
 
     def __init__(self, expected: int, memory: ColumnsMemory | None) -> None:
         self.filled = 0

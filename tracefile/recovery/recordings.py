@@ -44,8 +44,6 @@ MOST_CHANNELS = 65_535
 
 @dataclass(slots=True)
 class RecordingRecovery:
-    """What was recovered of a recording."""
-
     path: Path
     recovered: Path
     messages: int = 0

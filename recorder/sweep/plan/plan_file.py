@@ -148,7 +148,7 @@ def _flows(root: TomlTable, combined: Collection[AxisValues]) -> list[Flow]:
 
 
 def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
-    """Yield the conditions of a table for all results, then those of its tables, which have the name of a result."""
+    """Yield the conditions of a table for all results, then of its tables, which have the name of a result."""
     for metric, value in table.values.items():
         if not isinstance(value, dict):
             listed = value if isinstance(value, list) else [value]

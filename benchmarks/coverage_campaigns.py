@@ -138,8 +138,8 @@ def message_leaders_table(samples: int) -> Table:
     for scenario in SCENARIOS:
         generator = np.random.default_rng([SEED, 5])
         pool = []
-        for _ in range(POOL * samples):
-            values = scenario.draw(generator, 5, MESSAGES, is_own_truth=False)
+        drawn = scenario.draw(generator, 5 * POOL * samples, MESSAGES, is_own_truth=False)
+        for values in drawn.reshape(-1, 5, MESSAGES):
             estimates = estimates_of_runs([Run(run) for run in values], list(PERCENTILES.values()))
             received = np.isfinite(values)
             pool.append(

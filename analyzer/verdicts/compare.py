@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import polars as pl
@@ -316,13 +316,13 @@ def compare_groups(
         labels.append(label)
         deliveries.append(change_of_received(base.received, new.received, options.confidence))
         for distribution, changes in _changes(base, new, deliveries[-1], options, passes or {}, least):
-            distributions.append(label | asdict(distribution))
+            distributions.append(label | vars(distribution))
             rows += ((label, *changed) for changed in changes)
     match_schema = {name: schema[name] for name in options.match}
-    change_rows = [label | asdict(row) for label, row, _ in rows]
+    change_rows = [label | vars(row) for label, row, _ in rows]
     losses = adjusted_p_values([change.p_value for change in deliveries])
     delivery_rows = [
-        label | asdict(_delivery_row(before[key], after[partner], change, p_adjusted))
+        label | vars(_delivery_row(before[key], after[partner], change, p_adjusted))
         for label, (key, partner), change, p_adjusted in zip(labels, pairs.items(), deliveries, losses, strict=True)
     ]
     return Comparison(

@@ -13,7 +13,7 @@ from ..run_statistics.runs import Values
 DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ChangeRow:
     """Columns of `Comparison.rows` after the match columns: one statistic of one metric of one matched group.
 
@@ -102,7 +102,7 @@ def _moved(end: float | None, by: float) -> float | None:
     return None if end is None else end + by
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DeliveryRow:
     """Columns of `Comparison.delivery` after the match columns: messages of one matched group on both sides.
 
@@ -143,7 +143,7 @@ class DeliveryRow:
     p_adjusted: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DistributionRow:
     """Columns of `Comparison.distributions` after the match columns: one metric of one matched group.
 

@@ -180,51 +180,6 @@ class _Request:
     unfinished: frozenset[int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Measurement:
-    """One size and rate of a setting, by the `reliability` quantile of the job's metric."""
-
-    rate_hz: float
-    interval: Interval
-    late: LateShare | None
-    received_ratio: float | None
-    survivors_ns: float | None
-    rate_share: float | None
-    unfinished: int
-    messages: int
-
-    @property
-    def is_slow(self) -> bool:
-        return self.rate_share is not None and self.rate_share < LEAST_RATE
-
-    def failure(self, deadline_ns: int) -> str:
-        if self.is_slow:
-            return f"{format_rate((self.rate_share or 0) * self.rate_hz)} were sent where {format_rate(self.rate_hz)} were planned"
-        if self.unfinished:
-            return f"{counted(self.unfinished, 'run')} did not finish"
-        if self.interval.value is not None and self.interval.value > deadline_ns:
-            lost = 1 - (self.received_ratio or 0.0)
-            return "the deadline is missed" + (f" and {100 * lost:.3g} % are lost" if lost else "")
-        return ""
-
-
-def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
-    group, statistic = MatchedGroup(rows), Statistic(request.job.reliability)
-    delivered = group.delivered(request.job.metric)
-    rate_hz = float(rows["rate_hz"][0])
-    shares = [_share_of_rate(run.sent_ns, rate_hz) for run in group.runs]
-    return _Measurement(
-        rate_hz=rate_hz,
-        interval=interval_of_runs(delivered, statistic, request.confidence),
-        late=late_share(delivered, request.job.deadline_ns, request.confidence),
-        received_ratio=group.received_ratio(request.confidence).value,
-        survivors_ns=group.of_survivors(request.job.metric, statistic),
-        rate_share=min((share for share in shares if share is not None), default=None),
-        unfinished=sum(run.run_id in request.unfinished for run in group.runs),
-        messages=len(group),
-    )
-
-
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
     times = sent_ns.unique().sort()
     if len(times) < 2 or not rate_hz:
@@ -239,47 +194,63 @@ def _candidate(setting: Setting, rows: pl.DataFrame, request: _Request) -> Candi
     }
     measured = parts.get((request.job.payload_bytes, request.job.rate_hz))
     if measured is not None:
-        return _measured(setting, _measure(measured, request), request)
-    return _guessed(setting, {at: _measure(part, request) for at, part in parts.items()}, request.job)
+        return _measured(setting, measured, request)[0]
+    return _guessed(setting, {at: _measured(setting, part, request) for at, part in parts.items()}, request.job)
 
 
-def _measured(setting: Setting, measurement: _Measurement, request: _Request) -> Candidate:
-    fit, reason = _fit_of_measurement(measurement, request)
-    interval = measurement.interval
-    return Candidate(
+def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[Candidate, str]:
+    """Judge one size and rate, and return why nothing is estimated from it."""
+    job, group, statistic = request.job, MatchedGroup(rows), Statistic(request.job.reliability)
+    delivered, rate_hz = group.delivered(job.metric), float(rows["rate_hz"][0])
+    interval = interval_of_runs(delivered, statistic, request.confidence)
+    late = late_share(delivered, job.deadline_ns, request.confidence)
+    shares = (_share_of_rate(run.sent_ns, rate_hz) for run in group.runs)
+    rate_held = min((share for share in shares if share is not None), default=None)
+    unfinished = sum(run.run_id in request.unfinished for run in group.runs)
+    is_slow = rate_held is not None and rate_held < LEAST_RATE
+    failure = ""
+    if is_slow:
+        failure = f"{format_rate((rate_held or 0) * rate_hz)} were sent where {format_rate(rate_hz)} were planned"
+    elif unfinished:
+        failure = f"{counted(unfinished, 'run')} did not finish"
+    fit, reason = _fit_by_runs(interval, late, request)
+    if is_slow or (unfinished and fit is not Fit.MISSES):
+        fit, reason = Fit.MISSES if is_slow else Fit.INCONCLUSIVE, failure
+    received_ratio = group.received_ratio(request.confidence).value
+    if not failure and interval.value is not None and interval.value > job.deadline_ns:
+        lost = 1 - (received_ratio or 0.0)
+        failure = "the deadline is missed" + (f" and {100 * lost:.3g} % are lost" if lost else "")
+    candidate = Candidate(
         setting=setting,
         fit=fit,
         measured=True,
         value_ns=interval.value,
         lower_ns=interval.lower,
         upper_ns=interval.upper,
-        margin_ns=_margin(interval.upper, request.job.deadline_ns),
-        messages=measurement.messages,
+        margin_ns=_margin(interval.upper, job.deadline_ns),
+        messages=len(group),
         held_out=0,
-        metric=request.job.metric,
+        metric=job.metric,
         reason=reason,
-        received_ratio=measurement.received_ratio,
-        survivors_ns=measurement.survivors_ns,
-        rate_held=measurement.rate_share,
+        received_ratio=received_ratio,
+        survivors_ns=group.of_survivors(job.metric, statistic),
+        rate_held=rate_held,
         runs=interval.runs,
         basis=interval.basis.value,
         episodes=interval.episodes,
-        late_ratio=measurement.late.observed if measurement.late else None,
-        late_ratio_upper=measurement.late.upper if measurement.late else None,
+        late_ratio=late.observed if late else None,
+        late_ratio_upper=late.upper if late else None,
         unseen_ratio=(1 - RARE_KIND) ** interval.runs,
         latency_ns=interval.value,
     )
+    return candidate, failure
 
 
-def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[Fit, str]:
-    deadline_ns, interval, late = request.job.deadline_ns, measurement.interval, measurement.late
+def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) -> tuple[Fit, str]:
     allowed = 1 - request.job.reliability + _ROUNDING
-    fit = _fit(interval.range, deadline_ns)
+    fit = _fit(interval.range, request.job.deadline_ns)
     is_late = late is not None and late.observed > allowed
-    misses = late is not None and is_late and (fit is Fit.MISSES or (late.lower or 0.0) > allowed)
-    if measurement.is_slow or (measurement.unfinished and not misses):
-        return Fit.MISSES if measurement.is_slow else Fit.INCONCLUSIVE, measurement.failure(deadline_ns)
-    if misses:
+    if late is not None and is_late and (fit is Fit.MISSES or (late.lower or 0.0) > allowed):
         return Fit.MISSES, ""
     if fit is Fit.INCONCLUSIVE or late is None:
         return Fit.INCONCLUSIVE, _why_inconclusive(interval, request)
@@ -319,20 +290,20 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
     return f"the deadline is within the interval; {advice}"
 
 
-def _guessed(setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job) -> Candidate | None:
+def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, str]], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     failing = [
         f"at {format_size(round(size))} and {format_rate(rate)}, {failure}"
-        for size, rate in _neighbours(measurements, at)
-        if (failure := measurements[size, rate].failure(job.deadline_ns))
+        for size, rate in _neighbours(measured, at)
+        if (failure := measured[size, rate][1])
     ]
     if failing:
         reason = f"not measured, and no estimate: {'; '.join(failing)}"
         return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason)
     values = {
         size_and_rate: value
-        for size_and_rate, measurement in measurements.items()
-        if (value := measurement.interval.value) is not None and 0 < value < math.inf
+        for size_and_rate, (candidate, _) in measured.items()
+        if (value := candidate.value_ns) is not None and 0 < value < math.inf
     }
     guess = guess_time(values, at)
     if guess is None:

@@ -10,11 +10,11 @@ PASS_FACTORS = (1.0, 1.3, 0.8, 1.6, 1.1)
 """The machine's speed in each pass: it varies by far more than the 10 % that lie between the ways."""
 
 
-def record(folder, *, labelled, in_turn=True):
-    """Fast DDS, Cyclone DDS 10 % quicker, and Fast DDS through a bridge 10 % slower, in each of five passes."""
+def record(folder, *, labelled, in_turn=True, factors=PASS_FACTORS):
+    """Fast DDS, Cyclone DDS 10 % quicker, and Fast DDS through a bridge 10 % slower, in each pass."""
     setups = (("fastdds", "none", 1.0), ("cyclonedds", "none", 0.9), ("fastdds", "builtin", 1.1))
     number = 0
-    for place, factor in enumerate(PASS_FACTORS, 1):
+    for place, factor in enumerate(factors, 1):
         for setup_number, (vendor, bridge, share) in enumerate(setups):
             number += 1
             start = (number if in_turn else 10 * setup_number + place) * 100_000 * MS
@@ -56,3 +56,11 @@ def test_setups_recorded_one_after_the_other_are_found(tmp_path, in_turn):
         assert len(finding.groups) == 2
         assert "--trust-order" in finding.action
         assert f"a drift of {100 * (answer.drift_ratio - 1):.3g} % between them" in finding.what
+
+
+@pytest.mark.parametrize(("order", "leader"), [((0, 1, 2, 3, 4, 5), ""), ((3, 0, 5, 2, 4, 1), "cyclonedds")])
+def test_passes_that_depend_on_each_other_are_a_finding_and_name_no_leader(tmp_path, order, leader):
+    analysis = record(tmp_path, labelled=True, factors=[1 + 0.01 * step for step in order])
+    (answer,) = (one for one in analysis.details.answers if one.domain_mode == "same")
+    assert answer.leader_p50 == leader
+    assert ("dependent_passes" in {finding.code for finding in analysis.findings}) is (leader == "")

@@ -75,6 +75,12 @@ def poisson_cdf(count: int, mean: float) -> float:
     return float(pdtr(count, max(mean, 0.0)))
 
 
+def binomial_cdf(count: int, messages: int, share: float) -> float:
+    from scipy.special import bdtr
+
+    return float(bdtr(count, messages, share))
+
+
 def chi_square_cdf(value: float, degrees: float) -> float:
     from scipy.special import chdtr
 

@@ -7,6 +7,7 @@ A two-sided interval of the q-quantile exists once the sample is unlikely to be 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -14,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from .distributions import binomial_cdf
 
 
 @lru_cache(maxsize=4096)
@@ -25,30 +26,10 @@ def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> 
     `P(B < l) <= a`, the upper the smallest rank u with `P(B >= u) <= a`, where B is binomial(n, quantile).
     """
     tail = (1 - confidence) / 2
-    first, below = _binomial_cdf(n, quantile)
-    lower = first + int(np.searchsorted(below, tail, side="right"))  # the first k with P(B <= k) > a
-    above = 1 - below  # P(B >= k + 1)
-    upper = first + 1 + int(np.argmax(above <= tail))
+    lower = bisect_right(range(n + 1), tail, key=lambda k: binomial_cdf(k, n, quantile))
+    # As many of the others, from the top on, so that a small probability is not the difference of two large ones.
+    upper = 1 + n - bisect_right(range(n + 1), tail, key=lambda k: binomial_cdf(k, n, 1 - quantile))
     return lower if lower >= 1 else None, upper if upper <= n else None
-
-
-def _binomial_cdf(n: int, p: float) -> tuple[int, Float64]:
-    """Return the first k that is computed, and `P(B <= k)` from there on; the rest is under 1e-20."""
-    reach = math.ceil(12 * math.sqrt(n * p * (1 - p))) + 60
-    middle = round(n * p)
-    first, last = max(0, middle - reach), min(n, middle + reach)
-    k = np.arange(first, last)
-    step = np.log((n - k) / (k + 1) * (p / (1 - p)))  # log of P(k + 1) / P(k)
-    log_pmf = np.concatenate([[0.0], np.cumsum(step)])
-    log_pmf += (
-        math.lgamma(n + 1)
-        - math.lgamma(middle + 1)
-        - math.lgamma(n - middle + 1)
-        + middle * math.log(p)
-        + (n - middle) * math.log1p(-p)
-        - log_pmf[middle - first]
-    )
-    return first, np.cumsum(np.exp(log_pmf))
 
 
 Values = NDArray[np.int64 | np.float64]

@@ -32,11 +32,7 @@ def hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     The i-th smallest of m becomes the smallest `(m - j + 1) p_j` from it on (Y. Hochberg, Biometrika 75, 1988), for independent
     or positively dependent tests; none is larger than Holm's.
     """
-    values = np.asarray(p_values, np.float64)
-    order = np.argsort(values, kind="stable")
-    steps = values[order] * np.arange(len(values), 0, -1)
-    falling = np.minimum.accumulate(steps[::-1])[::-1]
-    return _in_order(np.minimum(falling, 1.0), order)
+    return _stepped_up(p_values, lambda ascending: ascending * np.arange(len(ascending), 0, -1))
 
 
 def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
@@ -45,11 +41,13 @@ def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     The i-th smallest of m becomes the smallest `m p_j / j` from it on (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995), for
     independent or positively dependent tests.
     """
+    return _stepped_up(p_values, lambda ascending: ascending * len(ascending) / np.arange(1, len(ascending) + 1))
+
+
+def _stepped_up(p_values: Sequence[float] | Float64, steps_of: Callable[[Float64], Float64]) -> Float64:
     values = np.asarray(p_values, np.float64)
-    m = len(values)
     order = np.argsort(values, kind="stable")
-    steps = values[order] * m / np.arange(1, m + 1)
-    falling = np.minimum.accumulate(steps[::-1])[::-1]
+    falling = np.minimum.accumulate(steps_of(values[order])[::-1])[::-1]
     return _in_order(np.minimum(falling, 1.0), order)
 
 

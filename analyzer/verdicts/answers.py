@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,15 +14,14 @@ from ..model.names import group_words
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..model.runs import RunRows
 from ..model.setting import parse_setting
-from ..run_statistics.received import Bools, LossExcess, loss_excesses
+from ..run_statistics.received import Bools, LossExcess, loss_excesses, received_interval
 from ..run_statistics.runs import Statistic
-from ..statistics.intervals import Basis, Interval, Range
+from ..statistics.intervals import Basis, Range
 from .cases import (
     CONDITIONS,
     Contender,
     ContenderNames,
     GroupRows,
-    Setting,
     contender_names,
     is_too_large,
     partition_groups,
@@ -143,13 +141,13 @@ def find_answers(
     cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
     losers = judge_losers(cases, confidence)
     cases = [
-        case.with_losers({row.subject for row in rows if row.verdict == PROVEN})
+        _with_losers(case, {row.subject for row in rows if row.verdict == PROVEN})
         for case, rows in zip(cases, losers, strict=True)
     ]
     excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
     rankings = rank_setups(cases, confidence, options)
     return tuple(
-        _answer(case, ranking, confidence, [*rows, *case.judged_losses(excesses)])
+        _answer(case, ranking, confidence, [*rows, *_judged_losses(case, excesses)])
         for case, ranking, rows in zip(cases, rankings, losers, strict=True)
     )
 
@@ -163,36 +161,19 @@ def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
 _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Setup(SetupRuns):
-    setting: Setting
-    received_ratio: Interval
-    survivors_ns: Mapping[str, float | None]
-    outside: tuple[Bools, ...]
-    group: int
-    loses_more: bool = False
+def _judged_losses(case: Kind, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
+    for (name, setup), excess in zip(case.setups.items(), excesses, strict=False):
+        is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
+        if row := judged_losses(name, excess, setup.group, is_requested=is_requested):
+            yield row
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Case(Kind):
-    setups: Mapping[str, _Setup]
-    columns: dict[str, Any]
-
-    def group_of(self, name: str) -> int:
-        return (self.setups.get(name) or next(iter(self.setups.values()))).group
-
-    def judged_losses(self, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
-        for (name, setup), excess in zip(self.setups.items(), excesses, strict=False):
-            is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
-            if row := judged_losses(name, excess, setup.group, is_requested=is_requested):
-                yield row
-
-    def with_losers(self, losers: Collection[str]) -> _Case:
-        setups = {
-            name: replace(setup, may_lead=False, loses_more=True) if name in losers else setup
-            for name, setup in self.setups.items()
-        }
-        return replace(self, setups=setups)
+def _with_losers(case: Kind, losers: Collection[str]) -> Kind:
+    setups = {
+        name: replace(setup, may_lead=False, loses_more=True) if name in losers else setup
+        for name, setup in case.setups.items()
+    }
+    return replace(case, setups=setups)
 
 
 def _measure_case(
@@ -203,38 +184,30 @@ def _measure_case(
     passes: Mapping[int, int],
     wall_offsets_ns: Mapping[int, int],
     outages_ns: Mapping[int, Range],
-) -> _Case:
-    groups: dict[str, tuple[Setting, MatchedGroup]] = {}
-    first_groups: dict[str, int] = {}
-    setting: Setting
+) -> Kind:
+    setups: dict[str, SetupRuns] = {}
     for part in partition_groups(case, CONTENDER_COLUMNS):
         setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
-        name = names[tuple(setting.values())]
-        first_groups[name] = int(part["group"][0])
-        groups[name] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
-    received = {name: group.received_ratio(confidence) for name, (_, group) in groups.items()}
-    usable = {name for name, share in received.items() if not exceeds_lossy_share(1.0 - (share.value or 0.0))} or set(
-        groups
-    )
-    setups = {}
-    for name, (setting, group) in groups.items():
+        group = MatchedGroup(rows.frame(part, _ROW_COLUMNS))
         estimates = group.estimates("latency", list(_STATISTICS.values()), confidence)
-        setups[name] = _Setup(
+        setups[names[tuple(setting.values())]] = SetupRuns(
             estimates=dict(zip(_STATISTICS, estimates, strict=True)),
             repeats=_repeats(group.runs, passes),
             starts_ns=_starts_ns(group.runs, wall_offsets_ns),
-            may_lead=name in usable,
             received=group.received,
-            setting=setting,
-            received_ratio=received[name],
-            survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
             outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
-            group=first_groups[name],
+            survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
+            setting=setting,
+            group=int(part["group"][0]),
         )
+    usable = {name for name, setup in setups.items() if not exceeds_lossy_share(1.0 - setup.received_share)} or set(
+        setups
+    )
+    setups = {name: replace(setup, may_lead=name in usable) for name, setup in setups.items()}
     columns = case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True)
     has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
     percentiles = tuple(_STATISTICS) if has_tails else ("p50",)
-    return _Case(tuple(columns[name] for name in FAMILY), setups, percentiles, columns)
+    return Kind(tuple(columns[name] for name in FAMILY), setups, percentiles, columns)
 
 
 def _outside(run: RunRows, outage_ns: Range | None) -> Bools:
@@ -260,16 +233,16 @@ def _starts_ns(runs: Sequence[RunRows], wall_offsets_ns: Mapping[int, int]) -> t
     return tuple(starts) if len(starts) == len(runs) else ()
 
 
-def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, losses: Sequence[Judgement]) -> CaseAnswer:
+def _answer(case: Kind, rankings: Mapping[str, Ranking], confidence: float, losses: Sequence[Judgement]) -> CaseAnswer:
     median, tail = rankings["p50"], rankings.get("p99")
     leaders = list(dict.fromkeys(ranking.leader for ranking in rankings.values() if ranking.leader))
     percentile = "p99" if tail is not None and (tail.leader or not median.leader) else "p50"
-    by_name = {name: _contender(name, setup, percentile, rankings) for name, setup in case.setups.items()}
+    by_name = {name: _contender(name, setup, percentile, rankings, confidence) for name, setup in case.setups.items()}
     ranked = sorted(by_name.values(), key=Contender.order)
     clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
-    letters = rankings[percentile].letters
+    letters, first_setup = rankings[percentile].letters, next(iter(case.setups.values()))
     undecided = [
         ranked_setup
         for ranked_setup in ranked
@@ -293,7 +266,7 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
         drift_ratio=median.drift_ratio,
         judgements=(
             *(
-                replace(row, group=case.group_of(row.subject))
+                replace(row, group=case.setups.get(row.subject, first_setup).group)
                 for name, ranked_setup in rankings.items()
                 for row in ranked_setup.judgements(f"latency_{name}", confidence)
             ),
@@ -302,13 +275,15 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
     )
 
 
-def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str, Ranking]) -> Contender:
+def _contender(
+    name: str, setup: SetupRuns, percentile: str, rankings: Mapping[str, Ranking], confidence: float
+) -> Contender:
     intervals = {key: estimate.interval for key, estimate in setup.estimates.items()}
     return Contender(
         name=name,
         setting=setup.setting,
         latency=intervals[percentile],
-        received=setup.received_ratio,
+        received=received_interval(setup.received, confidence),
         survivors_ns=setup.survivors_ns[percentile],
         loses_more=setup.loses_more,
         p50_ns=intervals["p50"].value,

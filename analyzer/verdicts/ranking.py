@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from ..run_statistics.setups import (
 )
 from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
+from .cases import Setting
 from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
 
 TAIL_ONLY = 0.05
@@ -47,11 +49,18 @@ class RankingOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupRuns:
+    """What was measured of one setup, without its rows; `outside` are the messages of `received` that no outage of the sweep took."""
+
     estimates: Mapping[str, Estimate]
     repeats: tuple[int, ...] = ()
     starts_ns: tuple[int, ...] = ()
     may_lead: bool = True
     received: tuple[NDArray[np.bool_], ...] = ()
+    outside: tuple[NDArray[np.bool_], ...] = ()
+    survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
+    setting: Setting = field(default_factory=dict)
+    group: int = 0
+    loses_more: bool = False
 
     @property
     def received_share(self) -> float:
@@ -75,6 +84,7 @@ class Kind:
     family: Hashable
     setups: Mapping[str, SetupRuns]
     percentiles: tuple[str, ...]
+    columns: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

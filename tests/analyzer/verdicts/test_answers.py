@@ -101,18 +101,6 @@ def test_one_run_tells_nobody_apart():
     assert (answer.basis, answer.fewest_runs) == ("within one run", 1)
 
 
-def test_who_loses_more_never_leads_and_bars_the_others_if_it_is_not_slower():
-    lossy = [None if i % 10 == 3 else ns for i, ns in enumerate(noisy(5 * MS, 600))]
-    frame = pl.concat([in_runs(noisy(10 * MS, 600)), in_runs(lossy, vendor="cyclonedds", run_id=2)])
-    (answer,) = find_answers(rows_by_group(frame))
-    # p99 of the lossy one is infinite, so that it is beaten there; it stands last with what its survivors took.
-    assert (answer.percentile, answer.clarity) in {("p99", Clarity.CLEAR), ("p50", Clarity.INCONCLUSIVE)}
-    assert [c.loses_more for c in answer.contenders] == [False, True]
-    assert [c.setting["vendor"] for c in answer.leaders] == ["fastdds"]
-    assert answer.contenders[1].survivors_ns < 6 * MS
-    assert answer.contenders[1].received.value == 0.9
-
-
 SHARED_FACTORS = (1.0, 1.2, 1.5, 1.1)
 """What a repeat does to all setups measured in it."""
 
@@ -327,7 +315,7 @@ def test_who_lost_33_of_100_is_not_the_fastest():
     cyclone = answer.contenders[1]
     assert (answer.percentile, cyclone.setting["vendor"], cyclone.loses_more) == ("p99", "cyclonedds", True)
     assert cyclone.p50_ns < answer.contenders[0].p50_ns
-    assert cyclone.received.value == 0.67
+    assert (cyclone.received.value, cyclone.survivors_ns < 6 * MS) == (0.67, True)
     assert [one.setting["vendor"] for one in answer.leaders] == ["fastdds"]
     (verdict,) = verdicts_info([answer], VENDORS)
     assert ([win.vendor for win in verdict.wins], verdict.inconclusive) == (["fastdds"], 0)  # at p99

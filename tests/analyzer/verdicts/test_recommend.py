@@ -78,18 +78,6 @@ def test_a_run_that_did_not_finish_does_not_meet():
     assert (candidate.fit, candidate.reason) == (Fit.INCONCLUSIVE, "1 run did not finish")
 
 
-def test_a_failing_neighbour_forbids_a_guess(sentences):
-    sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
-    lossy = [None if i % 5 < 3 else MS for i in range(40)]
-    frame = pl.concat(
-        [steady(lossy if size == 40_000 else [size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes]
-    )
-    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")).candidates
-    assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
-    assert numbers(candidate.reason) == [40, 10, 60]
-    sentences(candidate.reason)
-
-
 def test_a_deadline_inside_the_interval_is_inconclusive():
     (candidate,) = recommend_settings(
         steady(noisy(10 * MS)), Job("binary", 33_000, 10.0, int(10.85 * MS), 0.9, metric="latency")
@@ -193,19 +181,13 @@ def test_a_sender_that_is_blocked_300_ms_in_every_2_s_does_not_meet_5_ms():
     assert recommend_settings(blocked(), by_latency).candidates[0].fit is Fit.MEETS  # which never sees it
 
 
-def test_25_hz_where_100_were_asked_is_not_the_job():
-    slow = in_runs(noisy(MS), period_ns=40 * MS, rate_hz=100.0)
-    (candidate,) = recommend_settings(slow, Job("binary", 33_000, 100.0, 20 * MS, 0.9)).candidates
-    assert (candidate.fit, numbers(candidate.reason)) == (Fit.MISSES, [25, 100])
-
-
 @pytest.mark.parametrize(("share", "fit"), [(0.99, Fit.MEETS), (0.97, Fit.MISSES)])
 def test_a_rate_is_held_from_98_percent_on(share, fit):
     frame = in_runs(noisy(MS), period_ns=round(10 * MS / share), rate_hz=100.0)
     assert recommend_settings(frame, Job("binary", 33_000, 100.0, 20 * MS, 0.9)).candidates[0].fit is fit
 
 
-def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
+def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent(sentences):
     lossy = [None if i % 5 < 3 else MS for i in range(200)]
     sizes = (33_000, 145_000, 294_000, 502_000, 1_000_000)
     frame = pl.concat(
@@ -217,6 +199,7 @@ def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
     assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
     assert candidate.reason.startswith("not measured, and no estimate: ")
     assert numbers(candidate.reason) == [502, 10, 60]
+    sentences(candidate.reason)
     # Without the losses it would be a guess, and a guess does not meet a deadline, however many runs it rests on.
     healthy = pl.concat(in_runs(noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size) for size in sizes)
     (guessed,) = recommend_settings(healthy, job).candidates

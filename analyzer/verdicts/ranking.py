@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.parameters import ParameterValue
 from ..run_statistics.between_runs import Estimate, Scale, scale_of
 from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
@@ -31,7 +32,6 @@ from ..run_statistics.setups import (
 )
 from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
-from .cases import Setting
 from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
 
 TAIL_ONLY = 0.05
@@ -58,7 +58,7 @@ class SetupRuns:
     received: tuple[NDArray[np.bool_], ...] = ()
     outside: tuple[NDArray[np.bool_], ...] = ()
     survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
-    setting: Setting = field(default_factory=dict)
+    setting: Mapping[str, ParameterValue] = field(default_factory=dict)
     group: int = 0
     loses_more: bool = False
 

@@ -82,14 +82,11 @@ def from_json(kind: type[Record], value: object) -> Record:
 
 
 def _read(hint: object, value: object, where: str) -> object:
-    reader = _read_record if is_dataclass(hint) else _READERS.get(get_origin(hint) or _plain_type(hint))
+    plain = Enum if isinstance(hint, type) and issubclass(hint, Enum) else hint
+    reader = _read_record if is_dataclass(hint) else _READERS.get(get_origin(hint) or plain)
     if reader is None:
         raise ValueError(f"{where} has no type that JSON has")
     return reader(hint, value, where)
-
-
-def _plain_type(hint: object) -> object:
-    return Enum if isinstance(hint, type) and issubclass(hint, Enum) else hint
 
 
 def _read_record(hint: object, value: object, where: str) -> object:

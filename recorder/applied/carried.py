@@ -47,7 +47,12 @@ def with_path(applied: Applied, traffic: Traffic) -> Applied:
 def payload_path(applied: Applied, traffic: Traffic) -> str:
     if applied.end is None or traffic.sent_bytes + traffic.received_bytes < MIN_PAYLOAD_BYTES:
         return UNKNOWN
-    explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
+    most = MOST_OVERHEAD * (traffic.sent_bytes + traffic.received_bytes)
+    explaining = [
+        name
+        for name, delta in interface_deltas(applied).items()
+        if _reaches(delta, traffic) and delta.sent_bytes + delta.received_bytes <= most
+    ]
     over_tcp = tcp_delta(applied)
     if over_tcp is not None and _reaches(over_tcp, traffic):
         connected = [read for read in applied.end.sockets or () if read.tcp is not None and read.remote_port]
@@ -89,11 +94,6 @@ def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
 
 def _reaches(delta: InterfaceCounters, traffic: Traffic) -> bool:
     return delta.sent_bytes >= SURELY * traffic.sent_bytes and delta.received_bytes >= SURELY * traffic.received_bytes
-
-
-def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
-    most = MOST_OVERHEAD * (traffic.sent_bytes + traffic.received_bytes)
-    return _reaches(delta, traffic) and delta.sent_bytes + delta.received_bytes <= most
 
 
 def tcp_delta(applied: Applied) -> InterfaceCounters | None:

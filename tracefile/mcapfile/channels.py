@@ -40,7 +40,8 @@ class ChannelTable:
     def declare(self, opcode: int, content: Buffer, offset: int) -> None:
         """Add a Schema or Channel record at `offset` in the file."""
         try:
-            record = _parsed(opcode, content)
+            is_long = len(content) > _MOST_CACHED_BYTES
+            record = _parse(opcode, content) if is_long else _parsed_once(opcode, bytes(content))
         except ValueError as err:
             name = record_name(opcode)
             raise TraceFormatError(self._path, f"a {name} record is damaged ({err})", offset) from err
@@ -71,12 +72,6 @@ class ChannelTable:
         if schema != expected:
             return f"its schema is {schema!r}, not {expected!r}"
         return None
-
-
-def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
-    if len(content) > _MOST_CACHED_BYTES:
-        return _parse(opcode, content)
-    return _parsed_once(opcode, bytes(content))
 
 
 def _parse(opcode: int, content: Buffer) -> Schema | Channel:

@@ -99,7 +99,7 @@ class McapSource:
     def _blocks(self) -> Iterator[Block]:
         if self._file.size <= _SMALL_FILE_BYTES:
             return (job() for _, job in self.jobs)
-        return in_order(self.jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
+        return in_order(self.jobs, self._pool, min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1), _BYTES_AHEAD)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
         batch = Batch(notes=block.notes)
@@ -180,10 +180,6 @@ class McapSource:
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
-
-
-def _blocks_ahead() -> int:
-    return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 
 def read_first_session(path: Path) -> Session | None:

@@ -8,20 +8,37 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Schema
+
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
+from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import counted
 
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
-from ..format.encoding import decode_string
-from ..format.events import SESSION_TOPIC, EventColumns, Stage
-from ..format.ring import RING_SUFFIX, RingContents, Slots, read_ring, ring_path, salvage_ring
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
+from ..format.ring import (
+    RING_SUFFIX,
+    SLOT_DTYPE,
+    STAGE_NUMBERS,
+    RingContents,
+    Slots,
+    read_ring,
+    ring_path,
+    salvage_ring,
+)
+from ..mcapfile.file import TornRecordError
+from ..mcapfile.records import Buffer, parse_record
+from ..reading.mcap_source import MANY_RECORDS, McapSource
 from ..reading.reader import read_trace_in_pieces
 from ..reading.source import Text
-from ..writing.payloads import CHUNK_BYTES, Payload, PayloadQueue
+from ..writing.event_chunks import LIBRARY
+from ..writing.payloads import CHUNK_BYTES, MOST_TOPICS, Payload, PayloadQueue, PayloadTopic
 from ..writing.writer import TraceWriter
-from .salvage import Salvage
 
 KILLED_SUFFIX = ".killed"
 
@@ -162,7 +179,7 @@ def _inspect(trace: Path) -> _KilledTrace:
 
 
 def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
-    with closing(Salvage(trace)) as salvage:
+    with closing(_Salvage(trace)) as salvage:
         sessions = [
             Session.from_json(text, trace)
             for item in salvage.items()
@@ -195,7 +212,7 @@ def _text(item: Text) -> str:
 
 def _salvaged(trace: Path) -> Iterator[Slots | Text | Payload]:
     if trace.exists():
-        with closing(Salvage(trace)) as salvage:
+        with closing(_Salvage(trace)) as salvage:
             yield from salvage.items()
 
 
@@ -281,3 +298,61 @@ def _swap_files(trace: Path, unfinished: Path) -> tuple[Path, ...]:
     if not ring.exists():
         return originals
     return (*originals, ring.rename(ring_path(backup)))
+
+
+_NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
+
+
+class _Salvage(McapSource):
+    """One-time source of the events (`SLOT_DTYPE` without tickets), texts and payloads of a file that a recorder left."""
+
+    def __init__(self, path: Path) -> None:
+        self._schemas: dict[int, Schema] = {}
+        self._payload_topics: dict[int, PayloadTopic] = {}
+        self._payloads: list[Payload] = []
+        super().__init__(path, InlineExecutor())
+        self.events = 0
+
+    def items(self) -> Iterator[Slots | Text | Payload]:
+        self._check_origin()
+        for batch in self.batches():
+            for stage, records in batch.events:
+                self.events += len(records)
+                slots = np.zeros(len(records), SLOT_DTYPE)
+                slots["event"], slots["stage"] = records.view(SLOT_DTYPE["event"]), _NUMBER_OF_STAGE[stage]
+                yield slots
+            yield from batch.texts
+            payloads, self._payloads = self._payloads, []
+            yield from payloads
+        suspicion = self.jobs.suspicion
+        if self.steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
+            suspicion = MANY_RECORDS
+        if suspicion:
+            raise TraceFormatError(self._path, f"{suspicion}; not recovered")
+
+    def _check_origin(self) -> None:
+        try:
+            library = self._file.parse(Header, self._file.header_at(self._start)).library
+        except TornRecordError:  # a damaged header: the content decides
+            return
+        if not library.startswith(LIBRARY):
+            raise TraceFormatError(
+                self._path, f"was written by {library!r}, not by dds-trace; `mcap recover` closes such files"
+            )
+
+    def _declare(self, opcode: int, content: Buffer, offset: int) -> None:
+        super()._declare(opcode, content, offset)
+        if opcode == Opcode.SCHEMA:
+            schema = parse_record(Schema, content)
+            self._schemas[schema.id] = schema
+            return
+        channel = parse_record(Channel, content)
+        declared = self._schemas.get(channel.schema_id)
+        is_new = channel.id not in self._payload_topics and len(self._payload_topics) < MOST_TOPICS
+        if is_new and declared is not None and not channel.topic.startswith(TOPIC_PREFIX):
+            definition, encoding = declared.data.decode(errors="replace"), channel.message_encoding
+            self._payload_topics[channel.id] = PayloadTopic(channel.topic, declared.name, definition, encoding)
+
+    def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
+        if topic := self._payload_topics.get(channel_id):
+            self._payloads.append(Payload(topic, bytes(content[MESSAGE_HEADER.size :]), log_time_ns))

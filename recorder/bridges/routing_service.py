@@ -168,13 +168,9 @@ def _collect(name: str, needed: set[str]) -> None:
 
 
 def _package(package: str, names: list[str]) -> Element:
-    inner = element("module", *map(_struct, names), name="dds_")
-    return element("module", element("module", inner, name="msg"), name=package)
-
-
-def _struct(name: str) -> Element:
-    members = (_member(member, text) for member, text in DDS_TYPES[name].items())
-    return element("struct", *members, name=dds_name(name).rpartition("::")[2])
+    members = {name: [_member(member, text) for member, text in DDS_TYPES[name].items()] for name in names}
+    structs = (element("struct", *members[name], name=dds_name(name).rpartition("::")[2]) for name in names)
+    return element("module", element("module", element("module", *structs, name="dds_"), name="msg"), name=package)
 
 
 def _member(name: str, text: str) -> Element:

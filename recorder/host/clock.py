@@ -66,7 +66,7 @@ def sharpen_sleep() -> None:
 
 
 def measured_step_ns() -> int:
-    """Return the smallest of a few steps of CLOCK_MONOTONIC, as clock_getres promises steps that the source may not have."""
+    """Return the smallest of a few steps of CLOCK_MONOTONIC; clock_getres promises smaller ones."""
     steps_ns: list[int] = []
     last_ns = time.monotonic_ns()
     while len(steps_ns) < _STEPS:

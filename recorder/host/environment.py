@@ -120,7 +120,7 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
 
 @contextmanager
 def kept_stdout() -> Iterator[Callable[[], str]]:
-    """Yield what reads the first error that Fast DDS prints on stdout in the block, which is passed on at its end."""
+    """Yield what reads the first error of Fast DDS on stdout, which is passed on at the end of the block."""
     with tempfile.TemporaryFile() as printed:
         try:
             with _redirected(printed, STDOUT):

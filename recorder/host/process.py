@@ -60,7 +60,10 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
     if cpu_affinity is not None:
         applied["cpu_affinity"] = pin_cpus(cpu_affinity)
     if realtime_priority is not None:
-        _lock_memory()
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:  # a page fault would delay a stamp
+            reason = os.strerror(ctypes.get_errno())
+            raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {HOW_TO_BE_PERMITTED}")
         set_realtime(realtime_priority)
         applied |= {"realtime_priority": realtime_priority, "memory_locked": True}
     return applied
@@ -138,14 +141,6 @@ def realtime_threads() -> dict[str, Json]:
     return {"realtime_threads": count} if count else {}
 
 
-def _lock_memory() -> None:
-    """Keep every page in memory, so that no page fault delays a stamp."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        reason = os.strerror(ctypes.get_errno())
-        raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {HOW_TO_BE_PERMITTED}")
-
-
 @contextlib.contextmanager
 def tuned_gc() -> Iterator[None]:
     """Switch garbage collection off within the block, and let received messages wait less for other threads.
@@ -170,7 +165,6 @@ class StopEvent(threading.Event):
     """An event that signals set.
 
     Attributes:
-        is_repeated: whether a second signal came.
         last_act: what a third one does before it ends the process: closes the trace.
         is_spinning: a thread under SCHED_FIFO computed for `SPIN_S` without a pause; then none is under it any more.
     """

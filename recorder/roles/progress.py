@@ -96,11 +96,9 @@ class Role(Protocol):
 class Watch(Protocol):
     """Called twice a second during a recording."""
 
-    def note(self, text: str) -> None:
-        """Take a line for the user."""
+    def note(self, text: str) -> None: ...
 
-    def progress(self, progress: Progress) -> None:
-        """Take the role's progress."""
+    def progress(self, progress: Progress) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,14 +73,10 @@ class Stream:
     def is_back(self) -> bool:
         return self.stopped_at is not None and self.messages > self.stopped_at
 
-    @property
-    def is_learnt(self) -> bool:
-        return self.messages > _LEARNING
-
     def silence_ns(self, now_ns: int) -> int | None:
         silence_ns = now_ns - self.last_ns
         usual_ns = max(SHORTEST_SILENCE_NS, SILENT_PERIODS * self.period_ns)
-        return silence_ns if self.is_learnt and silence_ns > usual_ns else None
+        return silence_ns if self.messages > _LEARNING and silence_ns > usual_ns else None
 
     def describe(self, state: State, session_id: int, now_ns: int) -> JsonObject:
         offered = self.publication.qos

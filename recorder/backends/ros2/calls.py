@@ -10,13 +10,15 @@ import threading
 import time
 from array import array
 from collections import defaultdict
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ...choices import Call
+from ...choices import Call, ExecutorKind
 from ..call_node import RELAY_SUFFIX, CallMessage
 from ..node import Endpoint, NodeSubscription, TopicView
+from .fastdds_profile import uses_tcp
 from .installation import message_class
 from .node import Ros2Node, qos_profile
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Qos
 
-    from ..node import Publisher, Receive, RosMessage, Subscription
+    from ..node import NodeOptions, Publisher, Receive, RosMessage, Subscription
 
 SERVICE, ACTION = "rcl_interfaces/srv/SetParameters", "test_msgs/action/Fibonacci"
 INTEGER_ARRAY = 7
@@ -41,6 +43,14 @@ class Ros2CallNode(Ros2Node):
     _response: _Response
     """Of the latest way back; its server is created next."""
     _take_response: Receive[CallMessage]
+
+    def __init__(self, options: NodeOptions, *more: Any, **named: Any) -> None:
+        serves_over_tcp = uses_tcp(options) and options.listens and options.call is Call.SERVICE
+        if (
+            serves_over_tcp and options.executor is ExecutorKind.AUTO
+        ):  # the other one responds with the interpreter's lock
+            options = replace(options, executor=ExecutorKind.SINGLE)
+        super().__init__(options, *more, **named)
 
     def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
         if topic.endswith(RELAY_SUFFIX):

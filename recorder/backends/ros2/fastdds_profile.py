@@ -235,27 +235,31 @@ _SENDS = (
     ("ActionClient", "send_goal_request", "rcl_action_send_goal_request"),
     ("ActionClient", "send_result_request", "rcl_action_send_result_request"),
     ("ActionServer", "publish_feedback", "rcl_action_publish_feedback"),
+    ("ActionServer", "send_goal_response", "rcl_action_send_goal_response"),
+    ("ActionServer", "send_result_response", "rcl_action_send_result_response"),
+    ("Service", "service_send_response", "rcl_send_response"),
 )
 """Class and method of rclpy's binding, and the function of rcl that it calls."""
 
 
-def send_unlocked(options: NodeOptions) -> None:
-    """Over TCP, have this process send without the interpreter's lock.
+def uses_tcp(options: NodeOptions) -> bool:
+    return options.transport is Transport.LARGE_DATA or "LARGE_DATA" in os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
+
+
+def send_unlocked() -> None:
+    """Have this process send without the interpreter's lock.
 
     rclpy keeps it until a message is sent: not even Ctrl-C ends a process that sends into a full connection.
     """
-    uses_tcp = "LARGE_DATA" in os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
-    if not uses_tcp and options.transport is not Transport.LARGE_DATA:
-        return
     binding = import_module("rclpy.impl.implementation_singleton").rclpy_implementation
     for kind, method, function in _SENDS:
         setattr(getattr(binding, kind), method, _sending(function))
     binding.Publisher.publish_raw = _publish_raw
 
 
-def _send(function: str, entity: Any, message: Any, number: Any = None) -> None:
+def _send(function: str, entity: Any, *arguments: Any) -> None:
     with entity:
-        status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), message, number)
+        status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), *arguments)
     if status:
         raise BackendUnavailableError(f"ROS 2 cannot send a message ({function}: status {status})")
 
@@ -265,13 +269,18 @@ def _function_of_rcl(name: str) -> Any:
     return ctypes.CDLL("librcl_action.so" if name.startswith("rcl_action") else "librcl.so")[name]
 
 
-def _sending(function: str) -> Callable[[Any, Any], int | None]:
-    def send(entity: Any, message: Any) -> int | None:
+def _sending(function: str) -> Callable[..., int]:
+    def send(entity: Any, message: Any, other: Any = None) -> int:
+        if other is not None and function.startswith("rcl_action"):  # the header of the request comes first
+            message, other = other, message
         create, convert, destroy = _conversion_of(message.__class__)
         number, converted = ctypes.c_int64(), ctypes.c_void_p(create())
+        arguments = converted, None if "publish" in function else ctypes.byref(number)
+        if other is not None:  # pybind11 has the address of a C structure first in its object
+            arguments = ctypes.c_void_p.from_address(id(other) + object.__basicsize__), converted
         try:
             convert(message, converted)
-            _send(function, entity, converted, None if "publish" in function else ctypes.byref(number))
+            _send(function, entity, *arguments)
         finally:
             destroy(converted)
         return number.value
@@ -284,7 +293,7 @@ def _publish_raw(publisher: Any, message: bytes | bytearray) -> None:
     data = (ctypes.c_char * size).from_buffer(message if isinstance(message, bytearray) else bytearray(message))
     # `rcl_serialized_message_t` of rcl/types.h: buffer, length, capacity, unused allocator
     serialized = (ctypes.c_size_t * 8)(ctypes.addressof(data), size, size)
-    _send("rcl_publish_serialized_message", publisher, ctypes.byref(serialized))
+    _send("rcl_publish_serialized_message", publisher, ctypes.byref(serialized), None)
 
 
 @cache

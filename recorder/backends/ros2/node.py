@@ -22,7 +22,7 @@ from ...choices import ExecutorKind
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Publication, ThreadedNode, TopicView
 from ..other_side import NOT_TEXT
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
-from .fastdds_profile import send_unlocked
+from .fastdds_profile import send_unlocked, uses_tcp
 from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ class Ros2Node(ThreadedNode):
         rclpy = _rclpy()
         super().__init__(options)
         self._on_closed = on_closed
-        send_unlocked(options)
+        if uses_tcp(options):
+            send_unlocked()
         self._context = rclpy.Context()
         try:
             rclpy.init(context=self._context, domain_id=options.domain_id)

@@ -51,20 +51,16 @@ class BoundedLog:
     def write(self, data: bytes) -> None:
         self.total_bytes += len(data)
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
-            self._look_for_up(data)
+            if self._up_pattern is not None:
+                self._recent = (self._recent + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
+                if self._up_pattern.search(self._recent):
+                    self._up.touch()
+                    self._up_pattern = None
             if self._file.tell() + len(data) > LOG_LIMIT_BYTES:
                 self._file.close()
                 self._path.replace(self._path.with_name("log.1"))
                 self._file = self._path.open("wb", buffering=0)
             self._file.write(data)
-
-    def _look_for_up(self, data: bytes) -> None:
-        if self._up_pattern is None:
-            return
-        self._recent = (self._recent + data)[-READ_BYTES - 1024 :]  # the line may come in two pieces
-        if self._up_pattern.search(self._recent):
-            self._up.touch()
-            self._up_pattern = None
 
 
 def descendants() -> list[int]:

@@ -113,11 +113,13 @@ class Bench:
         discovery = "localhost" if pair is None else "subnet"
         self._options = (*TRANSPORTS[transport], "--discovery", discovery, "--no-own-cost")
         self._has_peers = transport.startswith(("socket", "zenoh"))
+        self._response = ("--response-size", "1MB") if transport == "ros2-large-data" else ()
         self._is_small, self._size = transport == "socket-udp", SIZES.get(transport, "500KB")
         self.peers, self.tested, self.outs = [], [], []
 
     def start(self, role: str, number: int, seconds: int) -> None:
         domain_id, call = self._domains.take(), ("--call", "service") if role in ("client", "server") else ()
+        call += self._response if role == "server" else ()
         traffic = SMALL if call or role == "tap" or self._is_small else (*LARGE, self._size)
         listening = None if self._pair is None else self._side(is_tested=role in ("relay", "server")).address
         for part, is_tested in PARTS[role]:

@@ -239,7 +239,7 @@ _SENDS = (
     ("ActionServer", "send_result_response", "rcl_action_send_result_response"),
     ("Service", "service_send_response", "rcl_send_response"),
 )
-"""Class and method of rclpy's binding, and the function of rcl that it calls."""
+"""Class and method of rclpy's binding, and its function of rcl."""
 
 
 def uses_tcp(options: NodeOptions) -> bool:
@@ -260,7 +260,7 @@ def send_unlocked() -> None:
 def _send(function: str, entity: Any, *arguments: Any) -> None:
     with entity:
         status = _function_of_rcl(function)(ctypes.c_void_p(entity.pointer), *arguments)
-    if status:
+    if status not in (0, 2):  # RCL_RET_TIMEOUT: the client left
         raise BackendUnavailableError(f"ROS 2 cannot send a message ({function}: status {status})")
 
 
@@ -275,7 +275,7 @@ def _sending(function: str) -> Callable[..., int]:
             message, other = other, message
         create, convert, destroy = _conversion_of(message.__class__)
         number, converted = ctypes.c_int64(), ctypes.c_void_p(create())
-        arguments = converted, None if "publish" in function else ctypes.byref(number)
+        arguments: tuple[Any, Any] = converted, None if "publish" in function else ctypes.byref(number)
         if other is not None:  # pybind11 has the address of a C structure first in its object
             arguments = ctypes.c_void_p.from_address(id(other) + object.__basicsize__), converted
         try:
@@ -299,9 +299,8 @@ def _publish_raw(publisher: Any, message: bytes | bytearray) -> None:
 @cache
 def _conversion_of(message_class: type) -> list[Any]:
     """Return what creates, fills and destroys a message of this class in C."""
-    pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(
-        ("PyCapsule_GetPointer", ctypes.pythonapi)
-    )
+    prototype = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)
+    pointer_of = prototype(("PyCapsule_GetPointer", ctypes.pythonapi))
     forms = {
         "_CREATE_ROS_MESSAGE": ctypes.PYFUNCTYPE(ctypes.c_void_p),
         "_CONVERT_FROM_PY": ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p),

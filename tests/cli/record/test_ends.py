@@ -42,7 +42,6 @@ def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path)
     assert session["error"] == told["error"]
     assert (session["state"], session["bridge"]["state"]) == ("closed", "died")
     (described,) = session["bridge"]["programs"]
-    assert described["exit_code"] == 128 + signal.SIGKILL
     assert described["log_tail"].startswith("bridging domains")
     assert run["state"] == "finished"
     assert 0 < run["published"] < 100_000

@@ -6,6 +6,7 @@ import secrets
 import statistics
 import threading
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import load_backend
-from ..choices import Call
+from ..choices import Call, ExecutorKind
 from ..errors import NoEchoError
 from ..host.recorder_cost import measure_recorder_cost
 from ..payloads.string import STRING
@@ -51,11 +52,15 @@ def measured_cost() -> dict[str, Json]:
 
 
 def measured_floor(backend: str, options: NodeOptions, rate_hz: float | None = None) -> dict[str, Json]:
-    try:
-        floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
-    except TraceError:
-        return {}  # the role's own node reports what is wrong
-    return {"client_library_floor": _rounded(floor)}
+    """Measure the floor, and the floor with the single-threaded executor where the node runs another one."""
+    nodes, floors = {"client_library_floor": options}, dict[str, "Json"]()
+    with suppress(TraceError):  # the role's own node reports what is wrong
+        if load_backend(backend).has_ros and options.executor is ExecutorKind.AUTO:
+            nodes["single_executor_floor"] = replace(options, executor=ExecutorKind.SINGLE)
+        for name, node in nodes.items():
+            floor = measure_floor(backend, node, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
+            floors[name] = _rounded(floor)
+    return floors
 
 
 def measure_floor(

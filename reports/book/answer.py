@@ -11,9 +11,10 @@ from functools import partial
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
+from dds_trace.analyzer.model.parameters import MATCH_COLUMNS, ParameterValue
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
-from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, Reason
+from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
@@ -60,6 +61,7 @@ class PointKind(str, Enum):
     FEW_LOST = "few lost"
     FASTEST = "fastest"
     UNDECIDED = "undecided"
+    CLIENT_FLOOR = "client floor"
     TAIL = "tail"
     PLACE = "place"
     BRIDGE = "bridge"
@@ -128,6 +130,7 @@ def answer_info(
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
+        (PointKind.CLIENT_FLOOR, client_floor_sentence(analysis.summary, answers)),
         (PointKind.PLACE, place_sentence(usable, values, intervals) if has_latency else ""),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
@@ -147,6 +150,36 @@ def _who_is_fastest(
         winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
         return [*winners, (PointKind.TAIL, tail_sentence(answers))]
     return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, values, answers)]
+
+
+def client_floor_sentence(summary: pl.DataFrame, answers: Sequence[CaseAnswer]) -> str:
+    """Return in how many comparisons a difference is below the one of our own nodes, `own_cost_ns` of a round trip."""
+    rows = summary.select(*MATCH_COLUMNS, "own_cost_ns").rows()
+    own_ns: dict[tuple[ParameterValue, ...], float | None] = {tuple(setup): cost_ns for *setup, cost_ns in rows}
+    compared = below = 0
+    for answer in answers:
+        times_ns = {}
+        for setup in answer.contenders:
+            columns = (setup.setting.get(name, getattr(answer, name, None)) for name in MATCH_COLUMNS)
+            times_ns[setup.name] = setup.p50_ns, own_ns.get(tuple(columns))
+        proven = [row for row in answer.judgements if row.verdict == PROVEN and row.statistic == "latency_p50"]
+        pairs = {frozenset((row.subject, row.base)) for row in proven if row.claim in (Claim.FASTEST, Claim.SLOWER)}
+        compared += bool(pairs)
+        below += any(_is_below_floor(*(times_ns[name] for name in pair)) for pair in pairs)
+    if not below:
+        return ""
+    return (
+        f"In {below} of {counted(compared, 'comparison')} the proven difference is less than what our own nodes cost more on the slower "
+        "side (`own_cost_ns`): it may be our Python, not the middleware."
+    )
+
+
+def _is_below_floor(first: tuple[float | None, float | None], second: tuple[float | None, float | None]) -> bool:
+    """Return whether latencies, half a round trip each, differ by less than what the nodes of the slower one take more."""
+    (fast_ns, fast_own_ns), (slow_ns, slow_own_ns) = sorted((first, second), key=lambda setup: setup[0] or 0.0)
+    if not (fast_ns and slow_ns and fast_own_ns and slow_own_ns):
+        return False
+    return slow_ns - fast_ns < (slow_own_ns - fast_own_ns) / 2
 
 
 def _why_undecided(

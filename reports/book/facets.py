@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from dds_trace.analyzer.model.setting import LOAD, parse_setting, write_setting
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_size
 
@@ -63,6 +64,9 @@ def facets_info(groups: Groups) -> Facets:
     names = dict(zip(choices, series_labels(choices), strict=True))
     bridging = len({choice.vendor_label for choice in choices if choice.domain_mode == "different"}) > 1
 
+    links = {(series.connectivity, _emulated(series).get("link")) for series in groups.series}
+    several_links = len(links) > len({connectivity for connectivity, _ in links})
+
     def choice(series: Series) -> Value:
         name, way = names[_apart_from_place(series)], domain_label(series)
         bridge = SHORT_BRIDGES.get(series.bridge, printable(series.bridge))
@@ -76,10 +80,11 @@ def facets_info(groups: Groups) -> Facets:
         return _named(name.replace(f", {domain_label(series)}", "", 1).removeprefix(", "))
 
     def device(series: Series) -> Value:
-        return _named(device_label(series))
+        return _named(", ".join(filter(None, (device_label(series), printable(_emulated(series).get(LOAD, ""))))))
 
     def link(series: Series) -> Value:
-        return _named(printable(series.connectivity))
+        emulated = printable(_emulated(series).get("link", "")) if several_links else ""
+        return _named(", ".join(filter(None, (printable(series.connectivity), emulated))))
 
     values_of_cells: dict[str, Callable[[Cell], Value]] = {
         "data": lambda cell: _named(data_type_label(cell.data_type)),
@@ -130,5 +135,13 @@ def _named(label: str) -> Value:
     return Value(label, label)
 
 
+def _emulated(series: Series) -> Mapping[str, str]:
+    """Return the settings that stand in for a link and a device: part of the place, not of the choice."""
+    setting = parse_setting(series.setting).items()
+    return {key: value for key, value in setting if key == "link" or (key == LOAD and value.startswith("emulated-"))}
+
+
 def _apart_from_place(series: Series) -> Series:
-    return replace(series, ping_device="", relay_device=None, connectivity="")
+    emulated, setting = _emulated(series), parse_setting(series.setting)
+    choice = write_setting({key: value for key, value in setting.items() if key not in emulated})
+    return replace(series, ping_device="", relay_device=None, connectivity="", setting=choice)

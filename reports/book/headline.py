@@ -16,6 +16,7 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_number, format_rate, format_size
+from dds_trace.tracefile.format.json_fields import object_of
 
 from .groups import (
     Group,
@@ -361,7 +362,10 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     counts = sorted({round(count) for count in values.plain["runs"] if count})
     fewest = f"{counts[0]} to " if len(counts) > 1 else ""
     runs = f"; {fewest}{counted(counts[-1], 'run')} of each" if counts else ""
-    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}.{_limits(analysis)}"
+    middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
+    executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
+    ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
+    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}{ros}.{_limits(analysis)}"
 
 
 def _limits(analysis: Analysis) -> str:

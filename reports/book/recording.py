@@ -21,7 +21,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 from dds_trace.tracefile.format.descriptions import Session
 
-from .groups import VENDORS, Groups, VendorLabels, format_count, in_order_of, qos_label, vendor_labels
+from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
 
@@ -141,6 +141,7 @@ class OwnCost:
             client library.
         floor_p99_ns: p99 of it.
         floor_messages: smallest number of messages of a floor.
+        single_executor_ns: as `floor_median_ns`, with rclpy's single-threaded executor in place of the default one.
     """
 
     vendor: str
@@ -150,6 +151,7 @@ class OwnCost:
     floor_median_ns: int | None
     floor_p99_ns: int | None
     floor_messages: int | None
+    single_executor_ns: int | None = None
 
 
 def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
@@ -168,6 +170,7 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
             max(_numbers(sessions, "client_library_floor", "median_ns"), default=None),
             max(_numbers(sessions, "client_library_floor", "p99_ns"), default=None),
             min(_numbers(sessions, "client_library_floor", "messages"), default=None),
+            max(_numbers(sessions, "single_executor_floor", "median_ns"), default=None),
         )
         if cost.record_median_ns is not None or cost.floor_median_ns is not None:
             costs.append(cost)
@@ -190,6 +193,9 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
             tail = getattr(slowest, p99)
             within = "" if tail is None else f" (p99 {format_duration(tail)})"
             words.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
+    floors = [(cost.single_executor_ns, cost.floor_median_ns) for cost in costs]
+    added_ns = [single - default for single, default in floors if single is not None and default is not None]
+    words += [f"through rclpy with --executor single {format_added_ns(max(added_ns))}"] if added_ns else []
     return f"{'; '.join(words)}; not subtracted" if words else ""
 
 

@@ -2,12 +2,14 @@ import re
 from dataclasses import replace
 
 import polars as pl
+import pytest
 from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from paired_by_hand import paired
 from wording import numbers
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
+from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown
 from dds_trace.reports.book.overview import Fact
@@ -33,6 +35,18 @@ def test_a_clear_winner_is_named(sentences):
     assert "Zenoh (the next" in answer.headline
     assert 9.92 in numbers(answer.headline)
     sentences(answer.headline, *answer.points, answer.rule)
+
+
+@pytest.mark.parametrize(("slow_ns", "fast_ns", "below"), [(20, 1, 1), (18, 1, 0), (1, 20, 0), (None, 1, 0)])
+def test_a_lead_below_the_difference_of_our_own_nodes_is_said(sentences, slow_ns, fast_ns, below):
+    # The medians are 9 ms apart; a node's own cost is of a round trip, so twice as much of it shows.
+    analysis = make_analysis(Measured(SLOW, runs=3), Measured(FAST, runs=3, **ZENOH))
+    cost_ns = pl.when(pl.col("vendor") == "zenoh").then(pl.lit(fast_ns)).otherwise(pl.lit(slow_ns)) * MS
+    answer = Book(replace(analysis, summary=analysis.summary.with_columns(own_cost_ns=cost_ns.cast(pl.Float64)))).answer
+    assert "Zenoh (the next" in answer.headline
+    said = [text for kind, text in answer.sentences if kind is PointKind.CLIENT_FLOOR]
+    assert [numbers(text) for text in said] == [[1, 1]] * below
+    sentences(*said)
 
 
 def test_lost_messages_are_infinitely_late(sentences):

@@ -97,14 +97,15 @@ def test_ways_differ_by_dash_and_twins_by_symbol():
 def test_a_choice_looks_alike_at_every_place_and_like_no_other():
     bridges = ("none", "builtin", "builtin-zenoh", "zenoh-bridge-dds", "fastddsrouter")
     measured = [
-        Measured([MS], vendor=vendor, bridge=bridge, domain_mode="same" if bridge == "none" else "different", connectivity=link)
+        Measured([MS], vendor=vendor, bridge=bridge, domain_mode="same" if bridge == "none" else "different", connectivity=link,
+                 setting=setting)
         for vendor in ("fastdds", "cyclonedds", "connext", "zenoh", "new", "other")
         for bridge in bridges
-        for link in ("wired", "wireless")
+        for link, setting in (("wired", "link=100m(x),load=emulated-pi3"), ("wireless", "link=air(x)"))
     ]  # fmt: skip
     facets = facets_info(groups_info(make_analysis(*measured)))
     assert len(facets.dimensions["choice"].options) == len(facets.choices) == 30
-    assert facets.dimensions["place"].options == ("pi-one → pi-two, wired", "pi-one → pi-two, wireless")
+    assert facets.dimensions["place"].options == ("pi-one → pi-two, emulated-pi3, wired", "pi-one → pi-two, wireless")
     styles = choice_styles(facets)
     assert len({(style.light, style.symbol, style.dash) for style in styles}) == 30
     assert len({(style.dark, style.symbol, style.dash) for style in styles}) == 30
@@ -172,9 +173,10 @@ def facts(analysis):
 
 def test_of_several_sessions_the_slowest_counts(sentences):
     slower = {"recorder_cost": {**COST, "record_p99_ns": 5000}, "client_library_floor": {**FLOOR, "messages": 20}}
+    slower["single_executor_floor"] = {"median_ns": 470_000}
     analysis = analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}, slower])
-    assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20),)
-    assert numbers(facts(analysis)["Cost of measuring"]) == [900, 5, 400, 1.2]
+    assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20, 470_000),)
+    assert numbers(facts(analysis)["Cost of measuring"]) == [900, 5, 400, 1.2, 70]
     sentences(facts(analysis)["Cost of measuring"])
 
 

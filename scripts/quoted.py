@@ -5,7 +5,7 @@
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
 a bag, both in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`, `link study` that of study/link.csv,
-`claims study` that of a sweep of plans/paper-claims.toml.
+`claims study` and `needs study` those of a sweep of plans/paper-claims.toml.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from stored_tables import CLAIMS, RATIOS, STUDY, claim_table, keep_claims, link_table, ratio_table, read_rows
+from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
+from stored_tables import RATIOS, STUDY, link_table, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
@@ -58,7 +59,9 @@ def quote(kind: str, campaign: str) -> str:
     if kind == "link":
         return link_table(read_rows(STUDY / "link.csv"))
     if kind == "claims":
-        return claim_table(read_rows(CLAIMS) if CLAIMS.exists() else [])
+        return claim_table(read_rows(CLAIMS))
+    if kind == "needs":
+        return need_table(read_rows(CHOICES))
     with tempfile.TemporaryDirectory() as scratch:
         folder = unpack(campaign, Path(scratch))
         if kind == "topics":

@@ -1,0 +1,384 @@
+"""The claims of the paper, asked of the rows that a sweep of plans/paper-claims.toml left: tables of docs/results/study.md.
+
+python scripts/quoted.py runs/paper-claims   # keeps the rows of that sweep, and writes the tables
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from claim_pairs import (
+    AIR,
+    CYCLONE,
+    CYCLONE_ACROSS,
+    FAST,
+    FAST_ACROSS,
+    LAPTOP,
+    LARGE,
+    LATE_MS,
+    PI,
+    SAME,
+    SMALL,
+    WIRED,
+    WORDS,
+    Asked,
+    Pair,
+    Row,
+    Runs,
+    measured,
+    outcome,
+    pairs_of,
+    place_of,
+    run_rows,
+    runs_of,
+    write_rows,
+)
+from stored_tables import STUDY, markdown
+
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.job import make_job
+from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
+from dds_trace.base.units import format_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from dds_trace.analyzer.analysis import Analysis
+
+CLAIMS, CHOICES = STUDY / "claims.csv", STUDY / "choices.csv"
+
+
+def keep_claims(folder: Path, into: Path = STUDY) -> None:
+    """Write the rows of a sweep that the tables are made from."""
+    analysis = analyze(folder)
+    write_rows(into / CLAIMS.name, run_rows(analysis))
+    write_rows(into / CHOICES.name, choice_rows(analysis))
+
+
+def across(same: str, other: str, **where: tuple[object, ...]) -> Asked:
+    """Ask whether a message takes longer across domains than in one."""
+    return Asked({"setup": other}, {"setup": same}, where)
+
+
+def rates(says: str, *fast: float, slow: float = 1.0, **where: tuple[object, ...]) -> list[Asked]:
+    """Ask whether higher rates take longer, as long, or another time."""
+    return [Asked({"rate_hz": rate}, {"rate_hz": slow}, {"data": ("binary",), **where}, says=says) for rate in fast]
+
+
+def jump(low: int, high: int, **where: tuple[object, ...]) -> Asked:
+    """Ask whether the larger size takes more time than its bytes say, at 1 Hz, which both links carry."""
+    where = {"link": (AIR,), "rate_hz": (1.0,), **where}
+    return Asked({"payload_bytes": high}, {"payload_bytes": low}, where, factor=SAME * high / low)
+
+
+def part(about: str, *asked: Asked, of: str = "each") -> list[Asked]:
+    """Return questions as one part of a claim."""
+    return [replace(one, about=about, of=of) for one in asked]
+
+
+BOTH = {"setup": (FAST_ACROSS, CYCLONE_ACROSS)}
+LICENCE = "Connext is refused without RTI's licence"
+CLAIMS_OF_PAPER: tuple[tuple[str, str, Sequence[Asked]], ...] = (
+    (
+        "Cyclone DDS, two domains, air: more frequency, more latency of large files",
+        "",
+        rates("more", 4.0, setup=(CYCLONE_ACROSS,), link=(AIR,), payload_bytes=LARGE),
+    ),
+    ("air: a sudden rise at 502 KB", "", [jump(145_000, 502_000)]),
+    (
+        "Fast DDS (later: often all), two domains, air: 502 KB slower than 1 MB",
+        "",
+        [
+            question
+            for about, setup in (("Fast DDS", FAST_ACROSS), ("Cyclone DDS", CYCLONE_ACROSS))
+            for question in part(
+                about,
+                Asked({"payload_bytes": LARGE[0]}, {"payload_bytes": LARGE[1]}, {"setup": (setup,), "link": (AIR,)}),
+            )
+        ],
+    ),
+    (
+        "Cyclone DDS, two domains, wired, Pi 3: consistent over all sizes",
+        "read as: the same time",
+        [
+            Asked(
+                {"payload_bytes": size},
+                {"payload_bytes": 33_000},
+                {"setup": (CYCLONE_ACROSS,), "link": (WIRED,), "device": (PI,), "rate_hz": (1.0, 4.0)},
+                says="alike",
+            )
+            for size in (145_000, *LARGE)
+        ],
+    ),
+    ("two domains, air: a spike above 145 KB", "", [jump(145_000, size, **BOTH) for size in LARGE]),
+    (
+        "Cyclone DDS, air, Pi 3: small files faster in one domain, large ones in two",
+        "",
+        [
+            *part(
+                "small",
+                across(CYCLONE, CYCLONE_ACROSS, link=(AIR,), device=(PI,), data=("binary",), payload_bytes=SMALL),
+            ),
+            *part(
+                "large",
+                Asked(
+                    {"setup": CYCLONE},
+                    {"setup": CYCLONE_ACROSS},
+                    {"link": (AIR,), "device": (PI,), "payload_bytes": LARGE},
+                ),
+            ),
+        ],
+    ),
+    (
+        "Cyclone DDS, wired, Pi 3: large files faster in one domain",
+        "",
+        [across(CYCLONE, CYCLONE_ACROSS, link=(WIRED,), device=(PI,), payload_bytes=LARGE)],
+    ),
+    (
+        "Fast DDS: one domain faster for every size, frequency, device, link",
+        "`builtin` for Integration Service",
+        part("", across(FAST, FAST_ACROSS), of="every"),
+    ),
+    ("Connext, air: alike up to 87 KB, then two domains", LICENCE, []),
+    ("Connext, wired: alike up to 145 KB, then one domain", LICENCE, []),
+    (
+        "String, IMU: alike in one domain and in two, Fast DDS across the slowest",
+        "",
+        [
+            *part(
+                "Cyclone DDS alike",
+                Asked({"setup": CYCLONE_ACROSS}, {"setup": CYCLONE}, {"data": ("string", "imu")}, says="alike"),
+            ),
+            *part(
+                "Fast DDS slowest",
+                *(
+                    Asked({"setup": FAST_ACROSS}, {"setup": other}, {"data": ("string", "imu")})
+                    for other in (FAST, CYCLONE, CYCLONE_ACROSS)
+                ),
+            ),
+        ],
+    ),
+    (
+        "frequency mostly matters, but not for Fast DDS on a Pi 3 over the air",
+        "",
+        [
+            *part(
+                "others differ",
+                *rates("differs", 4.0, 20.0, 100.0, setup=(CYCLONE, CYCLONE_ACROSS)),
+                *rates("differs", 4.0, 20.0, 100.0, setup=(FAST, FAST_ACROSS), link=(WIRED,)),
+                *rates("differs", 4.0, 20.0, 100.0, setup=(FAST, FAST_ACROSS), link=(AIR,), device=(LAPTOP,)),
+                of="most",
+            ),
+            *part(
+                "Fast DDS alike",
+                *rates("alike", 4.0, 20.0, 100.0, setup=(FAST, FAST_ACROSS), link=(AIR,), device=(PI,)),
+            ),
+        ],
+    ),
+    ("up to 145 KB no effect of frequency", "", rates("alike", 4.0, 20.0, 100.0, payload_bytes=SMALL)),
+    ("live camera, Jetson: Connext best across domains", LICENCE, []),
+    (
+        "not Fast DDS across domains; Cyclone DDS for large files over the air",
+        "",
+        [
+            *part("Fast DDS slower", Asked({"setup": FAST_ACROSS}, {"setup": CYCLONE_ACROSS}, {})),
+            *part(
+                "large over the air",
+                Asked({"setup": FAST_ACROSS}, {"setup": CYCLONE_ACROSS}, {"link": (AIR,), "payload_bytes": LARGE}),
+            ),
+        ],
+    ),
+    (
+        "no vendor is best everywhere; mostly one domain wins by a good margin",
+        "",
+        [
+            *part("Cyclone DDS faster", Asked({"setup": FAST}, {"setup": CYCLONE}, {}), of="some"),
+            *part("Fast DDS faster", Asked({"setup": CYCLONE}, {"setup": FAST}, {}), of="some"),
+            *part(
+                "one domain faster by a quarter",
+                *(replace(across(*setups), factor=SAME) for setups in ((FAST, FAST_ACROSS), (CYCLONE, CYCLONE_ACROSS))),
+                of="most",
+            ),
+        ],
+    ),
+    (
+        "across domains more of the large files may arrive",
+        "",
+        part(
+            "",
+            *(
+                Asked({"setup": other}, {"setup": same}, {"payload_bytes": LARGE}, value="received")
+                for same, other in ((FAST, FAST_ACROSS), (CYCLONE, CYCLONE_ACROSS))
+            ),
+            of="some",
+        ),
+    ),
+    ("over the air across domains nothing is hard real time", "", []),
+    (
+        "about 120 participants fit a domain",
+        "participant 120 takes the next domain's ports, in silence; `record` warns",
+        [],
+    ),
+    (
+        "future work: QoS, load, moving nodes, 5G, security, a recommender, 502 KB",
+        "axes, links from a file, `dds-trace choose`, `explain`",
+        [],
+    ),
+)
+REAL_TIME = 18
+WITHOUT_PAIRS = {19: "reproduced", 20: "done"}
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """A need, whom the paper recommends for it, and the job that asks `dds-trace choose`."""
+
+    words: str
+    paper: str
+    setups: tuple[str, ...]
+    job: Mapping[str, str]
+    links: tuple[str, ...] = (WIRED, AIR)
+
+
+TWO = {"domain": "different"}
+NEEDS = (
+    Need(
+        "large files, two domains, air",
+        "Cyclone DDS",
+        (CYCLONE_ACROSS,),
+        {"size": "502KB", "rate": "1", "deadline": "1s", "reliability": "0.8", **TWO},
+        (AIR,),
+    ),
+    Need(
+        "small files, two domains",
+        "not Fast DDS",
+        (CYCLONE_ACROSS,),
+        {"size": "33KB", "rate": "20", "deadline": "50ms", "reliability": "0.9", **TWO},
+    ),
+    Need(
+        "one domain or two",
+        "one",
+        (FAST, CYCLONE),
+        {"size": "145KB", "rate": "4", "deadline": "250ms", "reliability": "0.8"},
+    ),
+    Need("one domain and two alike", "Connext", (), {}),
+    Need(
+        "hard real time, two domains, air",
+        "nothing",
+        (),
+        {"data": "imu", "rate": "100", "deadline": "10ms", **TWO},
+        (AIR,),
+    ),
+)
+
+
+def answer_of(runs: Runs, questions: Sequence[Asked]) -> tuple[str, str]:
+    """Return what was measured and what it means for the claim, part by part; all of it is emulated."""
+    parts: dict[tuple[str, str], list[Pair]] = defaultdict(list)
+    for question in questions:
+        parts[question.about, question.of] += pairs_of(runs, question)
+    if not all(parts.values()):
+        return "", "not recorded yet"
+    labels = {about: f"{about}: " if about else "" for about, _ in parts}
+    verdicts = {f"{labels[about]}{outcome(pairs, of)}" for (about, of), pairs in parts.items()}
+    words = "; ".join(f"{labels[about]}{measured(pairs)}" for (about, _), pairs in parts.items())
+    return words, f"{'; '.join(dict.fromkeys(verdicts))}, emulated"
+
+
+def late_answer(runs: Runs) -> tuple[str, str]:
+    """Return the shares beyond 1, 10 and 100 ms over the air and across domains: the least and the largest of all results."""
+    results = {key: own for key, own in runs.items() if key[0] in (FAST_ACROSS, CYCLONE_ACROSS) and key[1] == AIR}
+    if not results:
+        return "", "not recorded yet"
+    parts, never = [], []
+    for ms in LATE_MS:
+        shares = {
+            key: sum(int(row[f"beyond_{ms}_ms"]) for row in own) / sum(int(row["published"]) for row in own)
+            for key, own in results.items()
+        }
+        best, worst = min(shares.values()), max(shares.values())
+        uppers = [float(results[key][0][f"upper_{ms}_ms"] or 1) for key, share in shares.items() if share == best]
+        ends = f"{100 * best:.3g} to {100 * worst:.3g} %"
+        parts.append(f"{ends} beyond {ms} ms (the least: of further runs up to {100 * min(uppers):.3g} %)")
+        never += [ms] if best else []
+    kept = [ms for ms in LATE_MS if ms not in never]
+    verdict = f"reproduced at {' and '.join(map(str, never))} ms" if never else ""
+    open_words = f"not decidable at {' and '.join(map(str, kept))} ms" if kept else ""
+    return (
+        f"of {len(results)} results: {'; '.join(parts)}",
+        f"{'; '.join(filter(None, (verdict, open_words)))}, emulated",
+    )
+
+
+def claim_table(rows: Sequence[Row]) -> str:
+    """Return the twenty claims of the paper, with what the rows of `keep_claims` say of each."""
+    runs = runs_of(rows)
+    lines = []
+    for number, (claim, remark, questions) in enumerate(CLAIMS_OF_PAPER, 1):
+        words, verdict = "", WITHOUT_PAIRS.get(number, "not possible here")
+        if questions:
+            words, verdict = answer_of(runs, questions)
+        elif number == REAL_TIME:
+            words, verdict = late_answer(runs)
+        lines.append([str(number), claim, "; ".join(filter(None, (words, remark))), verdict])
+    return markdown(["#", "the paper says", "measured", "outcome"], lines)
+
+
+def choice_rows(analysis: Analysis) -> list[dict[str, object]]:
+    """Return a row for each candidate of each need, as `dds-trace choose` ranks them; times are of the response, T0 to T2."""
+    messages, rows = analysis.load_messages(), []
+    for need in NEEDS:
+        if need.job:
+            job = make_job({"data": "binary", **need.job})
+            for candidate in recommend_settings(messages, job, runs=analysis.runs).candidates:
+                place = place_of(candidate.setting)
+                if place["link"] in need.links:
+                    is_best = candidate.fit is Fit.MEETS and candidate.tied
+                    fit = {"need": need.words, **place, "fit": candidate.fit.value, "is_best": is_best}
+                    rows.append({**fit, "response_ns": candidate.value_ns})
+    return rows
+
+
+SAME_AS_PAPER, OTHER, OPEN = "same", "other", "not decidable"
+
+
+def fit_words(row: Row) -> str:
+    """Return whether a candidate meets its job, and its time."""
+    time_ns = float(row["response_ns"] or math.nan)
+    time = "lost" if math.isinf(time_ns) else "" if math.isnan(time_ns) else format_duration(time_ns)
+    fit = {"inconclusive": "unclear"}.get(row["fit"], row["fit"])
+    return f"{WORDS[row['setup']]} {fit}" + (f" ({time})" if time else "")
+
+
+def compared(need: Need, candidates: Sequence[Row]) -> str:
+    """Return whether ours is the paper's choice at one place."""
+    best, fits = {row["setup"] for row in candidates if row["is_best"] == "True"}, {row["fit"] for row in candidates}
+    if best:
+        return SAME_AS_PAPER if best <= {*need.setups} else OPEN if best & {*need.setups} else OTHER
+    if fits == {"misses"}:
+        return OTHER if need.setups else SAME_AS_PAPER
+    return OPEN
+
+
+def need_table(rows: Sequence[Row]) -> str:
+    """Return for each need whom the paper recommends, and what `dds-trace choose` says of the rows of a sweep."""
+    lines = []
+    for need in NEEDS:
+        places: dict[tuple[str, str], list[Row]] = defaultdict(list)
+        for row in rows:
+            if row["need"] == need.words:
+                places[row["link"], row["device"]].append(row)
+        words = (
+            f"{', '.join(filter(None, (WORDS[name] for name in place)))}: {', '.join(map(fit_words, candidates))}"
+            for place, candidates in sorted(places.items())
+        )
+        counts = Counter(compared(need, candidates) for candidates in places.values())
+        verdict = ", ".join(f"{what} at {count} of {len(places)} places" for what, count in counts.most_common())
+        verdict = verdict if len(counts) > 1 else next(iter(counts), OPEN)
+        options = " ".join(f"--{name} {value}" for name, value in need.job.items())
+        lines.append([need.words, f"`{options}`" if options else LICENCE, need.paper, "; ".join(words), verdict])
+    return markdown(["need", "`dds-trace choose runs/paper-claims`", "the paper", "here", "the same?"], lines)

@@ -14,7 +14,7 @@ import polars as pl
 from dds_trace.analyzer.model.setting import LOAD, parse_setting
 from dds_trace.analyzer.run_statistics.late_share import late_share
 from dds_trace.analyzer.verdicts.matching import MatchedGroup
-from dds_trace.base.units import counted, format_duration, format_rate, format_size
+from dds_trace.base.units import format_duration, format_rate, format_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -38,14 +38,16 @@ WORDS: Mapping[object, str] = {
     FAST_ACROSS: "Fast DDS across",
     CYCLONE: "Cyclone DDS",
     CYCLONE_ACROSS: "Cyclone DDS across",
-    WIRED: "emulated wire",
-    AIR: "emulated air",
+    WIRED: "wire",
+    AIR: "air",
     LAPTOP: "",
-    PI: "emulated Pi 3",
+    PI: "Pi 3",
     "binary": "",
     "string": "String",
     "imu": "IMU",
 }
+MBIT_S = {WIRED: 100, AIR: 30 / 2}
+"""Rates of the links; both directions share that of the air."""
 SAME = 1.25
 """Largest factor between two that are alike."""
 
@@ -112,6 +114,7 @@ class Asked:
     Attributes:
         first: values of the first; `second`: what the other has in place of them.
         where: values of both.
+        carried: whether both sides send less than the link's rate, None for all pairs.
         says: `more`, `alike` (within `SAME`) or `differs`.
         of: of how many pairs: `each`, `every` (one that is not so contradicts), `most` or `some`.
         factor: more than this many times.
@@ -127,6 +130,7 @@ class Asked:
     factor: float = 1.0
     value: str = "p50_ns"
     about: str = ""
+    carried: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +162,17 @@ def pairs_of(runs: Runs, asked: Asked) -> list[Pair]:
             continue
         if any(values[name] not in allowed for name, allowed in asked.where.items()):
             continue
-        second = runs.get(tuple({**values, **asked.second}.values()))
-        if second:
+        other = {**values, **asked.second}
+        second = runs.get(tuple(other.values()))
+        if second and asked.carried in (None, is_carried(values) and is_carried(other)):
             pairs.append(judged(asked, values, first, second))
     return pairs
+
+
+def is_carried(values: Mapping[str, object]) -> bool:
+    """Return whether a result's messages, without headers, are less than its link carries."""
+    offered_mbit_s = float(str(values["payload_bytes"])) * float(str(values["rate_hz"])) * 8e-6
+    return offered_mbit_s < MBIT_S[str(values["link"])]
 
 
 def judged(asked: Asked, values: Mapping[str, object], first: Sequence[Row], second: Sequence[Row]) -> Pair:
@@ -173,14 +184,21 @@ def judged(asked: Asked, values: Mapping[str, object], first: Sequence[Row], sec
     )
     is_alike, differs = low > 1 / SAME and high < SAME, low > SAME or high < 1 / SAME
     yes, no = {"alike": (is_alike, differs), "differs": (differs, is_alike), "more": (low > 1, high < 1)}[asked.says]
-    where = [one for name, value in values.items() if name not in asked.first and (one := value_words(name, value))]
+    fixed = {name for name, allowed in asked.where.items() if len(allowed) == 1} | set(asked.first)
+    fixed |= set() if values["data"] == "binary" else {"payload_bytes", "rate_hz"}
+    where = [word for name, value in values.items() if name not in fixed and (word := value_words(name, value))]
     sides = (
         f"{' '.join(value_words(name, value) for name, value in which.items())} {side_words(asked.value, side)}"
         for which, side in ((asked.first, first), (asked.second, second))
     )
     chance = 1 / math.comb(len(own) + len(base), len(own))
-    words = f"{', '.join(where)}: {' against '.join(sides)}"
+    words = ": ".join(filter(None, (", ".join(where), ", ".join(sides))))
     return Pair("yes" if yes else "no" if no else "open", middle, words, chance)
+
+
+def place_words(place: Iterable[object]) -> str:
+    """Return how a sentence names link and device."""
+    return " and ".join(filter(None, (WORDS[name] for name in place)))
 
 
 def value_words(name: str, value: object) -> str:
@@ -198,8 +216,11 @@ def side_words(value: str, side: Sequence[Row]) -> str:
     low, middle, high = (
         "lost" if math.isinf(ns) else format_duration(ns) for ns in (times_ns[0], median(times_ns), times_ns[-1])
     )
-    unit = f" {middle.split()[-1]}"
-    return f"{middle} ({low.removesuffix(unit)} to {high.removesuffix(unit)})" if low != high else middle
+    if low == high:
+        return middle
+    units = {time.split()[-1] for time in (low, middle, high)}
+    ends = (low, high) if len(units) > 1 else (low.split()[0], high.split()[0])
+    return f"{middle} ({'..'.join(ends)})"
 
 
 REPRODUCED, SAME_WAY, CONTRADICTED, UNDECIDED = "reproduced", "the same in direction", "contradicted", "undecided"
@@ -219,22 +240,19 @@ def outcome(pairs: Sequence[Pair], of: str) -> str:
     if {"most": yes > len(pairs) / 2, "some": yes > 0}.get(of, yes == len(pairs)):
         return REPRODUCED
     if of == "some":
-        return CONTRADICTED if no == len(pairs) else UNDECIDED
+        return CONTRADICTED if no > len(pairs) / 2 else UNDECIDED
     if no > yes or (no and of == "every"):
         return CONTRADICTED
     return SAME_WAY if yes > no else UNDECIDED
 
 
 def measured(pairs: Sequence[Pair]) -> str:
-    """Return how many pairs are as the paper says, with the most telling ones."""
-    parts = []
-    for verdict, words in (("yes", "as said in {}"), ("no", "not in {}")):
-        decided = [pair for pair in pairs if pair.verdict == verdict]
-        finite = [pair for pair in decided if 0 < pair.ratio < math.inf]
-        most = max(finite or decided, key=lambda pair: abs(math.log(pair.ratio)) if finite else 0.0, default=None)
-        count = words.format(
-            counted(len(pairs), "pair", text=f"{len(decided)} of {len(pairs)}") if not parts else len(decided)
-        )
-        if most or not parts:
-            parts.append(count + (f" ({most.words})" if most else ""))
-    return ", ".join(parts)
+    """Return how many pairs are as the paper says and how many are not, with the most telling one of the more frequent, unless alike."""
+    counts = Counter(pair.verdict for pair in pairs)
+    verdict = "no" if counts["no"] > counts["yes"] else "yes"
+    decided = [pair for pair in pairs if pair.verdict == verdict]
+    finite = [pair for pair in decided if 0 < pair.ratio < math.inf]
+    most = max(finite or decided, key=lambda pair: abs(math.log(pair.ratio)) if finite else 0.0, default=None)
+    against = f", not {counts['no']}" if counts["no"] and counts["open"] else ""
+    words = f"{counts['yes']} of {len(pairs)}{against}"
+    return f"{words} ({most.words})" if most and not 1 / SAME < most.ratio < SAME else words

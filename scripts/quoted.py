@@ -4,7 +4,7 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, both in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`, `link study` that of study/link.csv,
+a bag, both in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`,
 `claims study` and `needs study` those of a sweep of plans/paper-claims.toml.
 """
 
@@ -21,7 +21,7 @@ from functools import cache
 from pathlib import Path
 
 from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
-from stored_tables import RATIOS, STUDY, link_table, ratio_table, read_rows
+from stored_tables import RATIOS, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
@@ -56,8 +56,6 @@ def quote(kind: str, campaign: str) -> str:
     """Return what is quoted: the block or the table, as it is on the page."""
     if kind == "ratios":
         return ratio_table(read_rows(RATIOS))
-    if kind == "link":
-        return link_table(read_rows(STUDY / "link.csv"))
     if kind == "claims":
         return claim_table(read_rows(CLAIMS))
     if kind == "needs":

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import csv
-import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units import format_duration, format_rate, format_size
+from dds_trace.base.units import format_rate, format_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -50,33 +49,3 @@ def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
             for ours, against, bar in contests
         ),
     )
-
-
-LINK_SETUPS = {
-    ("fastdds", "none"): "Fast DDS, same domain",
-    ("fastdds", "builtin"): "Fast DDS, `builtin`",
-    ("cyclonedds", "none"): "Cyclone DDS, same domain",
-}
-LABELS = {65_400: "87 KB", 151_875: "33 KB", 2_330_025: "1 MB"}
-"""Sizes that the paper's programs sent -> those of its text."""
-
-
-def link_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the rows of study/link.csv as a table: a size of the text, then the one that was sent, in each setup."""
-    results = {}
-    for row in rows:
-        size, setup = int(row["payload_bytes"]), (row["vendor"], row["bridge"])
-        results[LABELS.get(size) or format_size(size), float(row["rate_hz"]), row["depth"], setup] = row
-
-    def cell(row: Mapping[str, str]) -> str:
-        is_whole = row["received"] == row["planned"]
-        share = "all" if is_whole else f"**{row['received']} of {row['planned']}**"
-        return f"{share}, {format_duration(round(float(row['latency_p50_ns'])))}"
-
-    lines = []
-    for label, rate, depth in itertools.product(("33 KB", "87 KB", "1 MB"), (4.0, 20.0), ("10", "1")):
-        cells = [results[label, rate, depth, setup] for setup in LINK_SETUPS]
-        sent = int(cells[0]["payload_bytes"])
-        shown = format_size(sent) if depth == "10" else f"{sent:,} B"
-        lines.append([shown, f"{rate:g} Hz", depth, *map(cell, cells)])
-    return markdown(["size", "rate", "depth", *LINK_SETUPS.values()], lines)

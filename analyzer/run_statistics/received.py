@@ -18,7 +18,7 @@ from ..statistics.distributions import poisson_cdf, poisson_limits, student_cdf,
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, smallest_shift
 from .bursts import COSINES, Float64, Int64, episode_sizes, share_inflation
-from .change import Verdict
+from .change import Change, Verdict
 from .two_samples import StudentTest, mover_ends, welch_test
 
 Bools = NDArray[np.bool_]
@@ -118,18 +118,10 @@ def loss_test(base: Float64, new: Float64, least_variance: float) -> StudentTest
 
 
 @dataclass(frozen=True, slots=True)
-class DeliveryChange:
-    """Received ratios of both sides; what the samples do not support is None."""
+class DeliveryChange(Change):
+    """Received ratios of both sides."""
 
-    base: Interval
-    new: Interval
-    difference: float | None
-    difference_low: float | None
-    difference_high: float | None
-    basis: Basis
     smallest_drop: float | None = None
-    p_value: float | None = None
-    degrees: float | None = None
 
     def verdict(self, same_within: float = 0.0, p_adjusted: float | None = None) -> Verdict:
         """Return the verdict: the same if the difference is wholly within `+- same_within`.
@@ -164,11 +156,11 @@ def change_of_received(base: Sequence[Bools], new: Sequence[Bools], confidence: 
         if side.value is not None and side.lower is not None and side.upper is not None
     ]
     if len(ends) < 2:
-        return DeliveryChange(before, after, None, None, None, basis)
+        return DeliveryChange(before, after, basis)
     difference = ends[1][0] - ends[0][0]
     low, high = mover_ends(*ends)
     if not is_between:
-        return DeliveryChange(before, after, difference, low, high, basis)
+        return DeliveryChange(before, after, basis, difference, low, high)
     base_angles, new_angles, least_variance = _loss_angles(base, new)
     test = loss_test(base_angles, new_angles, least_variance)
     reach, base_angle = test.reach(confidence), float(base_angles.mean())

@@ -206,9 +206,9 @@ def test_a_drop_that_could_not_be_seen_is_none():
 )
 def test_a_verdict_begins_where_its_interval_ends(ends, verdict):
     side = received_interval([losing(100)] * 3)
-    assert DeliveryChange(side, side, 0.0, *ends, Basis.BETWEEN_RUNS).verdict(0.1) is verdict
-    assert DeliveryChange(side, side, 0.0, *ends, Basis.WITHIN_RUN).verdict(0.1) is Verdict.INCONCLUSIVE
-    assert DeliveryChange(side, side, 0.0, 0.0, 0.0, Basis.BETWEEN_RUNS).verdict() is Verdict.SAME
+    assert DeliveryChange(side, side, Basis.BETWEEN_RUNS, 0.0, *ends).verdict(0.1) is verdict
+    assert DeliveryChange(side, side, Basis.WITHIN_RUN, 0.0, *ends).verdict(0.1) is Verdict.INCONCLUSIVE
+    assert DeliveryChange(side, side, Basis.BETWEEN_RUNS, 0.0, 0.0, 0.0).verdict() is Verdict.SAME
 
 
 def test_the_ends_of_a_change_are_those_of_its_sides():

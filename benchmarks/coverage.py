@@ -1,7 +1,7 @@
 """How often what is said is true, by simulation with a known truth: the tables of docs/results/coverage.md.
 
     python benchmarks/coverage.py --quick               200 samples a cell: a look, with errors of 2 to 3 points
-    python benchmarks/coverage.py                       1000 samples a cell, hours
+    python benchmarks/coverage.py                       1000 samples a cell, 80 minutes of CPU time
     python benchmarks/coverage.py leaders losers        some of the tables
     python benchmarks/coverage.py --write docs/results  write them, too: coverage-TABLE.csv, and the tables of coverage.md
 

@@ -1,33 +1,31 @@
 """Messages of a rosbag2 database of any version; of a damaged one also the rows of pages that SQLite no longer reaches.
 
-The pages are read as https://www.sqlite.org/fileformat.html describes them: a row of `messages` is known by its columns (no value,
-number, number, blob), one of `topics` by its texts.
+In single pages a row of `messages` is known by its columns (no value, number, number, blob), one of `topics` by its texts.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import sqlite3
-import struct
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
+from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 
-from ..mcapfile.blocks import most_unpacked_bytes
+from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
 from ..mcapfile.file import MAX_RECORD_BYTES
 from ..mcapfile.records import crc32
 from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
+from .source import Batch, Text, event_batch, unpack_message
+from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, rows_of_pages
 
 SQLITE_TABLES = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
@@ -42,7 +40,6 @@ INSERT INTO schema VALUES (4, 'unknown');
 """
 """The tables that rosbag2 makes since ROS 2 Iron."""
 
-SQLITE_MAGIC = b"SQLite format 3\0"
 # SQLite's steps are bounded: a hostile database has endless rows in few pages. An absurd size is reported as a lack of memory.
 _UNSUSPECTED_STEPS = 100_000_000
 _STEPS_A_BYTE = 4
@@ -58,17 +55,9 @@ _COMPUTED = (
 )
 _TOPICS = "SELECT id, name, type, serialization_format, {}, {} FROM topics LIMIT {}"
 _MESSAGES = "SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END FROM messages ORDER BY id"
-_HEADER = struct.Struct(">H2xB7xI")
-"""After the magic: page size, bytes reserved in each page, and pages."""
-_CELLS = struct.Struct(">H")
-_LEAF_PAGE = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL)
-_FRAME_BYTES = 24
-_MOST_TRIES = _MOST_SEARCHES = 1000
-_SEARCHED_BYTES = 1 << 20
 _MOST_COLUMNS = 7
 _LEAST_REACHED = 0.1
 """Share of a database's bytes below which its tables may not reach all rows."""
-_USUAL_PAGE_BYTES = 4096
 
 
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
@@ -161,9 +150,7 @@ def _unreached_rows(
     files: list[Path], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
-    for row_id, values in (
-        row for file in files for row in _rows_of_pages(file, budget, in_frames=file.name.endswith("-wal"))
-    ):
+    for row_id, values in (row for file in files for row in rows_of_pages(file, budget)):
         kinds = [type(value) for value in values]
         if kinds == [type(None), int, int, bytes] and seen.get(row_id) != (crc := crc32(values[3])):
             seen[row_id] = crc
@@ -210,7 +197,9 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
             type_hash=str(type_hash),
         )
         for row_id, name, kind, encoding, profiles, type_hash in rows
-        if isinstance(name, str) and isinstance(row_id, int)
+        if isinstance(name, str)
+        and isinstance(row_id, int)
+        and "/" in (name[:1], *str(kind))  # else a row of another table
     }
 
 
@@ -230,147 +219,76 @@ def _bound_work(database: sqlite3.Connection, size_bytes: int) -> None:
 def _missing_bytes(path: Path) -> int:
     """Return how many bytes the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
     with open_regular(path) as stream:
-        header = stream.read(len(SQLITE_MAGIC) + _HEADER.size)[len(SQLITE_MAGIC) :]
+        header = stream.read(len(SQLITE_MAGIC) + SQLITE_HEADER.size)[len(SQLITE_MAGIC) :]
         size = stream.seek(0, os.SEEK_END)
-    if len(header) < _HEADER.size:
+    if len(header) < SQLITE_HEADER.size:
         return 0  # SQLite will report what is wrong
-    page_bytes, _, pages = _HEADER.unpack(header)
+    page_bytes, _, pages = SQLITE_HEADER.unpack(header)
     return int(65536 if page_bytes == 1 else page_bytes) * int(pages) - size
 
 
-def _rows_of_pages(path: Path, budget: Budget, *, in_frames: bool) -> Iterator[tuple[int, list[Any]]]:
-    """Yield the rows of all leaf pages, wherever they are in the file."""
-    with path.open("rb") as file:
-        start = file.read(_SEARCHED_BYTES)
-    _, _, header = start.partition(SQLITE_MAGIC)
-    page_bytes, reserved, page_count = _HEADER.unpack_from(header.ljust(_HEADER.size, b"\0"))
-    page_bytes = 65536 if page_bytes == 1 else page_bytes
-    if page_bytes < 512 or page_bytes & (page_bytes - 1):
-        page_bytes, reserved, page_count = _USUAL_PAGE_BYTES, 0, 0
-    if not path.stat().st_size:
-        return
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-        moved_bytes = len(data) - page_count * page_bytes
-        pages = _Pages(data, page_bytes, page_bytes - reserved, moved_bytes, in_frames=in_frames)
-        for match in _LEAF_PAGE.finditer(data):
-            at = match.start()
-            (cells,) = _CELLS.unpack_from(data, at + 3)
-            if len(data) - at < page_bytes or cells > page_bytes // 4:
-                continue
-            page = data[at : at + page_bytes]
-            offsets = struct.unpack_from(f">{cells}H", page, 8)
-            if at % page_bytes and not all(8 + 2 * cells <= offset < page_bytes for offset in offsets):
-                continue
-            for offset in offsets:
-                with suppress(ValueError, IndexError, struct.error):
-                    row_id, payload = pages.cell(page, offset, at)
-                    values = _values(payload)
-                    budget.take()
-                    yield row_id, values
+_BATCH_ROWS = 8192
+_ROW_BYTES = 64
+_BATCH_BYTES = 4 << 20
 
 
-class _Pages:
-    """Rows of pages that may be displaced; pages of a write-ahead log are `in_frames`, each after its number."""
+class SqliteSource:
+    """`.db3` file as a `Source`."""
 
-    def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, moved_bytes: int, *, in_frames: bool) -> None:
-        self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
-        self._moved_bytes, self._in_frames = moved_bytes, in_frames
-        self._frames: dict[int, dict[int, int]] = {}
-        self._left_bytes, self._searches_left = most_unpacked_bytes(len(data)), _MOST_SEARCHES
+    written_events = 0
 
-    def cell(self, page: bytes, offset: int, page_at: int) -> tuple[int, bytes]:
-        size, offset = _varint(page, offset)
-        row_id, offset = _varint(page, offset)
-        if size > MAX_RECORD_BYTES:
-            raise ValueError("no row is so long")
-        self._left_bytes -= size
-        if self._left_bytes < 0:
-            raise UnreadableError("its rows share their pages")
-        usable = self._usable_bytes
-        least = (usable - 12) * 32 // 255 - 23
-        local = least + (size - least) % (usable - 4)
-        local = size if size <= usable - 35 else local if local <= usable - 35 else least
-        start, remaining = page[offset : offset + local], size - local
-        if not remaining:
-            return row_id, start
-        return row_id, start + self._overflow(
-            int.from_bytes(page[offset + local : offset + local + 4], "big"), remaining, page_at
-        )
+    def __init__(self, path: Path, shown_as: Path | None = None) -> None:
+        self._path, self._shown_as, self._condition = path, shown_as or path, Condition()
 
-    def _overflow(self, number: int, size: int, page_at: int) -> bytes:
-        parts, most, moved_bytes = list[bytes](), self._usable_bytes - 4, page_at % self._page_bytes
-        while size > 0:
-            at = self._frame(number, page_at) if self._in_frames else self._page(number, size, moved_bytes)
-            if not number or not 0 <= at <= len(self._data) - self._page_bytes:
-                raise ValueError("a page is missing")
-            parts.append(self._data[at + 4 : at + 4 + min(size, most)])
-            size -= len(parts[-1])
-            moved_bytes = at - (number - 1) * self._page_bytes
-            number = self._following(at)
-        if number:
-            raise ValueError("more pages follow than the row has")
-        return b"".join(parts)
+    def close(self) -> None:
+        """Do nothing: the database is closed after its last row."""
 
-    def _following(self, at: int) -> int:
-        return int.from_bytes(self._data[at : at + 4], "big") if at >= 0 else -1
+    @property
+    def topics(self) -> frozenset[str]:
+        return frozenset(topic.name for topic in self._condition.topics)
 
-    def _frame(self, number: int, page_at: int) -> int:
-        stride = self._page_bytes + _FRAME_BYTES
-        if (first := page_at % stride) not in self._frames:
-            start = first if first >= _FRAME_BYTES else first + stride
-            self._frames[first] = {
-                self._following(at - _FRAME_BYTES): at for at in range(start, len(self._data), stride)
-            }
-        return self._frames[first].get(number, -1)
+    def expected_events(self) -> dict[Stage, int]:
+        return dict.fromkeys(Stage, self._path.stat().st_size // _ROW_BYTES)
 
-    def _page(self, number: int, size: int, moved_bytes: int) -> int:
-        """Return the offset of a page of a row with `size` bytes from it on: pages of a row have consecutive numbers."""
-        after = [number + step if size > step * (self._usable_bytes - 4) else 0 for step in (1, 2)]
-        usual_at = (number - 1) * self._page_bytes
-        placed = [usual_at + moved for moved in (moved_bytes, self._moved_bytes, moved_bytes - self._page_bytes, 0)]
-        matching = [at for at in placed if self._following(at) == after[0]]
-        is_searched = bool(after[0]) and not matching and self._searches_left > 0
-        self._searches_left -= is_searched
-        match_at = self._data.find(after[0].to_bytes(4, "big")) if is_searched else -1
-        for _ in range(_MOST_TRIES):
-            if match_at < 0 or self._following(match_at + self._page_bytes) == after[1]:
-                break
-            match_at = self._data.find(after[0].to_bytes(4, "big"), match_at + 1)
-        return [*matching, *[match_at] * (match_at >= 0), *placed][0]
+    def batches(self) -> Iterator[Batch]:
+        last, events, texts, size_bytes = Batch(), list[tuple[Stage, bytes]](), list[Text](), 0
+        faulty = dict[str, str]()
+        try:
+            for topic, log_ns, _, _, data in sqlite_messages(self._path, self._condition):
+                stage = STAGE_OF_TOPIC.get(topic.name)
+                if stage and (fault := _fault(topic)):
+                    faulty[topic.name] = fault
+                    last.unreadable += 1
+                elif stage:
+                    events.append((stage, unpack_message(data)))
+                elif topic.name.startswith(TOPIC_PREFIX):
+                    texts.append(Text(topic.name, log_ns, unpack_message(data), self._shown_as, None))
+                size_bytes += len(data)
+                if len(events) >= _BATCH_ROWS or size_bytes >= _BATCH_BYTES:
+                    yield from _batches(events, texts)
+                    events, texts, size_bytes = [], [], 0
+        except UnreadableError as err:
+            if not self._condition.topics:
+                raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err})") from err
+            self._condition.damages.append(str(err))
+        yield from _batches(events, texts)
+        last.truncated = "; ".join(f"ends early, {damage}" for damage in self._condition.damages) or None
+        last.unreadable += sum(self._condition.unreadable[name] for name in STAGE_OF_TOPIC)
+        last.notes = [f"messages of {name} are not used: {why}" for name, why in faulty.items()]
+        yield last
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = 0
-    for _ in range(8):
-        value = value << 7 | data[at] & 0x7F
-        at += 1
-        if data[at - 1] < 0x80:
-            return value, at
-    return value << 8 | data[at], at + 1
+def _batches(events: list[tuple[Stage, bytes]], texts: list[Text]) -> Iterator[Batch]:
+    batch = event_batch(events)
+    batch.texts = texts
+    yield batch
 
 
-_SIZES = (0, 1, 2, 3, 4, 6, 8)
-
-
-def _values(payload: bytes) -> list[Any]:
-    head_end, at = _varint(payload, 0)
-    kinds = []
-    while at < head_end:
-        kind, at = _varint(payload, at)
-        kinds.append(kind)
-    values: list[Any] = []
-    for kind in kinds:
-        size = _SIZES[kind] if kind < len(_SIZES) else 8 if kind == 7 else 0 if kind < 12 else (kind - 12) // 2
-        data = payload[at : at + size]
-        if len(data) < size:
-            raise ValueError("a row is cut off")
-        at += size
-        if kind in {8, 9}:
-            values.append(kind - 8)
-        elif 0 < kind < len(_SIZES):
-            values.append(int.from_bytes(data, "big", signed=True))
-        elif kind < 12:
-            values.append(None)
-        else:
-            values.append(data if kind % 2 == 0 else data.decode())
-    return values
+def _fault(topic: RecordedTopic) -> str:
+    if topic.encoding != "cdr":
+        return f"they are encoded as {topic.encoding!r}, not 'cdr'"
+    return (
+        ""
+        if topic.message_type == EVENT_SCHEMA_NAME
+        else f"their type is {topic.message_type!r}, not {EVENT_SCHEMA_NAME!r}"
+    )

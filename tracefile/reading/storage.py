@@ -16,7 +16,7 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
-from .sqlite_source import SqliteSource
+from .sqlite_rows import SqliteSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

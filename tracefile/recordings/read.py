@@ -17,7 +17,8 @@ from ..mcapfile.chunks import unpack_zstd
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from ..reading.recorded import LATEST_NS, Condition, RawMessage, RecordedTopic, UnreadableError
 from ..reading.source import ZSTD_MAGIC
-from ..reading.sqlite_rows import SQLITE_MAGIC, sqlite_messages
+from ..reading.sqlite_pages import SQLITE_MAGIC
+from ..reading.sqlite_rows import sqlite_messages
 from .bag1 import BAG1_MAGIC, bag1_messages
 from .mcap_walk import McapWalk, WalkedMessage
 from .recording_files import missing_messages, open_recording

@@ -1,0 +1,240 @@
+"""Rows of all pages of a SQLite file, also of pages that SQLite no longer reaches (https://www.sqlite.org/fileformat.html)."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..mcapfile.blocks import most_unpacked_bytes
+from ..mcapfile.file import MAX_RECORD_BYTES
+from .recorded import Budget, UnreadableError
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+SQLITE_HEADER = struct.Struct(">H2xB7xI")
+"""After the magic: page size, bytes reserved in each page, and pages."""
+_CELLS = struct.Struct(">H")
+_LEAF_PAGE = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL)
+_LOGS = {"wal": (24, 0), "journal": (4, 4)}
+"""Bytes in front of and after a page in a log, the first four of them its number."""
+_INTERIOR, _PAGE_KINDS, _MOST_MOVES = 5, {2, 5, 10, 13}, 16
+_MOST_BEYOND = 1000
+"""Pages that a file may have lost."""
+_SEARCHED_BYTES = 1 << 20
+_USUAL_PAGE_BYTES = 4096
+
+
+def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
+    """Yield the rows of all leaf pages, wherever they are in the file; last those that go on in other pages."""
+    with path.open("rb") as file:
+        start = file.read(_SEARCHED_BYTES)
+    _, _, header = start.partition(SQLITE_MAGIC)
+    page_bytes, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
+    page_bytes = 65536 if page_bytes == 1 else page_bytes
+    if page_bytes < 512 or page_bytes & (page_bytes - 1):
+        page_bytes, reserved = _USUAL_PAGE_BYTES, 0
+    if not path.stat().st_size:
+        return
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        pages = _Pages(data, page_bytes, page_bytes - reserved, path.name.rpartition("-")[2])
+        cells, leaves = list[_Cell](), dict[int, int]()
+        for cell in pages.cells():
+            leaves[cell.page_at] = cell.row_id
+            if cell.size > len(cell.start):
+                cells.append(cell)
+                continue
+            with suppress(ValueError, IndexError):
+                values = _values(cell.start)
+                budget.take()
+                yield cell.row_id, values
+        if cells:
+            pages.find(leaves)
+        for is_last_try in (False, True):
+            cells_left, cells = cells, []
+            for cell in cells_left:
+                try:
+                    values = _values(pages.payload(cell, is_last_try=is_last_try))
+                except (ValueError, IndexError):
+                    cells.append(cell)
+                    continue
+                budget.take()
+                yield cell.row_id, values
+
+
+class _Cell(NamedTuple):
+    """A row of `size` bytes: its start on a leaf page, and the number of the page on which it goes on."""
+
+    row_id: int
+    size: int
+    start: bytes
+    number: int
+    page_at: int
+
+
+class _Pages:
+    """Pages that may be displaced; those on which rows go on have consecutive numbers, and begin with the next one's.
+
+    In a log each page follows its own number. `_moved` are displacements in bytes, of leaf pages by their offset.
+    """
+
+    def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, log: str) -> None:
+        self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
+        self._number_bytes, after_bytes = _LOGS.get(log, (0, 0))
+        self._stride = self._number_bytes + page_bytes + after_bytes
+        self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_BEYOND
+        self._places: dict[int, list[int]] = {}
+        self._ends: set[int] = set()
+        self._moved: dict[int, int] = {}
+        self._moves: list[int] = []
+
+    def cells(self) -> Iterator[_Cell]:
+        """Yield the rows on leaf pages, wherever these are."""
+        for match in _LEAF_PAGE.finditer(self._data):
+            at = match.start()
+            (cells,) = _CELLS.unpack_from(self._data, at + 3)
+            if len(self._data) - at < self._page_bytes or cells > self._page_bytes // 4:
+                continue
+            page = self._data[at : at + self._page_bytes]
+            offsets = struct.unpack_from(f">{cells}H", page, 8)
+            if at % self._page_bytes and not all(8 + 2 * cells <= offset < self._page_bytes for offset in offsets):
+                continue
+            for offset in offsets:
+                with suppress(ValueError, IndexError):
+                    yield self._cell(page, offset, at)
+
+    def _cell(self, page: bytes, offset: int, page_at: int) -> _Cell:
+        size, offset = _varint(page, offset)
+        row_id, offset = _varint(page, offset)
+        if size > MAX_RECORD_BYTES:
+            raise ValueError("no row is so long")
+        self._left_bytes -= size
+        if self._left_bytes < 0:
+            raise UnreadableError("its rows share their pages")
+        usable = self._usable_bytes
+        least = (usable - 12) * 32 // 255 - 23
+        local = least + (size - least) % (usable - 4)
+        local = size if size <= usable - 35 else local if local <= usable - 35 else least
+        number = int.from_bytes(page[offset + local : offset + local + 4], "big")
+        return _Cell(row_id, size, page[offset : offset + local], number, page_at)
+
+    def find(self, leaves: dict[int, int]) -> None:
+        """Find the pages with rows of several pages: at an offset like a leaf's, or in front of the page that they name."""
+        alignments = np.zeros(self._stride, bool)
+        alignments[[at % self._stride for at in leaves]] = True
+        children = dict[int, int]()
+        for start in range(0, len(self._data), _SEARCHED_BYTES):
+            part = self._data[start : start + _SEARCHED_BYTES + self._stride + 3]
+            content = np.zeros(_SEARCHED_BYTES + self._stride + 3, np.uint32)
+            content[: len(part)] = np.frombuffer(part, np.uint8)
+            numbers = content[:-3] << 24 | content[1:-2] << 16 | content[2:-1] << 8 | content[3:]
+            here, there = numbers[:_SEARCHED_BYTES], numbers[self._stride :]
+            pages_at = np.arange(start, start + _SEARCHED_BYTES) + self._number_bytes
+            is_aligned = alignments[pages_at % self._stride] & (pages_at <= len(self._data) - self._page_bytes)
+            is_page = (here > 0) & (here <= self._most) & (is_aligned | ((there == here + 1) & (here > 1)))
+            for number, at in zip(here[is_page].tolist(), pages_at[is_page].tolist(), strict=True):
+                self._places.setdefault(number - (not self._number_bytes), []).insert(0, at)
+            if not self._number_bytes:
+                self._ends.update(pages_at[is_aligned & (here == 0)].tolist())
+                for at in pages_at[is_aligned & (here >> 16 == _INTERIOR << 8)].tolist():
+                    children |= self._children(self._data[at : at + self._page_bytes])
+        if not self._number_bytes:
+            self._count_moves({at: children[last] for at, last in leaves.items() if last in children})
+
+    def _children(self, page: bytes) -> dict[int, int]:
+        """Return the numbers of the pages below an interior one by their last rows."""
+        children = dict[int, int]()
+        with suppress(IndexError, struct.error):
+            for offset in struct.unpack_from(f">{_CELLS.unpack_from(page, 3)[0]}H", page, 12):
+                children[_varint(page, offset + 4)[0]] = int.from_bytes(page[offset : offset + 4], "big")
+        return children
+
+    def _count_moves(self, leaves: dict[int, int]) -> None:
+        self._moved = {at: at - (number - 1) * self._page_bytes for at, number in leaves.items()}
+        moves = Counter(self._moved.values())
+        moves.update(at - (number - 1) * self._page_bytes for number, places in self._places.items() for at in places)
+        self._moves = [moved for moved, _ in moves.most_common(_MOST_MOVES)]
+        named = {self._following(at - self._page_bytes): at for at in self._ends}
+        self._ends -= {at for number, at in named.items() if 1 < number <= self._most and number not in self._places}
+
+    def payload(self, cell: _Cell, *, is_last_try: bool) -> bytes:
+        parts, used, number, size = [cell.start], set[int](), cell.number, cell.size - len(cell.start)
+        moved_bytes = self._moved.get(cell.page_at, cell.page_at % self._page_bytes)
+        while size > 0:
+            at = self._page(number, size, moved_bytes, is_last_try=is_last_try and len(parts) > 1)
+            if not number or self._following(at) < 0:
+                raise ValueError("a page is missing")
+            parts.append(self._data[at + 4 : at + 4 + min(size, self._usable_bytes - 4)])
+            size -= len(parts[-1])
+            used.add(at)
+            moved_bytes = at - (number - 1) * self._page_bytes
+            number = self._following(at)
+        if number:
+            raise ValueError("more pages follow than the row has")
+        self._ends -= used
+        return b"".join(parts)
+
+    def _page(self, number: int, size: int, moved_bytes: int, *, is_last_try: bool) -> int:
+        """Return the offset of a page of a row with `size` bytes from it on."""
+        further = -(-size // (self._usable_bytes - 4)) - 1
+        after = [number + step if further >= step else 0 for step in (1, 2)]
+
+        def fit(at: int) -> int:
+            if self._following(at) != after[0]:
+                return 0
+            following = self._following(at + self._stride)
+            return 1 + (following == after[1] if further else following <= self._most or following >> 24 in _PAGE_KINDS)
+
+        moves = () if self._number_bytes else (moved_bytes, moved_bytes - self._page_bytes, *self._moves)
+        placed = [(number - 1) * self._page_bytes + moved for moved in moves] + self._places.get(number, [])
+        if is_last_try and not further and len(self._ends) == 1:
+            placed += self._ends
+        return max(placed, key=fit, default=-1)
+
+    def _following(self, at: int) -> int:
+        """Return the number with which a page begins; -1 outside of the file."""
+        is_inside = 0 <= at <= len(self._data) - self._page_bytes
+        return int.from_bytes(self._data[at : at + 4], "big") if is_inside else -1
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for _ in range(8):
+        value = value << 7 | data[at] & 0x7F
+        at += 1
+        if data[at - 1] < 0x80:
+            return value, at
+    return value << 8 | data[at], at + 1
+
+
+_SIZES = (0, 1, 2, 3, 4, 6, 8)
+
+
+def _values(payload: bytes) -> list[Any]:
+    head_end, at = _varint(payload, 0)
+    kinds = []
+    while at < head_end:
+        kind, at = _varint(payload, at)
+        kinds.append(kind)
+    values: list[Any] = []
+    for kind in kinds:
+        size = _SIZES[kind] if kind < len(_SIZES) else 8 if kind == 7 else 0 if kind < 12 else (kind - 12) // 2
+        data = payload[at : at + size]
+        if len(data) < size:
+            raise ValueError("a row is cut off")
+        at += size
+        if kind in {8, 9}:
+            values.append(kind - 8)
+        elif 0 < kind < len(_SIZES):
+            values.append(int.from_bytes(data, "big", signed=True))
+        elif kind < 12:
+            values.append(None)
+        else:
+            values.append(data if kind % 2 == 0 else data.decode())
+    return values

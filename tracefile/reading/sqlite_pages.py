@@ -91,6 +91,7 @@ class _Pages:
         self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_BEYOND
         self._places: dict[int, list[int]] = {}
         self._ends: set[int] = set()
+        self._named: dict[int, int] = {}
         self._moved: dict[int, int] = {}
         self._moves: list[int] = []
 
@@ -121,8 +122,11 @@ class _Pages:
         least = (usable - 12) * 32 // 255 - 23
         local = least + (size - least) % (usable - 4)
         local = size if size <= usable - 35 else local if local <= usable - 35 else least
-        number = int.from_bytes(page[offset + local : offset + local + 4], "big")
-        return _Cell(row_id, size, page[offset : offset + local], number, page_at)
+        start, number = page[offset : offset + local], int.from_bytes(page[offset + local : offset + local + 4], "big")
+        kinds, at = _kinds(start)
+        if at + sum(map(_size_bytes, kinds)) != size:
+            raise ValueError("the columns of a row are as long as the row")
+        return _Cell(row_id, size, start, number, page_at)
 
     def find(self, leaves: dict[int, int]) -> None:
         """Find the pages with rows of several pages: at an offset like a leaf's, or in front of the page that they name."""
@@ -160,8 +164,11 @@ class _Pages:
         moves = Counter(self._moved.values())
         moves.update(at - (number - 1) * self._page_bytes for number, places in self._places.items() for at in places)
         self._moves = [moved for moved, _ in moves.most_common(_MOST_MOVES)]
-        named = {self._following(at - self._page_bytes): at for at in self._ends}
-        self._ends -= {at for number, at in named.items() if 1 < number <= self._most and number not in self._places}
+        named = {at: self._following(at - self._page_bytes) for at in self._ends}
+        self._named = {
+            at: number for at, number in named.items() if 1 < number <= self._most and number not in self._places
+        }
+        self._ends -= self._named.keys()
 
     def payload(self, cell: _Cell, *, is_last_try: bool) -> bytes:
         parts, used, number, size = [cell.start], set[int](), cell.number, cell.size - len(cell.start)
@@ -186,7 +193,7 @@ class _Pages:
         after = [number + step if further >= step else 0 for step in (1, 2)]
 
         def fit(at: int) -> int:
-            if self._following(at) != after[0]:
+            if self._following(at) != after[0] or self._named.get(at, number) != number:
                 return 0
             following = self._following(at + self._stride)
             return 1 + (following == after[1] if further else following <= self._most or following >> 24 in _PAGE_KINDS)
@@ -216,19 +223,26 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 _SIZES = (0, 1, 2, 3, 4, 6, 8)
 
 
-def _values(payload: bytes) -> list[Any]:
+def _size_bytes(kind: int) -> int:
+    return _SIZES[kind] if kind < len(_SIZES) else 8 if kind == 7 else 0 if kind < 12 else (kind - 12) // 2
+
+
+def _kinds(payload: bytes) -> tuple[list[int], int]:
+    """Return the kinds of a row's columns, and the offset of the first column."""
     head_end, at = _varint(payload, 0)
     kinds = []
     while at < head_end:
         kind, at = _varint(payload, at)
         kinds.append(kind)
+    return kinds, at
+
+
+def _values(payload: bytes) -> list[Any]:
+    kinds, at = _kinds(payload)
     values: list[Any] = []
     for kind in kinds:
-        size = _SIZES[kind] if kind < len(_SIZES) else 8 if kind == 7 else 0 if kind < 12 else (kind - 12) // 2
-        data = payload[at : at + size]
-        if len(data) < size:
-            raise ValueError("a row is cut off")
-        at += size
+        data = payload[at : at + _size_bytes(kind)]
+        at += len(data)
         if kind in {8, 9}:
             values.append(kind - 8)
         elif 0 < kind < len(_SIZES):

@@ -76,7 +76,7 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
                 yield message
         except (sqlite3.Error, MemoryError) as err:
             fault = fault or f"it is damaged ({err})"
-        has_gaps = not seen or max(seen) - min(seen) >= len(seen)
+        has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
         is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < size_bytes * _LEAST_REACHED
         rows = _unreached_rows(
             [file for file in files if is_in_doubt or file.name.endswith("-wal")], budget, seen, topics

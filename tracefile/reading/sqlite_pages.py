@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from bisect import bisect
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -57,8 +58,8 @@ def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]
         if cells:
             pages.find(leaves)
         for is_last_try in (False, True):
-            cells_left, cells = cells, []
-            for cell in cells_left:
+            remaining, cells = cells, []
+            for cell in remaining:
                 try:
                     values = _values(pages.payload(cell, is_last_try=is_last_try))
                 except (ValueError, IndexError):
@@ -79,9 +80,9 @@ class _Cell(NamedTuple):
 
 
 class _Pages:
-    """Pages that may be displaced; those on which rows go on have consecutive numbers, and begin with the next one's.
+    """Pages that may be discandidates; those on which rows go on have consecutive numbers, and begin with the next one's.
 
-    In a log each page follows its own number. `_moved` are displacements in bytes, of leaf pages by their offset.
+    In a log each page follows its own number. `_moved` has offsets of pages, and how far they were moved in bytes.
     """
 
     def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, log: str) -> None:
@@ -89,10 +90,10 @@ class _Pages:
         self._number_bytes, after_bytes = _LOGS.get(log, (0, 0))
         self._stride = self._number_bytes + page_bytes + after_bytes
         self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_BEYOND
-        self._places: dict[int, list[int]] = {}
+        self._offsets: dict[int, list[int]] = {}
         self._ends: set[int] = set()
-        self._named: dict[int, int] = {}
-        self._moved: dict[int, int] = {}
+        self._end_numbers: dict[int, int] = {}
+        self._moved: list[tuple[int, int]] = []
         self._moves: list[int] = []
 
     def cells(self) -> Iterator[_Cell]:
@@ -137,19 +138,23 @@ class _Pages:
             part = self._data[start : start + _SEARCHED_BYTES + self._stride + 3]
             content = np.zeros(_SEARCHED_BYTES + self._stride + 3, np.uint32)
             content[: len(part)] = np.frombuffer(part, np.uint8)
-            numbers = content[:-3] << 24 | content[1:-2] << 16 | content[2:-1] << 8 | content[3:]
-            here, there = numbers[:_SEARCHED_BYTES], numbers[self._stride :]
+            leading = content[:-3] << 24 | content[1:-2] << 16 | content[2:-1] << 8 | content[3:]
+            numbers, next_numbers = leading[:_SEARCHED_BYTES], leading[self._stride :]
             pages_at = np.arange(start, start + _SEARCHED_BYTES) + self._number_bytes
             is_aligned = alignments[pages_at % self._stride] & (pages_at <= len(self._data) - self._page_bytes)
-            is_page = (here > 0) & (here <= self._most) & (is_aligned | ((there == here + 1) & (here > 1)))
-            for number, at in zip(here[is_page].tolist(), pages_at[is_page].tolist(), strict=True):
-                self._places.setdefault(number - (not self._number_bytes), []).insert(0, at)
+            is_page = (
+                (numbers > 0) & (numbers <= self._most) & (is_aligned | ((next_numbers == numbers + 1) & (numbers > 1)))
+            )
+            for number, at in zip(numbers[is_page].tolist(), pages_at[is_page].tolist(), strict=True):
+                self._offsets.setdefault(number - (not self._number_bytes), []).insert(0, at)
             if not self._number_bytes:
-                self._ends.update(pages_at[is_aligned & (here == 0)].tolist())
-                for at in pages_at[is_aligned & (here >> 16 == _INTERIOR << 8)].tolist():
+                self._ends.update(pages_at[is_aligned & (numbers == 0)].tolist())
+                for at in pages_at[is_aligned & (numbers >> 16 == _INTERIOR << 8)].tolist():
                     children |= self._children(self._data[at : at + self._page_bytes])
         if not self._number_bytes:
-            self._count_moves({at: children[last] for at, last in leaves.items() if last in children})
+            self._count_moves(
+                [(children[last], at) for at, last in leaves.items() if 0 < children.get(last, 0) <= self._most]
+            )
 
     def _children(self, page: bytes) -> dict[int, int]:
         """Return the numbers of the pages below an interior one by their last rows."""
@@ -159,22 +164,25 @@ class _Pages:
                 children[_varint(page, offset + 4)[0]] = int.from_bytes(page[offset : offset + 4], "big")
         return children
 
-    def _count_moves(self, leaves: dict[int, int]) -> None:
-        self._moved = {at: at - (number - 1) * self._page_bytes for at, number in leaves.items()}
-        moves = Counter(self._moved.values())
-        moves.update(at - (number - 1) * self._page_bytes for number, places in self._places.items() for at in places)
+    def _count_moves(self, leaves: list[tuple[int, int]]) -> None:
+        pages = sorted(
+            (at, at - (number - 1) * self._page_bytes)
+            for number, at in [*leaves, *((number, at) for number, offsets in self._offsets.items() for at in offsets)]
+        )
+        moves = Counter(moved for _, moved in pages)
         self._moves = [moved for moved, _ in moves.most_common(_MOST_MOVES)]
-        named = {at: self._following(at - self._page_bytes) for at in self._ends}
-        self._named = {
-            at: number for at, number in named.items() if 1 < number <= self._most and number not in self._places
+        self._moved = [(at, moved) for at, moved in pages if moves[moved] > 1]
+        preceding = {at: self._following(at - self._page_bytes) for at in self._ends}
+        self._end_numbers = {
+            at: number for at, number in preceding.items() if 1 < number <= self._most and number not in self._offsets
         }
-        self._ends -= self._named.keys()
+        self._ends -= self._end_numbers.keys()
 
     def payload(self, cell: _Cell, *, is_last_try: bool) -> bytes:
         parts, used, number, size = [cell.start], set[int](), cell.number, cell.size - len(cell.start)
-        moved_bytes = self._moved.get(cell.page_at, cell.page_at % self._page_bytes)
+        moved_bytes = self._moved_near(cell.page_at)
         while size > 0:
-            at = self._page(number, size, moved_bytes, is_last_try=is_last_try and len(parts) > 1)
+            at = self._page(number, size, moved_bytes, is_last_try=is_last_try)
             if not number or self._following(at) < 0:
                 raise ValueError("a page is missing")
             parts.append(self._data[at + 4 : at + 4 + min(size, self._usable_bytes - 4)])
@@ -187,22 +195,29 @@ class _Pages:
         self._ends -= used
         return b"".join(parts)
 
+    def _moved_near(self, page_at: int) -> int:
+        index = bisect(self._moved, (page_at + 1,))
+        near = [
+            page for page in self._moved[max(index - 1, 0) : index + 1] if (page[0] - page_at) % self._page_bytes == 0
+        ]
+        return min(near, key=lambda page: abs(page[0] - page_at), default=(0, page_at % self._page_bytes))[1]
+
     def _page(self, number: int, size: int, moved_bytes: int, *, is_last_try: bool) -> int:
         """Return the offset of a page of a row with `size` bytes from it on."""
         further = -(-size // (self._usable_bytes - 4)) - 1
         after = [number + step if further >= step else 0 for step in (1, 2)]
 
         def fit(at: int) -> int:
-            if self._following(at) != after[0] or self._named.get(at, number) != number:
+            if self._following(at) != after[0] or self._end_numbers.get(at, number) != number:
                 return 0
             following = self._following(at + self._stride)
             return 1 + (following == after[1] if further else following <= self._most or following >> 24 in _PAGE_KINDS)
 
         moves = () if self._number_bytes else (moved_bytes, moved_bytes - self._page_bytes, *self._moves)
-        placed = [(number - 1) * self._page_bytes + moved for moved in moves] + self._places.get(number, [])
+        candidates = [(number - 1) * self._page_bytes + moved for moved in moves] + self._offsets.get(number, [])
         if is_last_try and not further and len(self._ends) == 1:
-            placed += self._ends
-        return max(placed, key=fit, default=-1)
+            candidates += self._ends
+        return max(candidates, key=fit, default=-1)
 
     def _following(self, at: int) -> int:
         """Return the number with which a page begins; -1 outside of the file."""

@@ -77,6 +77,9 @@ Out = Annotated[
     Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces")
 ]
 ShowsAll = Annotated[bool, option("--all", "Print findings and tables of all results, too, and the answer last.")]
+Card = Annotated[
+    bool, option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card.")
+]
 Opens = Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")]
 
 
@@ -126,10 +129,7 @@ def analyze_command(
             "--fail-if LIMIT", "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; repeatable."
         ),
     ] = None,
-    card: Annotated[
-        bool,
-        option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card."),
-    ] = False,
+    card: Card = False,
     open_it: Opens = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:

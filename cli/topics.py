@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
+from dds_trace.analyzer.exports.perfetto import topic_slices, write_slices
 from dds_trace.analyzer.recordings.card import DAMAGED, HOLES, OTHER_CLOCK_NS
 from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
-from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
+from dds_trace.reports.card import write_picture
+from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page, topics_card
 from dds_trace.reports.topics.words import JudgedTopic
 
 from .limits_file import topic_limits_text, write_limits
@@ -41,9 +43,12 @@ def report_topics(
     gates: Sequence[Gate],
     clock: StampCorrector | None = None,
     limits_out: Path | None = None,
+    *,
+    card: bool = False,
 ) -> tuple[int, list[Path]]:
-    if others := sorted({*exports} - EXPORTERS.keys()):
-        raise OptionError(f"a bag exports {' and '.join(EXPORTERS)}; leave out --export {others[0]}")
+    if others := sorted({*exports} - {*EXPORTERS, "perfetto"}):
+        kinds_of_bags = ", ".join([*EXPORTERS, "perfetto"])
+        raise OptionError(f"a bag has no round trips: it exports {kinds_of_bags}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report.topics, report.holes, gates))
     print_topics(report, judged)
@@ -52,9 +57,14 @@ def report_topics(
             say(f"{source.path}: {source.status}: {source.detail}")
     files = [_FILES[kind] for kind in dict.fromkeys(kinds) if kind in _FILES]
     written = [write_text_file(folder / name, render(report, judged)) for name, render in files]
-    written += [
-        write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())) for kind in exports
-    ]
+    for kind in exports:
+        if kind == "perfetto":
+            written.append(write_file(folder / "topics.pftrace", partial(write_slices, topic_slices(report))))
+        else:
+            written.append(write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())))
+    if card:
+        folder.mkdir(parents=True, exist_ok=True)
+        written += write_picture(*topics_card(report), folder, say)
     if limits_out is not None:
         write_limits(topic_limits_text(report.topics), limits_out)
     if report.verdict == DAMAGED:

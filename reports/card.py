@@ -91,9 +91,12 @@ def _svg_text(title: str, marks: Sequence[Mark]) -> str:
 
 
 def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    return write_picture(_verdict(book)[1], card_marks(book), folder, say)
+
+
+def write_picture(title: str, marks: Sequence[Mark], folder: Path, say: Callable[[str], None]) -> list[Path]:
     svg, png = folder / "card.svg", folder / "card.png"
-    marks = card_marks(book)
-    svg.write_text(_svg_text(_verdict(book)[1], marks), encoding="utf-8")
+    svg.write_text(_svg_text(title, marks), encoding="utf-8")
     try:
         _draw_png(marks, png)
     except ModuleNotFoundError:
@@ -112,21 +115,21 @@ def card_marks(book: Book) -> list[Mark]:
     when = facts.get("When", "")
     wide = WIDTH - 2 * EDGE
     marks: list[Mark] = [
-        _line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
+        card_line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
         Words(WIDTH - EDGE, 66, 20, when, SOFT, anchor="end"),
     ]
     losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")
     pitch = min(56, 230 / max(1, len(rows)))
     bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
-    size, lines = _fitted(sentence, bottom - 84)
+    size, lines = fitted(sentence, bottom - 84)
     y = 84.0
     for line in lines:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
     if losses:
-        whole = _line(EDGE, y + 42, 22, losses, wide, BAD)
+        whole = card_line(EDGE, y + 42, 22, losses, wide, BAD)
         shortest = f"{losses.partition(', all of them')[0]}."
-        marks.append(whole if whole.text == losses else _line(EDGE, y + 42, 22, shortest, wide, BAD))
+        marks.append(whole if whole.text == losses else card_line(EDGE, y + 42, 22, shortest, wide, BAD))
     if rows:
         marks += _dots(rows, 546 - pitch * len(rows), pitch)
     where = f"Measured on {place_of(case) if case else facts['Devices']}" if case or "Devices" in facts else ""
@@ -134,8 +137,8 @@ def card_marks(book: Book) -> list[Mark]:
     more = f"; {counted(others, 'more pair')} of devices and links in the report" if others > 0 and case else ""
     versions = ", ".join(filter(None, (f"dds-trace {__version__}", facts.get("Versions", ""))))
     marks.append(Bar((EDGE, 558, WIDTH - EDGE, 558), GRID, 1))
-    marks.append(_line(EDGE, 586, 20, where + more, wide))
-    marks.append(_line(EDGE, 612, 16, versions, wide, SOFT))
+    marks.append(card_line(EDGE, 586, 20, where + more, wide))
+    marks.append(card_line(EDGE, 612, 16, versions, wide, SOFT))
     return marks
 
 
@@ -199,7 +202,7 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
     varying = [name for name in names if len({getattr(row, name) for row in rows}) > 1] or ["setup"]
     what = first.message if "message" not in varying else "each message" if "setup" in varying else first.setup
     caption = f"Median latency of {what}, with its 95 % interval ({scale})"
-    yield _line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
+    yield card_line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
     yield Bar((left, top, left, top + pitch * len(rows)), GRID, 2)
 
     def at(ns: float) -> float:
@@ -208,7 +211,7 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
 
     for index, row in enumerate(rows):
         y, label = top + pitch * (index + 0.5), ", ".join(getattr(row, name) for name in varying)
-        yield _line(EDGE, y + 7, 20, label, LABELS - 12, is_bold=row.leads)
+        yield card_line(EDGE, y + 7, 20, label, LABELS - 12, is_bold=row.leads)
         if row.is_finite and row.median_ns is not None:
             yield Bar((left, y, right, y), "#eef0f3", 1)
             yield Bar((at(row.low_ns), y, at(row.high_ns), y), row.color, 4)
@@ -217,17 +220,17 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
         yield Words(WIDTH - EDGE, y + 7, 20, time, INK, row.leads, "end")
 
 
-def _fitted(sentence: str, height: float) -> tuple[float, list[str]]:
+def fitted(sentence: str, height: float) -> tuple[float, list[str]]:
     """Return the largest size at which the sentence fits; what does not fit at the smallest is left to the report."""
     for size in (44, 38, 33, 28, 24):
         lines = textwrap.wrap(sentence, int((WIDTH - 2 * EDGE) / (size * BOLD_CHARACTER)))
         if 1.25 * size * len(lines) <= height:
             return size, lines
     parts = sentence.removesuffix("; more in the report.").rsplit("; ", 1)
-    return _fitted(f"{parts[0]}; more in the report.", height) if len(parts) > 1 else (24, lines[: int(height / 30)])
+    return fitted(f"{parts[0]}; more in the report.", height) if len(parts) > 1 else (24, lines[: int(height / 30)])
 
 
-def _line(
+def card_line(
     x: float, y: float, size: float, text: str, width: float, color: str = INK, *, is_bold: bool = False
 ) -> Words:
     """Shrink a long line by up to a quarter, and cut the rest."""

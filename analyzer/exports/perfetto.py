@@ -7,7 +7,8 @@ clock of the first device, the others' by the fits of their clocks.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,10 +16,12 @@ import numpy as np
 import polars as pl
 
 from dds_trace.base.printable import printable
+from dds_trace.base.units import counted
 
 from ..analysis import Analysis
 from ..clocks.boots import ping_wall_offsets
 from ..clocks.fit import Int64
+from ..recordings.topics import TopicReport
 
 MOST_SLICES = 100_000
 """More messages are thinned evenly."""
@@ -38,7 +41,12 @@ class Slice(NamedTuple):
 
 
 def write_perfetto(analysis: Analysis, path: Path) -> None:
-    """Write the timeline.
+    """Write the timeline as `write_slices` does."""
+    write_slices(timeline_slices(analysis), path)
+
+
+def write_slices(slices: Iterable[Slice], path: Path) -> None:
+    """Write a timeline.
 
     Raises:
         ModuleNotFoundError: the extra is not installed.
@@ -46,7 +54,6 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
     from perfetto.protos.perfetto.trace.perfetto_trace_pb2 import TrackEvent  # noqa: PLC0415 - optional
     from perfetto.trace_builder.proto_builder import StreamingTraceProtoBuilder  # noqa: PLC0415 - optional
 
-    slices = sorted(timeline_slices(analysis), key=lambda part: (part.begin_ns, part.end_ns))
     tracks: dict[tuple[str, str, int], int] = {}
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
     with path.open("wb") as file:
@@ -63,7 +70,7 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
                 builder.write_packet(packet)
             return tracks[key]
 
-        for event in slices:
+        for event in sorted(slices, key=lambda part: (part.begin_ns, part.end_ns)):
             ends = free[event.device, event.lane]
             lane = next((number for number, end_ns in enumerate(ends) if end_ns <= event.begin_ns), len(ends))
             ends[lane : lane + 1] = [event.end_ns]
@@ -80,6 +87,23 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
                     packet.track_event.name = printable(event.name)
                     packet.track_event.flow_ids.append(event.message)
                 builder.write_packet(packet)
+
+
+def topic_slices(report: TopicReport) -> Iterator[Slice]:
+    """Yield the stretches with messages of each topic of recordings, and the holes between them."""
+    starts_ns, numbers = {health.path: health.start_ns for health in report.recordings}, count(1)
+    for row in report.topics.iter_rows(named=True):
+        recording, topic, at_ns = row["recording"], row["topic"], row["start_ns"]
+        parts: list[tuple[str, int, int]] = []
+        for hole in report.holes.filter(recording=recording, topic=topic).iter_rows(named=True):
+            begin_ns = starts_ns[recording] + round(hole["start_s"] * 1e9)
+            end_ns = begin_ns + round(hole["duration_s"] * 1e9)
+            parts += [("messages", at_ns, begin_ns), (f"hole: {counted(hole['missing'], 'message')}", begin_ns, end_ns)]
+            at_ns = end_ns
+        parts.append(("messages", at_ns, row["start_ns"] + row["duration_ns"]))
+        for name, begin_ns, end_ns in parts:
+            if end_ns > begin_ns:
+                yield Slice(recording, topic, name, begin_ns, end_ns, next(numbers))
 
 
 def timeline_slices(analysis: Analysis) -> Iterator[Slice]:

@@ -23,8 +23,8 @@ OTHER_CLOCK_NS = DAY_NS
 
 _MOST_HOLES = 1000
 STRIP_PARTS = 60
-WHOLE, HOLES, DAMAGED = "whole", "holes", "damaged"
-"""Verdicts, the worst last."""
+WHOLE, HOLES, DAMAGED = VERDICTS = "whole", "holes", "damaged"
+"""The worst last."""
 
 _STALL_PERIODS = 2.5
 """Least silence of all topics in periods of the fastest one."""
@@ -134,7 +134,7 @@ class Card:
             **timing(times.log_ns),
             "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
-            **ages(times.log_ns, times.publish_ns, times.stamp_ns),
+            **ages(times.log_ns, times.publish_ns, times.stamp_ns, self._start_ns),
             **bursts(times.log_ns),
             "age_bound_ns": topic.bound_ns,
             "expected_rate_hz": regularity.rate_hz if regularity else None,

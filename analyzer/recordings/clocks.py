@@ -25,6 +25,7 @@ _AHEAD_NS = {37 * 10**9: "TAI", 18 * 10**9: "GPS time"}
 _AHEAD_WITHIN_NS = 600_000_000
 _TOO_SLOW = 0.02
 _GROWTH, _LEAST_GROWTH_NS, _AGE_PARTS = 3.0, 100_000_000, 20
+_FEWEST_RISING, _LEAST_FIT = 5, 0.95
 
 
 def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -87,8 +88,13 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
         clock_steps = _steps(name, stamps)
         if len(clock_steps) <= _MOST_STEPS:
             steps += clock_steps
-        if not clock_steps and (growth := _growth(name, stamps)):
-            yield growth
+        since_ns = None if clock_steps else growth_since_ns(*stamps)
+        if since_ns is not None:
+            first_age, last_age = map(format_duration, age_course(stamps.age_ns))
+            when = f"since {clock_words((since_ns - start_ns) / 1e9)}" if since_ns > stamps.log_ns[0] else "all the time"
+            yield (
+                f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
+            )
     while steps:
         first = steps[0]
         same = [step for step in steps if _is_same(step, first)]
@@ -129,18 +135,23 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
     return bool(between.any())
 
 
+def count_latched(stamps: Stamps, start_ns: int) -> int:
+    """Return how many transient-local messages were stamped before the recording began."""
+    log_ns, stamp_ns = stamps
+    early = (log_ns < start_ns + 2 * 10**9) & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
+    count = int(early.sum())
+    is_start = len(log_ns) < _FEWEST or (count < len(log_ns) / 2 and float(np.median(stamps.age_ns[~early])) < _JUMP_NS)
+    return count if is_start else 0
+
+
 def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
     log_ns, stamp_ns = stamps
     ages_ns = stamps.age_ns
-    early = (log_ns < start_ns + 2 * 10**9) & (stamp_ns < start_ns - _JUMP_NS) & (ages_ns > _JUMP_NS)
-    later_ns = ages_ns[~early]
-    is_latched = early.any() and (
-        len(log_ns) < _FEWEST or (early.sum() < len(log_ns) / 2 and float(np.median(later_ns)) < _JUMP_NS)
-    )
-    if is_latched:
-        oldest = format_duration(start_ns - int(stamp_ns[early].min()))
+    latched = count_latched(stamps, start_ns)
+    if latched:
+        oldest = format_duration(start_ns - int(stamp_ns.min()))
         yield (
-            f"{counted(int(early.sum()), 'message')} of {topic} {'was' if early.sum() == 1 else 'were'} stamped up to {oldest} before the "
+            f"{counted(latched, 'message')} of {topic} {'was' if latched == 1 else 'were'} stamped up to {oldest} before the "
             "recording began: transient-local messages of nodes that started earlier, not an age"
         )
         return
@@ -214,16 +225,24 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     ]
 
 
-def _growth(topic: str, stamps: Stamps) -> str:
-    ages_ns = stamps.age_ns
+def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
+    """Return the log time since which the age grows to the end; None of another course.
+
+    A steady age and a straight rise are fitted to the medians of parts (least squares), for each part in which the rise may begin.
+    """
+    ages_ns = log_ns - stamp_ns
     if len(ages_ns) < 2 * _AGE_PARTS or abs(float(np.median(ages_ns))) > DAY_NS:
-        return ""
+        return None
     start_ns, end_ns = age_course(ages_ns)
-    rising = int((np.diff([np.median(part) for part in np.array_split(ages_ns, _AGE_PARTS)]) > 0).sum())
-    if rising < 0.75 * _AGE_PARTS or end_ns < max(_GROWTH * start_ns, start_ns + _LEAST_GROWTH_NS):
-        return ""
-    course = f"from {format_duration(start_ns)} to {format_duration(end_ns)}"
-    return f"the age of {topic} grows {course}, all the time: a queue that fills, or a clock that runs at another speed"
+    if end_ns < max(_GROWTH * start_ns, start_ns + _LEAST_GROWTH_NS):
+        return None
+    levels_ns = np.array([np.median(part) for part in np.array_split(ages_ns, _AGE_PARTS)])
+    if np.ptp(levels_ns) == 0:
+        return None
+    middles, firsts = np.arange(_AGE_PARTS) + 0.5, np.arange(0, _AGE_PARTS - _FEWEST_RISING, 0.5)
+    fits = [float(np.corrcoef(levels_ns, np.maximum(middles - first, 0))[0, 1]) for first in firsts]
+    best = int(np.argmax(fits))
+    return int(log_ns[int(len(log_ns) * firsts[best] / _AGE_PARTS)]) if fits[best] > _LEAST_FIT else None
 
 
 def age_course(age_ns: Int64) -> tuple[float, float]:

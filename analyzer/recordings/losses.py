@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -57,8 +57,8 @@ class TopicTimes:
     is_ros1: bool = False
     is_command: bool = False
     lost: tuple[int, int] | None = None
-    left_out: int = 0
-    """Messages with such stamps that were logged by another clock."""
+    left_out_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
+    """Such stamps of messages that were logged by another clock."""
 
     def find_losses(self, start_ns: int, end_ns: int) -> Losses:
         losses = self._by_rhythm(start_ns, end_ns)
@@ -80,7 +80,7 @@ class TopicTimes:
             if len(steps) > 1 and (steps == 1).mean() >= 0.5:
                 is_counter = True
                 missing += int((steps[(steps > 1) & (steps < _LARGEST_STEP)] - 1).sum())
-        return max(missing - self.left_out, 0) if is_counter else None
+        return max(missing - len(self.left_out_ns), 0) if is_counter else None
 
     def _steps_at(self, hole: Hole) -> int:
         at = int(np.searchsorted(self.log_ns, hole.start_ns))
@@ -134,14 +134,19 @@ class TopicTimes:
         steps = float(stamps_ns[-1] - stamps_ns[0]) / grid.period_ns
         is_same_clock = abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
         period_ns = grid.period_ns if is_same_clock else float(log_ns[-1] - log_ns[0]) / steps
-        holes, jumped = [], self.left_out
+        holes, jumped = [], 0
         for hole in grid.holes:
             at = int(np.searchsorted(stamps_ns, hole.start_ns))
-            if is_same_clock and hole.duration_ns > 10**9 and log_ns[at] < stamps_ns[at] - hole.duration_ns // 2:
-                jumped += hole.missing  # the clock that stamps them was set
+            left_out = ((self.left_out_ns > stamps_ns[at - 1]) & (self.left_out_ns < stamps_ns[at])).sum()
+            missing = max(hole.missing - int(left_out), 0)
+            jumped += hole.missing - missing
+            if not missing:
                 continue
-            duration_ns = max(float(log_ns[at] - log_ns[at - 1]) - period_ns, hole.missing * period_ns)
-            holes.append(Hole(round(log_ns[at - 1] + period_ns), round(duration_ns), hole.missing))
+            if is_same_clock and hole.duration_ns > 10**9 and log_ns[at] < stamps_ns[at] - hole.duration_ns // 2:
+                jumped += missing  # the clock that stamps them was set
+                continue
+            duration_ns = max(float(log_ns[at] - log_ns[at - 1]) - period_ns, missing * period_ns)
+            holes.append(Hole(round(log_ns[at - 1] + period_ns), round(duration_ns), missing))
         missing, holes = max(grid.missing - jumped, 0), sorted(holes, key=lambda hole: hole.start_ns)
         return replace(grid, period_ns=period_ns, missing=missing, low=missing, high=missing, holes=holes)
 

@@ -115,11 +115,13 @@ class TopicMessages:
         order = inside if len(inside) else order
         stamps = self.column("stamp_ns")
         stamped_within = (stamps >= stamps[order].min()) & (stamps <= stamps[order].max())
-        left_out = int(stamped_within.sum() - stamped_within[order].sum())
+        stamped_within[order] = False
         log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
         is_ros1 = self.topic.encoding == "ros1"
         commands = is_command(self.topic.name, self.topic.message_type)
-        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, left_out)
+        return TopicTimes(
+            log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, stamps[stamped_within]
+        )
 
 
 @lru_cache(maxsize=10_000)

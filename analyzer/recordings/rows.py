@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from ..model.metrics import frame_schema
-from .clocks import age_course
+from .clocks import Stamps, age_course, count_latched, growth_since_ns
 from .losses import NONE
 from .periods import Int64
 
@@ -30,7 +30,7 @@ TOPIC_SCHEMA = frame_schema(
     "age_messages:u64 age_negative:u64 age_min_ns:i64 age_p50_ns:f64 age_p99_ns:f64 age_max_ns:i64 "
     "stamps_backwards:u64 expected_rate_hz:f64 missing_from:str missing:u64 missing_low:u64 missing_high:u64 "
     "missing_inside:u64 lost_in_transport:u64 lost_in_recorder:u64 copies:u64 qos:str age_bound_ns:i64 "
-    "age_start_ns:f64 age_end_ns:f64 age_resolution_ns:i64 burst_messages:u64 burst_ns:f64 burst_pause_ns:f64"
+    "age_start_ns:f64 age_end_ns:f64 age_since_ns:i64 age_max_at_ns:i64 age_resolution_ns:i64 latched:u64 burst_messages:u64 burst_ns:f64 burst_pause_ns:f64"
 )
 
 HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 inside:bool")
@@ -62,17 +62,18 @@ def sizes(payload_bytes: Int64, duration_ns: int) -> Row:
     }
 
 
-def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
+def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, recording_ns: int) -> Row:
     stamped = stamp_ns != NONE
     published = publish_ns != NONE
     if stamped.any():
-        age_from, age_ns = "header", (log_ns - stamp_ns)[stamped]
+        age_from, log_ns, stamp_ns = "header", log_ns[stamped], stamp_ns[stamped]
     elif (published & (publish_ns != log_ns)).any():  # most recorders write the log time twice
-        age_from, age_ns = "publish", (log_ns - publish_ns)[published]
+        age_from, log_ns, stamp_ns = "publish", log_ns[published], publish_ns[published]
     else:
         return {"age_from": None}
+    age_ns = log_ns - stamp_ns
     start_ns, end_ns = age_course(age_ns)
-    return {
+    row: Row = {
         "age_from": age_from,
         "age_messages": len(age_ns),
         "age_negative": int((age_ns < 0).sum()),
@@ -82,9 +83,16 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
         "age_max_ns": int(age_ns.max()),
         "age_start_ns": start_ns,
         "age_end_ns": end_ns,
-        "age_resolution_ns": _resolution_ns(stamp_ns[stamped]) if age_from == "header" else None,
-        "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()) if age_from == "header" else None,
+        "age_since_ns": growth_since_ns(log_ns, stamp_ns),
+        "age_max_at_ns": int(log_ns[np.argmax(age_ns)]),
     }
+    if age_from == "header":
+        row |= {
+            "age_resolution_ns": _resolution_ns(stamp_ns),
+            "stamps_backwards": int((np.diff(stamp_ns) < 0).sum()),
+            "latched": count_latched(Stamps(log_ns, stamp_ns), recording_ns),
+        }
+    return row
 
 
 def _resolution_ns(stamp_ns: Int64) -> int | None:

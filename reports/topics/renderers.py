@@ -14,7 +14,7 @@ from markupsafe import Markup
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.analyzer.recordings.card import RecordingHealth
+from dds_trace.analyzer.recordings.card import VERDICTS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
@@ -22,6 +22,7 @@ from dds_trace.base.streams import plain_console
 from dds_trace.base.units import clock_words
 
 from ..book.groups import markdown
+from ..card import BAD, EDGE, INK, LABELS, MOST_ROWS, SOFT, TIMES, WIDTH, Bar, Mark, Words, card_line, fitted
 from .words import (
     COLUMNS,
     HOW_TO_READ,
@@ -29,10 +30,9 @@ from .words import (
     Row,
     cells,
     facts_words,
-    hole_lines,
     pause_lines,
     seconds_words,
-    topic_notes,
+    topic_lines,
     topics_of,
     verdict_words,
 )
@@ -79,7 +79,7 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-WIDTH = 80
+TERMINAL_WIDTH = 80
 _LONGEST_NAME = 28
 _LEVELS = "·▁▂▃▄▅▆▇█"
 _STYLES = {"whole": "green", "holes": "yellow", "damaged": "red"}
@@ -92,7 +92,7 @@ def strip_text(strip: Sequence[float], *, is_periodic: bool) -> str:
 
 
 def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> None:
-    console = plain_console(width=None if sys.stdout.isatty() else WIDTH)
+    console = plain_console(width=None if sys.stdout.isatty() else TERMINAL_WIDTH)
     for health in report.recordings:
         topics = topics_of(report, health.path)
         rows = [row for row, _, _ in topics]
@@ -110,8 +110,7 @@ def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> Non
             table.add_row(*map(Text, cells(row, strip)))
         console.print(table)
         for row, holes, strip in topics:
-            lines = [*hole_lines(row, holes, health), *topic_notes(row)]
-            if lines:
+            if lines := topic_lines(row, holes, health):
                 console.print(Text(printable(row["topic"]), style="bold"))
                 console.print(Text(f"  {strip_text(strip, is_periodic=row['missing_from'] != '')}"))
                 for line in lines:
@@ -139,7 +138,7 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
         about = [
             f"- {markdown(row['topic'])}: {markdown(line)}"
             for row, holes, _ in topics
-            for line in (*hole_lines(row, holes, health), *topic_notes(row))
+            for line in topic_lines(row, holes, health)
         ]
         lines += ["", *about, ""]
     lines += [f"- {markdown(outcome.line)}" for outcome in judged]
@@ -148,6 +147,27 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
 
 STRIP_WIDTH = 720
 _THINNEST = 1.0
+_COLORS = {"there": "#3b78b5", "some": SOFT, "hole": BAD, "inside": INK}
+
+
+def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:
+    """Return the worst recording's verdict, and the marks of a picture with a strip of time for its worst topics."""
+    health = max(report.recordings, key=lambda one: VERDICTS.index(one.verdict))
+    topics = topics_of(report, health.path)
+    said, facts = verdict_words(health, [row for row, _, _ in topics]), facts_words(health, len(topics))
+    worst = sorted(topics, key=lambda topic: (-(topic[0]["missing_low"] or 0), sum(topic[2])))[:MOST_ROWS]
+    size, lines = fitted(said, 150)
+    marks: list[Mark] = [card_line(EDGE, 66, 20, f"dds-trace: {printable(health.path)}", WIDTH - 2 * EDGE, SOFT)]
+    marks += [Words(EDGE, 84 + 1.25 * size * (n + 1), size, line, is_bold=True) for n, line in enumerate(lines)]
+    left, scale = EDGE + LABELS, (WIDTH - 2 * EDGE - LABELS - TIMES) / STRIP_WIDTH
+    for number, (row, holes, strip) in enumerate(worst):
+        y = 300 + 40 * number
+        marks.append(card_line(EDGE, y + 7, 20, printable(row["topic"]), LABELS - 12))
+        for start, width, kind, _ in _blocks(health, row, holes, strip):
+            marks.append(Bar((left + start * scale, y, left + (start + width) * scale, y), _COLORS[kind], 22))
+        missing = "no rhythm" if row["missing"] is None else f"{row['missing']:,} missing"
+        marks.append(Words(WIDTH - EDGE, y + 7, 20, missing, anchor="end"))
+    return said, [*marks, card_line(EDGE, 586, 20, facts, WIDTH - 2 * EDGE, SOFT)]
 
 
 def render_page(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
@@ -175,7 +195,7 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
         "topics": [
             {
                 "cells": cells(row, strip),
-                "lines": [*hole_lines(row, holes, health), *topic_notes(row)],
+                "lines": topic_lines(row, holes, health),
                 "qos": printable(row["qos"]),
                 "blocks": _blocks(health, row, holes, strip),
             }

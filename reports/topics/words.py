@@ -84,7 +84,11 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
         yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
 
 
-def hole_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> Iterator[str]:
+def topic_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> list[str]:
+    return [*_hole_lines(row, holes, health), *_topic_notes(row, health)]
+
+
+def _hole_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
     end_s = health.duration_ns / 1e9
     if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
@@ -126,6 +130,8 @@ def _age_words(row: Row) -> str:
     median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
     if median_ns is None:
         return ""
+    if row["latched"] and row["messages"] < 2 * row["latched"]:
+        return "latched"
     if abs(median_ns) > OTHER_CLOCK_NS:
         return "other clock"
     if row["age_bound_ns"] is not None:
@@ -155,7 +161,7 @@ def cells(row: Row, strip: Sequence[float]) -> tuple[str, ...]:
     )
 
 
-def topic_notes(row: Row) -> Iterator[str]:
+def _topic_notes(row: Row, health: RecordingHealth) -> Iterator[str]:
     if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
         yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
     if row["missing_inside"]:
@@ -172,8 +178,15 @@ def topic_notes(row: Row) -> Iterator[str]:
         row["age_max_ns"] is not None
         and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
         and abs(row["age_p50_ns"]) < OTHER_CLOCK_NS
+        and not row["latched"]
     ):
-        yield f"its age is {format_duration(row['age_start_ns'])} at the start, {format_duration(row['age_end_ns'])} at the end, {format_duration(row['age_max_ns'])} at most"
+        first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
+        since, at = (
+            None if row[name] is None else clock_words((row[name] - health.start_ns) / 1e9)
+            for name in ("age_since_ns", "age_max_at_ns")
+        )
+        grows = "" if since is None else f"; it grows since {since}"
+        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}{grows}"
     if row["stamps_backwards"]:
         yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
     if row["age_negative"]:

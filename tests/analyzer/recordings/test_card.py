@@ -265,6 +265,7 @@ CLOCKS = {
     "TAI": ({"/points": ages(200, 10, lambda _: -36_995), **STEADY}, "TAI"),
     "GPS": ({"/fix": ages(200, 10, lambda _: -17_950), **STEADY}, "GPS"),
     "microseconds": ({"/flow": [(START_NS + n * 20 * MS, START_NS + n * 20_000) for n in range(500)]}, "microseconds"),
+    "late growth": ({"/image": ages(1800, 30, lambda n: 30 + 6000 * max(n - 900, 0) / 900)}, "since 00:30"),
     "growth": ({"/image": ages(1800, 30, lambda n: 30 + 6000 * n / 1800)}, "from 36.7 ms to"),
 }  # fmt: skip
 
@@ -272,10 +273,11 @@ CLOCKS = {
 @pytest.mark.parametrize("name", CLOCKS)
 def test_each_change_of_an_age_has_its_own_sentence(tmp_path, name):
     topics, words = CLOCKS[name]
-    _, health, rows = card(write(tmp_path / "x.mcap", topics))
+    report, health, rows = card(write(tmp_path / "x.mcap", topics))
     notes = [note for note in health.notes if "another clock" not in note]
     assert len(notes) == 1
     assert words in notes[0]
+    assert ("| latched |" in render_markdown(report)) is (name == "latched")
     assert ("recorder's clock" in notes[0]) is (name in {"the recorder", "one topic"})
     assert not any(row["missing_low"] for row in rows.values())
 
@@ -296,9 +298,9 @@ def test_three_impossible_times_cost_no_message_and_none_is_missing(tmp_path):
     frames = timer(10, 30)
     for number, log_ns in ((50, 2**64 - 5 * S), (51, 2**63 + 17), (200, 123_456_789)):
         frames[number] = log_ns, frames[number][1]
-    _, health, rows = card(write(tmp_path / "x.mcap", {"/cam": frames}))
+    report, health, rows = card(write(tmp_path / "x.mcap", {"/cam": frames}))
     assert (rows["/cam"]["messages"], rows["/cam"]["missing"], health.duration_ns) == (300, 0, 29.9 * S)
-    assert ("2 messages" in health.damages[0], len(health.damages)) == (True, 1)
+    assert ("2 messages" in health.damages[0], len(health.damages), len(report.holes)) == (True, 1, 0)
 
 
 @pytest.mark.parametrize("cut", range(1, 9))
@@ -310,8 +312,11 @@ def test_a_file_without_its_last_bytes_is_recovered_whole(tmp_path, cut):
 
 def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path, capsys):
     write(tmp_path / "x.mcap", {"/a": timer(20, 30, without=[(10, 12)])})
+    more = ["--report", "html", "--card", "--export", "perfetto"]
     with pytest.raises(SystemExit) as ended:
-        trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / "health"), "--report", "html"])
+        trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / "health"), *more])
     assert ended.value.code == 30
     assert "40 messages" in capsys.readouterr().out
     assert "/a" in (tmp_path / "health" / "topics.html").read_text()
+    assert "40 messages are" in (tmp_path / "health" / "card.svg").read_text()
+    assert b"40 messages" in (tmp_path / "health" / "topics.pftrace").read_bytes()

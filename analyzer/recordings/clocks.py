@@ -91,7 +91,9 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
         since_ns = None if clock_steps else growth_since_ns(*stamps)
         if since_ns is not None:
             first_age, last_age = map(format_duration, age_course(stamps.age_ns))
-            when = f"since {clock_words((since_ns - start_ns) / 1e9)}" if since_ns > stamps.log_ns[0] else "all the time"
+            when = (
+                f"since {clock_words((since_ns - start_ns) / 1e9)}" if since_ns > stamps.log_ns[0] else "all the time"
+            )
             yield (
                 f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
             )

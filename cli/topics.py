@@ -15,8 +15,8 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
-from dds_trace.reports.card import write_picture
-from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page, topics_card
+from dds_trace.reports.card import topics_card, write_picture
+from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.reports.topics.words import JudgedTopic
 
 from .limits_file import topic_limits_text, write_limits
@@ -47,8 +47,9 @@ def report_topics(
     card: bool = False,
 ) -> tuple[int, list[Path]]:
     if others := sorted({*exports} - {*EXPORTERS, "perfetto"}):
-        kinds_of_bags = ", ".join([*EXPORTERS, "perfetto"])
-        raise OptionError(f"a bag has no round trips: it exports {kinds_of_bags}; leave out --export {others[0]}")
+        raise OptionError(
+            f"a bag has no round trips: it exports csv, arrow and perfetto; leave out --export {others[0]}"
+        )
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report.topics, report.holes, gates))
     print_topics(report, judged)

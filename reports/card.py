@@ -10,7 +10,10 @@ from html import escape
 from pathlib import Path
 from typing import TypeAlias
 
+from dds_trace.analyzer.recordings.card import VERDICTS
+from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
 
@@ -20,12 +23,15 @@ from .book.groups import data_type_label
 from .book.outcomes import shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
+from .topics.renderers import STRIP_WIDTH, strip_blocks
+from .topics.words import facts_words, topics_of, verdict_words
 
 WIDTH, HEIGHT, EDGE = 1200, 630, 56
 LABELS, TIMES = 440, 150
 """Widths of the columns on both sides of the dots."""
 MOST_ROWS = 6
 INK, SOFT, GRID, BAD, GREY = "#16202c", "#5a6675", "#d5dae0", "#b3261e", "#5f6670"
+_STRIP_COLORS = {"there": "#3b78b5", "some": SOFT, "hole": BAD, "inside": INK}
 FAMILY = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif"
 CHARACTER, BOLD_CHARACTER = 0.56, 0.62
 """Mean width of a character of DejaVu Sans, the widest of the family, in its size."""
@@ -115,21 +121,21 @@ def card_marks(book: Book) -> list[Mark]:
     when = facts.get("When", "")
     wide = WIDTH - 2 * EDGE
     marks: list[Mark] = [
-        card_line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
+        _line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
         Words(WIDTH - EDGE, 66, 20, when, SOFT, anchor="end"),
     ]
     losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")
     pitch = min(56, 230 / max(1, len(rows)))
     bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
-    size, lines = fitted(sentence, bottom - 84)
+    size, lines = _fitted(sentence, bottom - 84)
     y = 84.0
     for line in lines:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
     if losses:
-        whole = card_line(EDGE, y + 42, 22, losses, wide, BAD)
+        whole = _line(EDGE, y + 42, 22, losses, wide, BAD)
         shortest = f"{losses.partition(', all of them')[0]}."
-        marks.append(whole if whole.text == losses else card_line(EDGE, y + 42, 22, shortest, wide, BAD))
+        marks.append(whole if whole.text == losses else _line(EDGE, y + 42, 22, shortest, wide, BAD))
     if rows:
         marks += _dots(rows, 546 - pitch * len(rows), pitch)
     where = f"Measured on {place_of(case) if case else facts['Devices']}" if case or "Devices" in facts else ""
@@ -137,9 +143,28 @@ def card_marks(book: Book) -> list[Mark]:
     more = f"; {counted(others, 'more pair')} of devices and links in the report" if others > 0 and case else ""
     versions = ", ".join(filter(None, (f"dds-trace {__version__}", facts.get("Versions", ""))))
     marks.append(Bar((EDGE, 558, WIDTH - EDGE, 558), GRID, 1))
-    marks.append(card_line(EDGE, 586, 20, where + more, wide))
-    marks.append(card_line(EDGE, 612, 16, versions, wide, SOFT))
+    marks.append(_line(EDGE, 586, 20, where + more, wide))
+    marks.append(_line(EDGE, 612, 16, versions, wide, SOFT))
     return marks
+
+
+def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:
+    health = max(report.recordings, key=lambda one: VERDICTS.index(one.verdict))
+    topics = topics_of(report, health.path)
+    said, facts = verdict_words(health, [row for row, _, _ in topics]), facts_words(health, len(topics))
+    worst = sorted(topics, key=lambda topic: (-(topic[0]["missing_low"] or 0), sum(topic[2])))[:MOST_ROWS]
+    size, lines = _fitted(said, 150)
+    marks: list[Mark] = [_line(EDGE, 66, 20, f"dds-trace: {printable(health.path)}", WIDTH - 2 * EDGE, SOFT)]
+    marks += [Words(EDGE, 84 + 1.25 * size * (n + 1), size, line, is_bold=True) for n, line in enumerate(lines)]
+    left, scale = EDGE + LABELS, (WIDTH - 2 * EDGE - LABELS - TIMES) / STRIP_WIDTH
+    for number, (row, holes, strip) in enumerate(worst):
+        y = 300 + 40 * number
+        marks.append(_line(EDGE, y + 7, 20, printable(row["topic"]), LABELS - 12))
+        for start, width, kind, _ in strip_blocks(health, row, holes, strip):
+            marks.append(Bar((left + start * scale, y, left + (start + width) * scale, y), _STRIP_COLORS[kind], 22))
+        missing = "no rhythm" if row["missing"] is None else f"{row['missing']:,} missing"
+        marks.append(Words(WIDTH - EDGE, y + 7, 20, missing, anchor="end"))
+    return said, [*marks, _line(EDGE, 586, 20, facts, WIDTH - 2 * EDGE, SOFT)]
 
 
 def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
@@ -202,7 +227,7 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
     varying = [name for name in names if len({getattr(row, name) for row in rows}) > 1] or ["setup"]
     what = first.message if "message" not in varying else "each message" if "setup" in varying else first.setup
     caption = f"Median latency of {what}, with its 95 % interval ({scale})"
-    yield card_line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
+    yield _line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
     yield Bar((left, top, left, top + pitch * len(rows)), GRID, 2)
 
     def at(ns: float) -> float:
@@ -211,7 +236,7 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
 
     for index, row in enumerate(rows):
         y, label = top + pitch * (index + 0.5), ", ".join(getattr(row, name) for name in varying)
-        yield card_line(EDGE, y + 7, 20, label, LABELS - 12, is_bold=row.leads)
+        yield _line(EDGE, y + 7, 20, label, LABELS - 12, is_bold=row.leads)
         if row.is_finite and row.median_ns is not None:
             yield Bar((left, y, right, y), "#eef0f3", 1)
             yield Bar((at(row.low_ns), y, at(row.high_ns), y), row.color, 4)
@@ -220,17 +245,17 @@ def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
         yield Words(WIDTH - EDGE, y + 7, 20, time, INK, row.leads, "end")
 
 
-def fitted(sentence: str, height: float) -> tuple[float, list[str]]:
+def _fitted(sentence: str, height: float) -> tuple[float, list[str]]:
     """Return the largest size at which the sentence fits; what does not fit at the smallest is left to the report."""
     for size in (44, 38, 33, 28, 24):
         lines = textwrap.wrap(sentence, int((WIDTH - 2 * EDGE) / (size * BOLD_CHARACTER)))
         if 1.25 * size * len(lines) <= height:
             return size, lines
     parts = sentence.removesuffix("; more in the report.").rsplit("; ", 1)
-    return fitted(f"{parts[0]}; more in the report.", height) if len(parts) > 1 else (24, lines[: int(height / 30)])
+    return _fitted(f"{parts[0]}; more in the report.", height) if len(parts) > 1 else (24, lines[: int(height / 30)])
 
 
-def card_line(
+def _line(
     x: float, y: float, size: float, text: str, width: float, color: str = INK, *, is_bold: bool = False
 ) -> Words:
     """Shrink a long line by up to a quarter, and cut the rest."""

@@ -41,7 +41,6 @@ class Slice(NamedTuple):
 
 
 def write_perfetto(analysis: Analysis, path: Path) -> None:
-    """Write the timeline as `write_slices` does."""
     write_slices(timeline_slices(analysis), path)
 
 
@@ -90,7 +89,6 @@ def write_slices(slices: Iterable[Slice], path: Path) -> None:
 
 
 def topic_slices(report: TopicReport) -> Iterator[Slice]:
-    """Yield the stretches with messages of each topic of recordings, and the holes between them."""
     starts_ns, numbers = {health.path: health.start_ns for health in report.recordings}, count(1)
     for row in report.topics.iter_rows(named=True):
         recording, topic, at_ns = row["recording"], row["topic"], row["start_ns"]

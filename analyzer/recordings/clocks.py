@@ -138,7 +138,6 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 
 
 def count_latched(stamps: Stamps, start_ns: int) -> int:
-    """Return how many transient-local messages were stamped before the recording began."""
     log_ns, stamp_ns = stamps
     early = (log_ns < start_ns + 2 * 10**9) & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
     count = int(early.sum())

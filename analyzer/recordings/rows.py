@@ -14,7 +14,6 @@ from .periods import Int64
 Row = dict[str, str | int | float | None]
 """Column of `TOPIC_SCHEMA` -> value; others are null."""
 
-
 GAP_PERIODS = 2.0
 """Least length of a gap in median intervals."""
 

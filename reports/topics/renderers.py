@@ -14,7 +14,7 @@ from markupsafe import Markup
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.analyzer.recordings.card import VERDICTS, RecordingHealth
+from dds_trace.analyzer.recordings.card import RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
@@ -22,7 +22,6 @@ from dds_trace.base.streams import plain_console
 from dds_trace.base.units import clock_words
 
 from ..book.groups import markdown
-from ..card import BAD, EDGE, INK, LABELS, MOST_ROWS, SOFT, TIMES, WIDTH, Bar, Mark, Words, card_line, fitted
 from .words import (
     COLUMNS,
     HOW_TO_READ,
@@ -79,7 +78,7 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-TERMINAL_WIDTH = 80
+WIDTH = 80
 _LONGEST_NAME = 28
 _LEVELS = "·▁▂▃▄▅▆▇█"
 _STYLES = {"whole": "green", "holes": "yellow", "damaged": "red"}
@@ -92,7 +91,7 @@ def strip_text(strip: Sequence[float], *, is_periodic: bool) -> str:
 
 
 def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> None:
-    console = plain_console(width=None if sys.stdout.isatty() else TERMINAL_WIDTH)
+    console = plain_console(width=None if sys.stdout.isatty() else WIDTH)
     for health in report.recordings:
         topics = topics_of(report, health.path)
         rows = [row for row, _, _ in topics]
@@ -147,27 +146,6 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
 
 STRIP_WIDTH = 720
 _THINNEST = 1.0
-_COLORS = {"there": "#3b78b5", "some": SOFT, "hole": BAD, "inside": INK}
-
-
-def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:
-    """Return the worst recording's verdict, and the marks of a picture with a strip of time for its worst topics."""
-    health = max(report.recordings, key=lambda one: VERDICTS.index(one.verdict))
-    topics = topics_of(report, health.path)
-    said, facts = verdict_words(health, [row for row, _, _ in topics]), facts_words(health, len(topics))
-    worst = sorted(topics, key=lambda topic: (-(topic[0]["missing_low"] or 0), sum(topic[2])))[:MOST_ROWS]
-    size, lines = fitted(said, 150)
-    marks: list[Mark] = [card_line(EDGE, 66, 20, f"dds-trace: {printable(health.path)}", WIDTH - 2 * EDGE, SOFT)]
-    marks += [Words(EDGE, 84 + 1.25 * size * (n + 1), size, line, is_bold=True) for n, line in enumerate(lines)]
-    left, scale = EDGE + LABELS, (WIDTH - 2 * EDGE - LABELS - TIMES) / STRIP_WIDTH
-    for number, (row, holes, strip) in enumerate(worst):
-        y = 300 + 40 * number
-        marks.append(card_line(EDGE, y + 7, 20, printable(row["topic"]), LABELS - 12))
-        for start, width, kind, _ in _blocks(health, row, holes, strip):
-            marks.append(Bar((left + start * scale, y, left + (start + width) * scale, y), _COLORS[kind], 22))
-        missing = "no rhythm" if row["missing"] is None else f"{row['missing']:,} missing"
-        marks.append(Words(WIDTH - EDGE, y + 7, 20, missing, anchor="end"))
-    return said, [*marks, card_line(EDGE, 586, 20, facts, WIDTH - 2 * EDGE, SOFT)]
 
 
 def render_page(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
@@ -197,7 +175,7 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
                 "cells": cells(row, strip),
                 "lines": topic_lines(row, holes, health),
                 "qos": printable(row["qos"]),
-                "blocks": _blocks(health, row, holes, strip),
+                "blocks": strip_blocks(health, row, holes, strip),
             }
             for row, holes, strip in topics
         ],
@@ -205,7 +183,7 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
     }
 
 
-def _blocks(
+def strip_blocks(
     health: RecordingHealth, row: Row, holes: Sequence[Row], strip: Sequence[float]
 ) -> list[tuple[float, float, str, str]]:
     scale = STRIP_WIDTH / max(health.duration_ns / 1e9, 1e-9)

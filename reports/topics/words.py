@@ -16,7 +16,6 @@ from ..book.overview import utc_words
 
 Row = Mapping[str, Any]
 
-
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
     "Missing: messages that the stamps, sequence numbers or rhythm of the topic or the recorder's own counts call for, with the interval they "

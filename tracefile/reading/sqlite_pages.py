@@ -25,11 +25,8 @@ _CELLS = struct.Struct(">H")
 _LEAF_PAGE = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL)
 _LOGS = {"wal": (24, 0), "journal": (4, 4)}
 """Bytes in front of and after a page in a log, the first four of them its number."""
-_INTERIOR, _PAGE_KINDS, _MOST_MOVES = 5, {2, 5, 10, 13}, 16
-_MOST_BEYOND = 1000
-"""Pages that a file may have lost."""
-_SEARCHED_BYTES = 1 << 20
-_USUAL_PAGE_BYTES = 4096
+_INTERIOR, _PAGE_KINDS, _USUAL_PAGE_BYTES = 5, {2, 5, 10, 13}, 4096
+_MOST_MOVES, _MOST_LOST_PAGES, _SEARCHED_BYTES = 16, 1000, 1 << 20
 
 
 def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
@@ -89,7 +86,7 @@ class _Pages:
         self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
         self._number_bytes, after_bytes = _LOGS.get(log, (0, 0))
         self._stride = self._number_bytes + page_bytes + after_bytes
-        self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_BEYOND
+        self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_LOST_PAGES
         self._offsets: dict[int, list[int]] = {}
         self._ends: set[int] = set()
         self._end_numbers: dict[int, int] = {}
@@ -130,7 +127,6 @@ class _Pages:
         return _Cell(row_id, size, start, number, page_at)
 
     def find(self, leaves: dict[int, int]) -> None:
-        """Find the pages with rows of several pages: at an offset like a leaf's, or in front of the page that they name."""
         alignments = np.zeros(self._stride, bool)
         alignments[[at % self._stride for at in leaves]] = True
         children = dict[int, int]()
@@ -157,7 +153,6 @@ class _Pages:
             )
 
     def _children(self, page: bytes) -> dict[int, int]:
-        """Return the numbers of the pages below an interior one by their last rows."""
         children = dict[int, int]()
         with suppress(IndexError, struct.error):
             for offset in struct.unpack_from(f">{_CELLS.unpack_from(page, 3)[0]}H", page, 12):
@@ -221,8 +216,8 @@ class _Pages:
 
     def _following(self, at: int) -> int:
         """Return the number with which a page begins; -1 outside of the file."""
-        is_inside = 0 <= at <= len(self._data) - self._page_bytes
-        return int.from_bytes(self._data[at : at + 4], "big") if is_inside else -1
+        is_page = 0 <= at <= len(self._data) - self._page_bytes
+        return int.from_bytes(self._data[at : at + 4], "big") if is_page else -1
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
@@ -258,12 +253,10 @@ def _values(payload: bytes) -> list[Any]:
     for kind in kinds:
         data = payload[at : at + _size_bytes(kind)]
         at += len(data)
-        if kind in {8, 9}:
-            values.append(kind - 8)
-        elif 0 < kind < len(_SIZES):
+        if 0 < kind < len(_SIZES):
             values.append(int.from_bytes(data, "big", signed=True))
         elif kind < 12:
-            values.append(None)
+            values.append(kind - 8 if kind in {8, 9} else None)
         else:
             values.append(data if kind % 2 == 0 else data.decode())
     return values

@@ -162,7 +162,8 @@ class _Bag1Walk:
         except (struct.error, ValueError):
             return None
         opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
-        if any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {"op": 0}).items()):
+        is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {"op": 0}).items())
+        if is_short or (opcode == _CHUNK and "compression" not in fields):
             return None
         is_container = opcode == _CHUNK and fields.get("compression") == b"none"
         if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:

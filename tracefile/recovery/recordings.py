@@ -22,7 +22,7 @@ from ..format.bag_metadata import BagFile, TopicCount, write_bag_metadata
 from ..format.encoding import MAGIC
 from ..format.ring import RING_SUFFIX, ring_path
 from ..mcapfile.file import RecordFile, TornRecordError
-from ..reading.recorded import Condition, RecordedTopic, UnreadableError
+from ..reading.recorded import LATEST_NS, Condition, RecordedTopic, UnreadableError
 from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
 from ..reading.storage import ZSTD_SUFFIX
 from ..recordings.bag1 import bag1_messages
@@ -34,10 +34,7 @@ from ..writing.event_chunks import LIBRARY
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-_LATEST_NS = 2**63 - 1
 _HEADER_BYTES = 64
-
-
 MOST_CHANNELS = 65_535
 """Ids of channels are of 16 bits, and the writer counts from 1."""
 
@@ -66,7 +63,7 @@ class _NewFile:
     path: Path
     messages: int = 0
     unchecked: int = 0
-    first_ns: int = _LATEST_NS
+    first_ns: int = LATEST_NS
     last_ns: int = 0
     topics: dict[str, TopicCount] = field(default_factory=dict)
 
@@ -78,7 +75,7 @@ class _NewFile:
     @property
     def described(self) -> BagFile:
         first_ns = self.first_ns if self.messages else 0
-        return BagFile(self.path.name, first_ns, min(self.last_ns, _LATEST_NS) - first_ns, self.messages)
+        return BagFile(self.path.name, first_ns, min(self.last_ns, LATEST_NS) - first_ns, self.messages)
 
 
 def is_of_others(path: Path) -> bool:

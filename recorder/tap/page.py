@@ -58,8 +58,7 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "
             self.end_headers()
             self.wfile.write(body)
 
-        def log_message(self, *_: object) -> None:
-            """Print nothing."""
+        def log_message(self, *_: object) -> None: ...
 
     try:
         server = LocalServer((HOST, port), Handler)

@@ -9,7 +9,6 @@ import ipaddress
 import json
 import os
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -192,11 +191,6 @@ def _server_class(host: str) -> type[LocalServer]:
     class Server(LocalServer):
         address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
-        def handle_error(self, _request: object, client_address: object) -> None:
-            error = sys.exc_info()[1]
-            if not isinstance(error, ConnectionError | TimeoutError):
-                say(f"{client_address}: {type(error).__name__}: {error}")
-
     return Server
 
 
@@ -247,8 +241,7 @@ def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
             self.end_headers()
             self.wfile.write(body)
 
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - signature of the base class
-            """Log nothing: stderr is for the analysis."""
+        def log_message(self, *_: object) -> None: ...  # stderr is for the analysis
 
     return Handler
 

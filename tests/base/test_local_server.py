@@ -16,8 +16,7 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(b"here")
 
-    def log_message(self, *_):
-        """Print nothing."""
+    def log_message(self, *_): ...
 
 
 @pytest.fixture
@@ -42,11 +41,15 @@ def test_what_exceeds_the_bound_is_closed_at_once(server):
         assert connections[0].makefile("rb").read().endswith(b"here")
 
 
-def test_a_silent_connection_ends(server, monkeypatch):
+def test_a_silent_connection_ends(server, monkeypatch, capfd):
     monkeypatch.setattr(local_server, "CONNECTION_S", 0.2)
     with ExitStack() as stack:
-        for connection in [silent(stack, server) for _ in range(MOST_CONNECTIONS)]:
-            assert connection.recv(1) == b""
+        connections = [silent(stack, server) for _ in range(MOST_CONNECTIONS)]
+        connections[0].sendall(b"G")
+        assert {connection.recv(1) for connection in connections} == {b""}
+        for step in [server._free.acquire] * MOST_CONNECTIONS + [server._free.release] * MOST_CONNECTIONS:
+            step()  # until the last handler has ended
+        assert capfd.readouterr().err == ""
         host, port = server.server_address
         with urlopen(f"http://{host}:{port}/", timeout=60) as answer:
             assert answer.read() == b"here"

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 from contextlib import suppress
 from http.server import ThreadingHTTPServer
 from typing import Any
+
+from .streams import say
 
 MOST_CONNECTIONS, CONNECTION_S = 16, 10.0
 """Each connection takes a thread and an open file of the program; a page asks once a second."""
@@ -22,6 +25,11 @@ class LocalServer(ThreadingHTTPServer):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
+
+    def handle_error(self, _request: object, client_address: object) -> None:
+        error = sys.exc_info()[1]
+        if not isinstance(error, ConnectionError | TimeoutError):
+            say(f"{client_address}: {type(error).__name__}: {error}")
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         def end() -> None:

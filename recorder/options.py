@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_MESSAGES = 1000
-"""Messages of a run: gates were simulated with it (docs/explanation/coverage.md)."""
+"""Messages of a run: gates were simulated with it (docs/results/coverage.md)."""
 DEFAULT_RATE_HZ = 10.0
 MAX_RATE_PING_SHARE = 0.01
 DEFAULT_WARMUP = 10

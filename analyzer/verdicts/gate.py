@@ -126,7 +126,7 @@ class Gate:
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
-"""Changes that five runs of 1000 messages a side detect (`docs/explanation/coverage.md`)."""
+"""Changes that five runs of 1000 messages a side detect (`docs/results/coverage.md`)."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:

@@ -105,7 +105,7 @@ TABLES: Mapping[str, Table] = {
         "An emulated link between two namespaces of this machine, equal in both directions.",
         {
             "preset": _text(
-                f"a link to start from; single values can be changed: {', '.join(f'`{name}`' for name in PRESETS)}",
+                f"a link to start from; single values can be changed: {'; '.join(map(str, PRESETS.values()))}",
                 limits.OneOf(tuple(PRESETS)),
             ),
             **_keys_of(Link),

@@ -239,11 +239,11 @@ def outcome(pairs: Sequence[Pair], of: str) -> str:
     yes, no = (counts[verdict] if is_more_than_chance(counts[verdict], pairs) else 0 for verdict in ("yes", "no"))
     if {"most": yes > len(pairs) / 2, "some": yes > 0}.get(of, yes == len(pairs)):
         return REPRODUCED
-    if of == "some":
+    if of in ("some", "most"):
         return CONTRADICTED if no > len(pairs) / 2 else UNDECIDED
-    if no > yes or (no and of == "every"):
+    if no > 2 * yes or (no and of == "every"):
         return CONTRADICTED
-    return SAME_WAY if yes > no else UNDECIDED
+    return SAME_WAY if yes > 2 * no else UNDECIDED
 
 
 def measured(pairs: Sequence[Pair]) -> str:

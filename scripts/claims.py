@@ -41,7 +41,6 @@ from stored_tables import STUDY, markdown
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
-from dds_trace.base.units import format_duration
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -272,12 +271,6 @@ NEEDS = (
         (CYCLONE_ACROSS,),
         {"size": "33KB", "rate": "20", "deadline": "50ms", "reliability": "0.9", **TWO},
     ),
-    Need(
-        "either domain",
-        "one",
-        (FAST, CYCLONE),
-        {"size": "145KB", "rate": "4", "deadline": "250ms", "reliability": "0.8"},
-    ),
     Need("both", "Connext", (), {}),
     Need(
         "hard real time across, air",
@@ -361,10 +354,9 @@ SAME_AS_PAPER, OTHER, OPEN = "same", "other", "not decidable"
 
 
 def best_words(candidates: Sequence[Row]) -> str:
-    """Return who meets a job best, with the time, or that nothing does."""
-    best = [row for row in candidates if row["is_best"] == "True"]
-    words = (f"{WORDS[row['setup']]} {format_duration(float(row['response_ns']))}" for row in best)
-    return " or ".join(words) or ("nothing" if {row["fit"] for row in candidates} == {"misses"} else "undecided")
+    """Return who meets a job best, or that nothing does."""
+    best = [WORDS[row["setup"]] for row in candidates if row["is_best"] == "True"]
+    return " or ".join(best) or ("nothing" if {row["fit"] for row in candidates} == {"misses"} else "undecided")
 
 
 def compared(need: Need, candidates: Sequence[Row]) -> str:
@@ -390,8 +382,8 @@ def need_table(rows: Sequence[Row]) -> str:
         if len(set(shown.values())) == 1 < len(shown):
             words = [f"{next(iter(shown.values()))} at {len(shown)} places"]
         counts = Counter(compared(need, candidates) for candidates in places.values())
-        verdict = ", ".join(f"{what} at {count} of {len(places)} places" for what, count in counts.most_common())
+        verdict = ", ".join(f"{what} at {count} of {len(places)}" for what, count in counts.most_common())
         verdict = verdict if len(counts) > 1 else next(iter(counts), OPEN)
-        options = " ".join(f"--{name} {value}" for name, value in need.job.items())
+        options = " ".join(f"--{name}={value}" for name, value in need.job.items())
         lines.append([need.words, f"`{options}`" if options else LICENCE, need.paper, "; ".join(words), verdict])
     return markdown(["need", "`dds-trace choose runs/paper-claims`", "the paper", "here", "the same?"], lines)

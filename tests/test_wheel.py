@@ -13,22 +13,21 @@ ROOMS = ("analyzer", "base", "cli", "recorder", "reports", "tracefile")
 LISTED = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "src/dds_trace/base", *ROOMS]
 
 
+def built(folder, target, ending):
+    build = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (archive,) = folder.glob(f"*{ending}")
+    return archive
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (built,) = folder.glob("*.whl")
-    return built
+    return built(tmp_path_factory.mktemp("dist"), "wheel", ".whl")
 
 
 @pytest.fixture(scope="module")
 def source_archive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sdist")
-    build = [sys.executable, "-m", "hatchling", "build", "--target", "sdist", "--directory", str(folder)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (built,) = folder.glob("*.tar.gz")
-    return built
+    return built(tmp_path_factory.mktemp("sdist"), "sdist", ".tar.gz")
 
 
 @pytest.fixture(scope="module")

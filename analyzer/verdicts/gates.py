@@ -68,27 +68,22 @@ class _Advice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """The value that a gate judges; `p_of_lost` is the p value of runs that are all lost, where the interval is infinite."""
+    """A result by its group; `p_of_lost` is the p value of runs that are all lost, where the interval is infinite."""
 
-    where: str
+    result: GateResult
     group: Key
-    value: float | None
-    low: float | None
-    high: float | None
     basis: Basis
     degrees: float | None
     advice: _Advice
-    smallest_ratio: float | None
-    smallest_drop: float | None = None
     p_of_lost: float = 0.0
-    runs: int = 0
     base_ns: float = 0.0
 
-    def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
-        value, end = self.value, self.low if self.value is not None and self.value > limit else self.high
+    def p_beyond(self, confidence: float, *, is_ratio: bool) -> float:
+        limit, value, low, high = self.result.gate.limit, self.result.measured, self.result.low, self.result.high
+        end = low if value is not None and value > limit else high
         if value is None or end is None:
             return (1 - confidence) / 2
-        least = self.p_of_lost if any(map(math.isinf, (value, self.low or 0, self.high or 0))) else 0.0
+        least = self.p_of_lost if any(map(math.isinf, (value, low or 0, high or 0))) else 0.0
         if math.isinf(end):
             return least
         if math.isinf(value):
@@ -103,12 +98,13 @@ class _Measured:
         reach = student_quantile((1 + confidence) / 2, degrees)
         return max(least, student_cdf(-reach * (far - at) / (far - near), degrees))
 
-    def found_from(self, gate: Gate, tests: int, confidence: float) -> float | None:
-        smallest = self.smallest_drop if self.smallest_ratio is None else self.smallest_ratio
+    def found_from(self, tests: int, confidence: float) -> float | None:
+        gate, smallest_ratio = self.result.gate, self.result.smallest_ratio
+        smallest = self.result.smallest_drop if smallest_ratio is None else smallest_ratio
         if smallest is None or self.degrees is None or gate.against is Against.NEW:
             return None
         scale = among_tests(self.degrees, tests, confidence) * (1 if gate.operator in (">", ">=") else -1)
-        if self.smallest_ratio is None:
+        if smallest_ratio is None:
             return gate.limit + scale * smallest
         ratio = gate.limit if gate.against is Against.RATIO else 1 + gate.limit / self.base_ns if self.base_ns else 0.0
         if ratio <= 0:
@@ -175,41 +171,35 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
     confidence, first = comparison.options.confidence, family[0]
     measure = _received if first.metric == RECEIVED_RATIO else _times
-    measured = [(gate, group) for gate in family for group in measure(comparison, gate, names)]
-    gates, groups = [gate for gate, _ in measured], [group for _, group in measured]
+    groups = [group for gate in family for group in measure(comparison, gate, names)]
     if first.topic and not groups:
         yield GateResult(first, first.topic, GateOutcome.INCONCLUSIVE, None, None, None, _no_such_topic(comparison))
-    outcomes = [gate.judge(group.value, group.low, group.high) for gate, group in measured]
     beyond = [
         index
-        for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True))
-        if outcome is GateOutcome.REGRESSED and group.basis is Basis.BETWEEN_RUNS
+        for index, group in enumerate(groups)
+        if group.result.outcome is GateOutcome.REGRESSED and group.basis is Basis.BETWEEN_RUNS
     ]
     is_ratio = first.against is Against.RATIO or bool(first.statistic and first.against is Against.NEW)
-    p_values = [groups[index].p_beyond(gates[index].limit, confidence, is_ratio=is_ratio) for index in beyond]
+    p_values = [groups[index].p_beyond(confidence, is_ratio=is_ratio) for index in beyond]
     # Groups that are not beyond the limit are of the family, too: their p values are larger than these.
     adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
     by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
-    for index, ((gate, group), outcome) in enumerate(zip(measured, outcomes, strict=True)):
-        is_equal = comparison.same_recordings and gate.against is not Against.NEW  # nothing can have changed
+    for index, group in enumerate(groups):
+        result = group.result
+        is_equal = comparison.same_recordings and result.gate.against is not Against.NEW  # nothing can have changed
         is_barred = group.group in comparison.barred and not is_equal
-        reason = "" if is_equal else _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
+        reason = "" if is_equal else _reason(comparison, group, len(groups) if index in by_chance else 0)
         unfinished = comparison.unfinished.get(group.group, 0)
-        if unfinished and not is_equal and not reason and outcome is GateOutcome.PASSED:
+        if unfinished and not is_equal and not reason and result.outcome is GateOutcome.PASSED:
             reason = f"{counted(unfinished, 'run')} did not finish: record {'it' if unfinished == 1 else 'them'} again"
-        yield GateResult(
-            gate=gate,
-            where=f"{group.where}; {NOT_APPLIED}" if is_barred else group.where,
-            outcome=GateOutcome.PASSED if is_equal else GateOutcome.INCONCLUSIVE if reason or is_barred else outcome,
-            measured=group.value,
-            low=group.low,
-            high=group.high,
+        outcome = GateOutcome.INCONCLUSIVE if reason or is_barred else result.outcome
+        yield replace(
+            result,
+            where=f"{result.where}; {NOT_APPLIED}" if is_barred else result.where,
+            outcome=GateOutcome.PASSED if is_equal else outcome,
             reason=reason,
-            smallest_ratio=group.smallest_ratio,
-            smallest_drop=group.smallest_drop,
-            found_from=group.found_from(gate, len(groups), confidence),
+            found_from=group.found_from(len(groups), confidence),
             runs_needed=group.advice.runs if reason and group.advice.text in reason else None,
-            runs_present=group.runs,
         )
 
 
@@ -218,7 +208,7 @@ def _no_such_topic(comparison: Comparison) -> str:
     return f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
 
 
-def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_chance_of: int) -> str:
+def _reason(comparison: Comparison, group: _Measured, by_chance_of: int) -> str:
     errors = [error.text for error in comparison.errors if error.is_about(group.group)]
     if errors:
         return f"a side is not fit to be judged: {errors[0]}"
@@ -226,7 +216,7 @@ def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_c
         return f"{Basis.WITHIN_RUN.value}: {group.advice.text}"
     if by_chance_of:
         return f"beyond the limit, but one of {by_chance_of} results is by chance ({FAMILY}); {group.advice.text}"
-    return group.advice.text if outcome is GateOutcome.INCONCLUSIVE else ""
+    return group.advice.text if group.result.outcome is GateOutcome.INCONCLUSIVE else ""
 
 
 def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
@@ -235,19 +225,20 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row):
             continue
+        ends = [row[f"{gate.against.value}{end}{unit}"] for end in ("", "_low", "_high")]
+        result = GateResult(
+            *(gate, group_words(row, names), gate.judge(*ends), *ends),
+            smallest_ratio=change.smallest_ratio,
+            runs_present=change.new.runs if is_of_new else min(change.base.runs, change.new.runs),
+        )
         yield _Measured(
-            where=group_words(row, names),
+            result=result,
             group=tuple(row[name] for name in comparison.options.match),
-            value=row[f"{gate.against.value}{unit}"],
-            low=row[f"{gate.against.value}_low{unit}"],
-            high=row[f"{gate.against.value}_high{unit}"],
             basis=change.new.basis if is_of_new else change.basis,
             degrees=max(1, change.new.units - 1) if is_of_new else change.degrees,
             advice=_advice(gate, change),
-            smallest_ratio=change.smallest_ratio,
             # A typical run at the limit is beyond it in every second run.
             p_of_lost=min(alpha / 2, 0.5**change.new.units) if is_of_new else (change.p_value or 0.0) / 2,
-            runs=change.new.runs if is_of_new else min(change.base.runs, change.new.runs),
             base_ns=change.typical[0] or 0.0,
         )
 
@@ -299,18 +290,17 @@ def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
             if is_of_new
             else (change.difference, change.difference_low, change.difference_high)
         )
+        result = GateResult(
+            *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
+            smallest_drop=None if is_of_new else change.smallest_drop,
+            runs_present=min(side.runs for side in sides),
+        )
         yield _Measured(
-            where=group_words(row, names),
+            result=result,
             group=tuple(row[name] for name in comparison.options.match),
-            value=value,
-            low=low,
-            high=high,
             basis=change.new.basis if is_of_new else change.basis,
             degrees=max(1, change.new.runs - 1) if is_of_new else change.degrees,
             advice=_advice_on_received(gate.limit, value, low, high, sides),
-            smallest_ratio=None,
-            smallest_drop=None if is_of_new else change.smallest_drop,
-            runs=min(side.runs for side in sides),
         )
 
 

@@ -20,6 +20,7 @@ from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import DEFAULT_GATES, Against, GateOutcome, parse_gate, parse_gates
 from dds_trace.analyzer.verdicts.gates import (
+    GateResult,
     _Advice,
     _advice,
     _advice_on_received,
@@ -249,9 +250,11 @@ Z = 1.959963984540054  # standard errors that an interval of 95 % reaches
     ],
 )
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
-    judged = _Measured("", (), value, low, high, Basis.BETWEEN_RUNS, None, _Advice(""), None)
-    assert judged.p_beyond(limit, 0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
-    few = replace(judged, degrees=2).p_beyond(limit, 0.95, is_ratio=is_ratio)
+    gate = replace(parse_gate("latency_p50 > +10%"), limit=limit)
+    result = GateResult(gate, "", GateOutcome.REGRESSED, value, low, high)
+    judged = _Measured(result, (), Basis.BETWEEN_RUNS, None, _Advice(""))
+    assert judged.p_beyond(0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
+    few = replace(judged, degrees=2).p_beyond(0.95, is_ratio=is_ratio)
     assert few > p or p in {0.0, 0.025}
     if (value, limit, is_ratio) == (3.0, 1.0, False):
         t = 2 * 4.302652729911275  # of two degrees of freedom there is a closed form

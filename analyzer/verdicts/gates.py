@@ -225,9 +225,9 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row):
             continue
-        ends = [row[f"{gate.against.value}{end}{unit}"] for end in ("", "_low", "_high")]
+        value, low, high = (row[f"{gate.against.value}{end}{unit}"] for end in ("", "_low", "_high"))
         result = GateResult(
-            *(gate, group_words(row, names), gate.judge(*ends), *ends),
+            *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
             smallest_ratio=change.smallest_ratio,
             runs_present=change.new.runs if is_of_new else min(change.base.runs, change.new.runs),
         )

@@ -57,8 +57,10 @@ from .matching import (
 )
 from .sides import (
     UNKNOWN,
+    BusierRepeat,
     RunLoad,
     SideError,
+    busier_repeats,
     busier_side,
     difference_sentences,
     environment_differences,
@@ -124,6 +126,7 @@ class Comparison:
         same_recordings: whether both sides are the same runs.
         row_keys: group of either side -> the match columns of its rows.
         busier: match columns of groups that are not judged, as the machine of one side was busier.
+        left_out: interleaved repeats that are not judged for the same reason.
     """
 
     rows: pl.DataFrame
@@ -144,6 +147,7 @@ class Comparison:
     same_recordings: bool = False
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
     busier: frozenset[Key] = frozenset()
+    left_out: tuple[BusierRepeat, ...] = ()
 
     def __repr__(self) -> str:
         """Return the number of results of both sides and of only one."""
@@ -213,6 +217,10 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     before, after = base.load_messages(), new.load_messages()
     if base is new:
         before = after = topics_in_blocks(before)
+    loads = run_loads(() if base is new else (base, new))
+    left_out = tuple(busier_repeats(base.runs, new.runs, loads))
+    is_judged = ~pl.col("run_id").is_in([run_id for repeat in left_out for run_id in repeat.runs])
+    before, after = (side.filter(is_judged) if left_out else side for side in (before, after))
     run_partners = interleaved_keys(before, after, base.runs, new.runs, match)
     partners = partner_groups(after, run_partners, match)
     names = replaced_devices(base_groups, new_groups)
@@ -229,15 +237,13 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         keys = [partners.get(group_key, key) for group_key, key in zip(side.select(match).rows(), renamed, strict=True)]
         return [comparison.row_keys.get(key, key) for key in keys]
 
-    def loads_of(side: ComparedSide, messages: pl.DataFrame, side_names: Mapping[str, str]) -> dict[Key, list[RunLoad]]:
-        loads = run_loads(side.sessions, side.runs, side.details.host_samples)
+    def loads_of(messages: pl.DataFrame, side_names: Mapping[str, str]) -> dict[Key, list[RunLoad]]:
         runs = messages.select(*match, "run_id").unique().filter(pl.col("run_id").is_in(list(loads)))
         pairs = list(zip(keys_of(runs, side_names), runs["run_id"], strict=True))
         return {key: [loads[run_id] for other, run_id in pairs if other == key] for key, _ in pairs}
 
     order = recorded_apart(base.sessions, new.sessions)
-    # In turns both sides meet the same machine, and what differs goes with a side.
-    base_loads, new_loads = (loads_of(base, before, {}), loads_of(new, after, names)) if order else ({}, {})
+    base_loads, new_loads = (loads_of(before, {}), loads_of(after, names)) if order else ({}, {})
     busier = {key: text for key in base_loads if (text := busier_side(base_loads[key], new_loads.get(key, ())))}
     verdicts = [
         "inconclusive" if tuple(key) in busier else verdict
@@ -256,8 +262,9 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         rows=comparison.rows.with_columns(pl.Series("verdict", verdicts, pl.String)),
         order=order,
         busier=frozenset(busier),
+        left_out=left_out,
         errors=(
-            *(SideError(text, frozenset({key})) for key, text in busier.items()),
+            *(SideError(f"{text}: record again", frozenset({key})) for key, text in busier.items()),
             *errors_of("base", base.findings, keys_of(base.summary, {})),
             *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
+from ..compare import FailIf, Looks, Strict, read_gates
 from ..program import command, make_app, option
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
@@ -33,7 +35,12 @@ class Printed(str, Enum):
     RELAY = "relay"
 
 
-@command(app, "sweep", table="sweep")
+@command(
+    app,
+    "sweep",
+    table="sweep",
+    often=("out", "dry_run", "rehearse", "limits_file", "until", "against", "fail_if", "looks"),
+)
 def sweep_command(
     plan: PlanPath,
     out: Out = Path("runs"),
@@ -53,7 +60,10 @@ def sweep_command(
         ),
     ] = None,
     limits_file: Annotated[
-        Path | None, option("--limits FILE", "A limits.toml, whose limits of one side the results have to meet.")
+        Path | None,
+        option(
+            "--limits FILE", "A limits.toml that the results have to meet; without --against, its limits of one side."
+        ),
     ] = None,
     until: Annotated[
         str | None,
@@ -74,6 +84,9 @@ def sweep_command(
             "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
         ),
     ] = None,
+    fail_if: FailIf = None,
+    looks: Looks = 1,
+    strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
     """Record every run of a plan: one closed trace for each device and run.
@@ -86,6 +99,7 @@ def sweep_command(
         dds-trace sweep new mine.toml
     """
     from dds_trace.recorder.backends import installed_middlewares
+    from dds_trace.recorder.sweep.plan.plan_file import check_runs
 
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
@@ -98,13 +112,21 @@ def sweep_command(
     requested = plan_of(plan, out, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
-    if other is not None:
+    if other is None:
+        if fail_if or looks > 1 or strict:
+            raise OptionError("--fail-if, --looks and --strict judge two sides; add --against")
+        gates = read_thresholds(requested, target, limits_file)
+    else:
         _refuse_crowded(requested, "--against")
-    gates = read_thresholds(requested, target, limits_file, is_judged=other is None)
+        read_thresholds(requested, None, None, is_judged=False)
+        check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
+        other, gates = replace(other, looks=looks), read_gates(fail_if or [], limits_file)
+        if looks > 1 and not gates:
+            raise OptionError("--looks end where gates decide; add --fail-if or --limits")
     if dry_run or rehearse:
         raise typer.Exit(dry_run_of(requested, out, other, target, as_json=as_json, rehearses=rehearse))
     if other is not None:
-        run_until_interrupted(lambda: run_sides(requested, other, out, as_json=as_json))
+        run_until_interrupted(lambda: run_sides(requested, other, out, gates, as_json=as_json, strict=strict))
     run_until_interrupted(lambda: _sweep(requested, out, as_json, target, gates))
 
 

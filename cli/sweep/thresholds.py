@@ -48,7 +48,7 @@ class Judged:
         return f"{self.outcome}: {self.result.gate.text}: {self.result.where}: {measured}{reason}"
 
 
-def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool) -> list[Gate]:
+def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool = True) -> list[Gate]:
     if not plan.thresholds and limits is None:
         return []
     from dds_trace.analyzer.statistics.intervals import MIN_RUNS

@@ -343,7 +343,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
         ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
-        ("Not judged", dict.fromkeys(error.text for error in comparison.errors)),
+        ("Not judged", dict.fromkeys([*(error.text for error in comparison.errors), *map(str, comparison.left_out)])),
     )
     return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
 

@@ -50,8 +50,6 @@ Looks = Annotated[
         "How often growing recordings are compared until a gate decides, at most: each look is stricter, so that all of "
         "them together err as often as one.",
         show_default=True,
-        min=1,
-        max=10,
     ),
 ]
 
@@ -116,6 +114,7 @@ def compare_command(
     from .limits_file import limits_text
     from .limits_file import write_limits as write_limits_file
 
+    limits.check(limits.LOOKS, looks, "--looks")
     reports = report or [ComparisonReport.TERMINAL]
     files = out or [None for _ in reports]
     if len(files) != len(reports):

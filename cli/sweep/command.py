@@ -109,6 +109,7 @@ def sweep_command(
     if max_passes is not None and until is None:
         raise OptionError("--max-passes needs --until; give both or remove it")
     limits.check(limits.REPEATS, max_passes, "--max-passes")
+    limits.check(limits.LOOKS, looks, "--looks")
     requested = plan_of(plan, out, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)

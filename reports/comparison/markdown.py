@@ -34,11 +34,14 @@ _MARKS = {
     GateOutcome.NOTHING_TO_COMPARE: "❔",
 }
 
+SIGNATURE = "<!-- dds-trace compare -->"
+"""By which CI finds the comment that it updates."""
+
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
     most = None if shows_all else MOST_ROWS
     mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
-    lines = ["# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
+    lines = [SIGNATURE, "", "# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
     lines += [markdown(info.seen), ""] if info.seen and not info.gates else []
     hidden: Counter[str] = Counter()
     if info.gates:

@@ -77,8 +77,8 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
 
 def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
     text = markdown.render(compared()[1], shows_all=True)
-    title, answer, gates, notes, *_ = text.split("\n\n")
-    assert title == "# Comparison of latency"
+    signature, title, answer, gates, notes, *_ = text.split("\n\n")
+    assert (signature, title) == (markdown.SIGNATURE, "# Comparison of latency")
     assert answer.startswith("**❌ Regressed: Slower in 1 of")
     assert [line[:3] for line in gates.splitlines()[2:]] == ["| &", "| ?", "| &", "| &"]
     assert notes.startswith("- Undecided: 1 gate")

@@ -83,7 +83,8 @@ def change_words(ratio: float | None) -> str:
     percent = 100 * (ratio - 1)
     if abs(percent) < 0.005:
         return "0 %"
-    return f"{percent:+.3g} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
+    digits = ".3g" if abs(percent) >= 1 else ".2f"
+    return f"{percent:+{digits}} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
 
 
 def interval_words(row: Mapping[str, Any]) -> str:

@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -16,7 +16,7 @@ from .program import argument, command, make_app, option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, Comparison
+    from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gate import Gate, GateOutcome
     from dds_trace.reports.comparison.info import ComparisonInfo
 
@@ -106,8 +106,6 @@ def compare_command(
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
-    from dds_trace.analyzer.statistics.power import confidence_at_each
-    from dds_trace.analyzer.verdicts.compare import CompareOptions
     from dds_trace.analyzer.verdicts.ignoring import match_without
     from dds_trace.base.errors import OptionError
 
@@ -126,8 +124,7 @@ def compare_command(
             limits.check(bound, None if path is None else str(path), name)
     gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
-    options = CompareOptions(match=match, paired=paired, confidence=confidence_at_each(looks))
-    judged = judge_sides(base, new, gates, options, allow_missing=allow_missing)
+    judged = judge_sides(base, new, gates, looks=looks, allow_missing=allow_missing, match=match, paired=paired)
     if write_limits is not None:
         write_limits_file(limits_text(judged.comparison), write_limits)
     title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
@@ -147,6 +144,7 @@ class JudgedSides(NamedTuple):
         terminal.write(self.info, shows_all=shows_all)
 
     def write(self, report: ComparisonReport, file: Path | None, title: str, *, shows_all: bool) -> None:
+        from dds_trace.analyzer.exports.kinds import write_text_file
         from dds_trace.reports.comparison import document, markdown, page, terminal
 
         info = self.info
@@ -162,7 +160,11 @@ class JudgedSides(NamedTuple):
             ComparisonReport.BADGE: lambda: document.render_badge(info),
             ComparisonReport.HTML: lambda: page.render(info, title),
         }
-        _print_or_write(renders[report](), file, has_commands=report is ComparisonReport.GITHUB)
+        if file is not None:
+            print(f"Wrote {write_text_file(file, renders[report]())}")
+        else:
+            method = "write_commands" if report is ComparisonReport.GITHUB else "write"
+            getattr(sys.stdout, method, sys.stdout.write)(renders[report]())
 
     def end(self, *, strict: bool) -> int:
         """Say the outcome, and return the exit code."""
@@ -176,10 +178,17 @@ class JudgedSides(NamedTuple):
 
 
 def judge_sides(
-    base: Path, new: Path | None, gates: "Sequence[Gate]", options: "CompareOptions", *, allow_missing: bool = False
+    base: Path,
+    new: Path | None,
+    gates: "Sequence[Gate]",
+    *,
+    looks: int = 1,
+    allow_missing: bool = False,
+    **options: Any,
 ) -> JudgedSides:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.compare import compare
+    from dds_trace.analyzer.statistics.power import confidence_at_each
+    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
     from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
     from dds_trace.base.units import counted
@@ -187,7 +196,8 @@ def judge_sides(
 
     before = analyze(base, details=False)
     after = before if new is None else analyze(new, details=False)
-    comparison = compare(before, after, options_for(gates, options))
+    at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
+    comparison = compare(before, after, options_for(gates, at_each))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
     for folder, side in ((base, before), *([] if new is None else [(new, after)])):
         for finding in side.findings:
@@ -217,12 +227,3 @@ def read_gates(
         raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
     more = [] if limits_file is None else read_limits(limits_file)
     return [*gates, *(limits_of_one_side(more) if one_side else more)]
-
-
-def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
-    from dds_trace.analyzer.exports.kinds import write_text_file
-
-    if out is None:
-        getattr(sys.stdout, "write_commands" if has_commands else "write", sys.stdout.write)(text)
-    else:
-        print(f"Wrote {write_text_file(out, text)}")

@@ -171,8 +171,8 @@ def _loads(sessions: Iterable[Session], runs: Iterable[Run], samples: pl.DataFra
         .select("run_id", share - pl.col("ours"), "ours", mhz, celsius)
         .sort(pl.all())
     )
-    for run_id, others, own, clock, heat in machines.iter_rows():
-        yield run_id, (others, own, clock, heat)
+    for run_id, *load in machines.iter_rows():
+        yield run_id, (load[0], load[1], load[2], load[3])
 
 
 def busier_side(base: Sequence[RunLoad], new: Sequence[RunLoad]) -> str:
@@ -213,8 +213,8 @@ def busier_repeats(base: Sequence[Run], new: Sequence[Run], loads: Mapping[int, 
         if cell and repeat and partner is not None and run.run_id in loads:
             reason = busier_side([loads[partner]], [loads[run.run_id]])
             by_cell[cell].append(BusierRepeat(cell, repeat, (partner, run.run_id), reason))
-    busier = {cell: [one for one in repeats if one.reason] for cell, repeats in by_cell.items()}
-    return [one for cell, repeats in by_cell.items() if 2 * len(busier[cell]) < len(repeats) for one in busier[cell]]
+    busier = [([item for item in repeats if item.reason], len(repeats)) for repeats in by_cell.values()]
+    return [item for items, count in busier if 2 * len(items) < count for item in items]
 
 
 WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_failed", "ended_by_error"})

@@ -13,6 +13,8 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
+from ..compare import judge_sides
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
@@ -123,7 +125,8 @@ def run_sides(
         )
         sides = {"base": sides_outcome.base, "new": sides_outcome.new}
         is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
-        judged = _judge(sides_outcome, gates, other.looks) if gates and is_recorded else None
+        folders = [outcome.folder for outcome in sides.values()]
+        judged = judge_sides(*folders, gates, looks=other.looks) if gates and is_recorded else None
         if judged is None or judged.outcome.value != "inconclusive":
             break
     missing = {side: outcome.missing for side, outcome in sides.items()}
@@ -153,16 +156,6 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
         print(_in_words(alarms))
     if judged is not None:
         judged.show()
-
-
-def _judge(sides: AgainstOutcome, gates: Sequence[Gate], looks: int) -> JudgedSides:
-    from dds_trace.analyzer.statistics.power import confidence_at_each
-    from dds_trace.analyzer.verdicts.compare import CompareOptions
-
-    from ..compare import judge_sides
-
-    options = CompareOptions(confidence=confidence_at_each(looks))
-    return judge_sides(sides.base.folder, sides.new.folder, gates, options)
 
 
 def say_missing(missing: Mapping[str, str], side: str = "") -> None:

@@ -17,7 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
-from ..compare import FailIf, Looks, Strict, read_gates
+from ..compare import FailIf, Looks, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
@@ -174,7 +174,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
 
     from .against import say_missing
     from .dry_run import relay_commands
-    from .thresholds import exit_code_of, judge, shown
+    from .thresholds import thresholds_json
 
     console = plain_console(stderr=True)
     progress = make_progress(console)
@@ -183,7 +183,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
             progress.note(line)
     outcome = run_sweep(plan, out, progress, until=until)
     complete = outcome.cells - len(outcome.missing)
-    judged = judge(outcome.folder, gates) if gates and complete else []
+    judged = judge_sides(outcome.folder, None, gates) if gates and complete else None
     if as_json:
         result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         if until is not None:  # JSON has no infinity
@@ -191,12 +191,13 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
                 name: width if math.isfinite(width) else None for name, width in outcome.too_wide.items()
             }
         if gates:
-            result["thresholds"] = [judgement.to_json() for judgement in judged]
+            result["thresholds"] = thresholds_json(judged.info.gates if judged else ())
         print(json.dumps(result))
     else:
         print(f"Wrote {outcome.folder}")
         print(f"{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
-        print("".join(f"{line}\n" for line in shown(judged)), end="")
+        if judged is not None:
+            judged.show()
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None
@@ -204,7 +205,8 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
         print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
     if outcome.missing:
         return INCOMPLETE_EXIT_CODE
-    return exit_code_of(judged) or (TOO_WIDE_EXIT_CODE if outcome.too_wide else 0)
+    code = 0 if judged is None else judged.outcome.exit_code
+    return code or (TOO_WIDE_EXIT_CODE if outcome.too_wide else 0)
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:

@@ -84,21 +84,9 @@ class Unlike:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonInfo:
-    """Contents of the reports of a comparison.
+    """Contents of the reports of a comparison: results and gates worst first.
 
-    Attributes:
-        said: the answer, for people.
-        seen: which changes would not have been seen, or how sides without a common result differ; for people.
-        groups: the results of both sides, worst first.
-        only_base: results that the new side does not have.
-        only_new: results that the base does not have.
-        outcome: of the gates; null without one.
-        gates: outcome of each gate and result, in the unit of its limit; the worst first.
-        sights: which changes the verdicts would have seen.
-        unlike: columns in which sides without a common result differ.
-        ignore: columns for --ignore, without which such sides can be compared.
-        notes: what makes the sides unlike or unfit.
-        rules: how to read the numbers.
+    `seen` says which changes would not have been seen, or how sides without a common result differ, which `ignore` compares.
     """
 
     said: str

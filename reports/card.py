@@ -126,12 +126,19 @@ def card_marks(book: Book) -> list[Mark]:
     ]
     losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")
     pitch = min(56, 230 / max(1, len(rows)))
-    bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
-    size, lines = _fitted(sentence, bottom - 84)
+    headline, by_how_much = sentence, list[str]()
+    if kind is PointKind.FASTEST and sentence.endswith(")."):
+        headline, _, ratios = sentence.removesuffix(").").rpartition(" (")
+        by_how_much = textwrap.wrap(f"{ratios[0].upper()}{ratios[1:]}.", int(wide / (18 * CHARACTER)))
+    bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0) - 26 * len(by_how_much)
+    size, lines = _fitted(headline, bottom - 84)
     y = 84.0
     for line in lines:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
+    for line in by_how_much:
+        y += 26
+        marks.append(Words(EDGE, y, 18, line, SOFT))
     if losses:
         whole = _line(EDGE, y + 42, 22, losses, wide, BAD)
         shortest = f"{losses.partition(', all of them')[0]}."

@@ -126,7 +126,8 @@ def find_answers(
     """
     if not rows.has_rows:
         return ()
-    groups = without_sockets(rows.groups)
+    middlewares = rows.groups.filter(pl.col("backend") != "socket")
+    groups = rows.groups if middlewares.is_empty() else middlewares
     names = contender_names(groups)
     parts = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
     measure = partial(
@@ -150,12 +151,6 @@ def find_answers(
         _answer(case, ranking, confidence, [*rows, *_judged_losses(case, excesses)])
         for case, ranking, rows in zip(cases, rankings, losers, strict=True)
     )
-
-
-def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
-    """Leave out plain sockets, unless there is nothing else."""
-    middlewares = groups.filter(pl.col("backend") != "socket")
-    return groups if middlewares.is_empty() else middlewares
 
 
 _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}

@@ -14,13 +14,11 @@ from ..book.verdicts import received_words, runs_words
 from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
-    MOST_RATIO,
     MOST_ROWS,
     VERDICTS,
-    WIDE,
     both_words,
     change_with_interval,
-    change_words,
+    found_from_words,
     gate_notes,
     gate_rows,
     statistic_cells,
@@ -92,7 +90,7 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
             *statistic_cells(row),
             "" if row["superiority"] is None else f"{row['superiority']:.0%}",
             runs_words(row),
-            _found_from(row["smallest_ratio"]),
+            "" if row["smallest_ratio"] is None else found_from_words(row["smallest_ratio"]),
             VERDICTS[row["verdict"]],
         )
         for group in groups
@@ -109,10 +107,6 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
         "</details>",
         "",
     ]
-
-
-def _found_from(ratio: float | None) -> str:
-    return "" if ratio is None else change_words(ratio) if ratio <= MOST_RATIO else WIDE
 
 
 def _table(names: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[int] = ()) -> list[str]:

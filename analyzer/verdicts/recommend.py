@@ -110,11 +110,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The candidates for a job.
-
-    Attributes:
-        candidates: best first.
-    """
+    """The candidates for a job, best first."""
 
     job: Job
     candidates: tuple[Candidate, ...]

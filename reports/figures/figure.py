@@ -176,12 +176,7 @@ def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> d
 
 @dataclass(frozen=True, slots=True)
 class LineFigure:
-    """A row of the table of figures with marks or lines of one value of each group; fields as in `Figure` and `FigureMaker`.
-
-    Attributes:
-        value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
-        shows: of a book, whether a group shows something; a panel needs one.
-    """
+    """A row of the table of figures whose marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
 
     name: str
     title: str

@@ -114,7 +114,7 @@ def compare_command(
 
     limits.check(limits.LOOKS, looks, "--looks")
     reports = report or [ComparisonReport.TERMINAL]
-    files = out or [None for _ in reports]
+    files: list[Path | None] = [*out] if out else [None for _ in reports]
     if len(files) != len(reports):
         raise OptionError(f"{len(reports)} --report and {len(files)} --out: give one file for each report, or none")
     inputs = {"BASE": base, "NEW": new}

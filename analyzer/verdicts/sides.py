@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
 
@@ -22,7 +22,6 @@ from ..model.runs import pass_numbers
 from .matching import AGAINST_LABEL, CELL_LABEL
 
 if TYPE_CHECKING:
-    from .compare import ComparedSide
     from .matching import Key
 
 
@@ -144,7 +143,7 @@ RunLoad = tuple[float, float, float, float]
 """Of the busiest machine: shares of its processors that others (the hypervisor, too) and the recorded programs took; MHz, Celsius."""
 
 
-def run_loads(sides: Iterable[ComparedSide]) -> dict[int, RunLoad]:
+def run_loads(sides: Iterable[Any]) -> dict[int, RunLoad]:
     return {
         run_id: load for side in sides for run_id, load in _loads(side.sessions, side.runs, side.details.host_samples)
     }

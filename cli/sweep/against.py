@@ -125,8 +125,9 @@ def run_sides(
         )
         sides = {"base": sides_outcome.base, "new": sides_outcome.new}
         is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
-        folders = [outcome.folder for outcome in sides.values()]
-        judged = judge_sides(*folders, gates, looks=other.looks) if gates and is_recorded else None
+        judged = None
+        if gates and is_recorded:
+            judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
         if judged is None or judged.outcome.value != "inconclusive":
             break
     missing = {side: outcome.missing for side, outcome in sides.items()}

@@ -138,18 +138,13 @@ class JudgedSides(NamedTuple):
     info: "ComparisonInfo"
     outcome: "GateOutcome"
 
-    def show(self, *, shows_all: bool = False) -> None:
-        from dds_trace.reports.comparison import terminal
-
-        terminal.write(self.info, shows_all=shows_all)
-
     def write(self, report: ComparisonReport, file: Path | None, title: str, *, shows_all: bool) -> None:
         from dds_trace.analyzer.exports.kinds import write_text_file
         from dds_trace.reports.comparison import document, markdown, page, terminal
 
         info = self.info
         if report is ComparisonReport.TERMINAL and file is None:
-            self.show(shows_all=shows_all)
+            terminal.write(info, shows_all=shows_all)
             return
         renders = {
             ComparisonReport.TERMINAL: lambda: terminal.render(info, shows_all=shows_all),

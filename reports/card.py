@@ -115,7 +115,8 @@ def card_marks(book: Book) -> list[Mark]:
     facts = {fact.label: fact.value for fact in book.overview.facts}
     kind, sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
-    compared = _compared(book, case, cases) if case else []
+    alike = [answer for answer in book.analysis.details.answers if case and _message(answer) == _message(case)]
+    compared = cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
     rows = [row for answer in compared for row in _measured(book, answer)]
     rows = sorted(rows, key=lambda row: (math.inf if row.median_ns is None else row.median_ns, row.setup))[:MOST_ROWS]
     when = facts.get("When", "")
@@ -180,11 +181,6 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     fastest = next((sentence for sentence in sentences if sentence[0] is PointKind.FASTEST), sentences[0])
     shown = sentences[0] if PointKind.FORGED in answer.kinds else fastest
     return *shown, book.fastest[0].cases if book.fastest else ()
-
-
-def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
-    alike = [answer for answer in book.analysis.details.answers if _message(answer) == _message(case)]
-    return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
 
 
 def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:

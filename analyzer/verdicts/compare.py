@@ -110,23 +110,8 @@ class CompareOptions:
 class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
-    Attributes:
-        rows: one row per matched group, metric and statistic: the match columns, then `ChangeRow`.
-        delivery: likewise for each group, with `DeliveryRow`.
-        distributions: likewise for each group and metric, with `DistributionRow`.
-        only_base: groups (match columns) that the new side does not have; `only_new` likewise.
-        changes: of each row of `rows`.
-        deliveries: of each row of `delivery`.
-        environment: differences between the environments, a sentence each.
-        barred: groups of either side in which a setting was not applied; every gate is inconclusive there.
-        interleaved: how the parameters of interleaved groups differ, a sentence for each.
-        ignored: what each side has in the columns that were not matched, a sentence each.
-        order: a sentence if one side was recorded wholly before the other.
-        unfinished: match columns of a group -> its runs without an end; no gate passes there.
-        same_recordings: whether both sides are the same runs.
-        row_keys: group of either side -> the match columns of its rows.
-        busier: match columns of groups that are not judged, as the machine of one side was busier.
-        left_out: interleaved repeats that are not judged for the same reason.
+    `rows` has the match columns and `ChangeRow` of each matched group, metric and statistic, `delivery` likewise `DeliveryRow`
+    of each group. Groups that are `busier` and repeats `left_out` are not judged, as the machine of one side was busier.
     """
 
     rows: pl.DataFrame
@@ -209,7 +194,9 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         OptionError: without the columns that are not matched, two groups of one side would be one.
     """
     options = options or CompareOptions()
-    options = with_topic_metrics(options, base, new)
+    if not all(side.topic_messages.is_empty() for side in (base, new)):
+        first = TOPIC_METRICS if all(side.summary.is_empty() for side in (base, new)) else ()
+        options = replace(options, metrics=tuple(dict.fromkeys([*first, *options.metrics, *TOPIC_METRICS])))
     match = options.match
     base_groups, new_groups = _groups_of(base), _groups_of(new)
     check_match(base_groups, "base", match)
@@ -269,14 +256,6 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
             *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),
     )
-
-
-def with_topic_metrics(options: CompareOptions, *sides: ComparedSide) -> CompareOptions:
-    """Add the metrics of topics if a side has any, first where there is nothing else."""
-    if all(side.topic_messages.is_empty() for side in sides):
-        return options
-    first = TOPIC_METRICS if all(side.summary.is_empty() for side in sides) else ()
-    return replace(options, metrics=tuple(dict.fromkeys([*first, *options.metrics, *TOPIC_METRICS])))
 
 
 def _groups_of(side: ComparedSide) -> pl.DataFrame:

@@ -48,7 +48,12 @@ DO_NOT_USE, PROVEN, OPEN = "do not use", "proven", "open"
 class Judgement:
     """One row: a claim, what was measured (a ratio to the base, a difference or a share, with its interval), and what follows.
 
-    `base` is a setup or a limit, `group` the first row of `summary` that it is about; `needs` repeats would probably decide.
+    Attributes:
+        base: what it is compared with: a setup or a limit.
+        verdict: `proven`, `open` or `do not use`.
+        needs: repeats that would probably decide.
+        group: first row of `summary` that it is about.
+        lost: messages that were lost, of `messages`, where a claim is about losses.
     """
 
     claim: Claim

@@ -110,7 +110,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The candidates for a job, best first."""
+    """The candidates for a job.
+
+    Attributes:
+        candidates: best first.
+    """
 
     job: Job
     candidates: tuple[Candidate, ...]

@@ -194,9 +194,6 @@ class BusierRepeat(NamedTuple):
     runs: tuple[int, int]
     reason: str
 
-    def __str__(self) -> str:
-        return f"repeat {self.repeat} of {self.cell}: {self.reason}"
-
 
 def busier_repeats(base: Sequence[Run], new: Sequence[Run], loads: Mapping[int, RunLoad]) -> list[BusierRepeat]:
     """Return the interleaved repeats in which one side's machine was busier.

@@ -13,7 +13,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
-from ..compare import judge_sides
+from ..compare import ComparisonReport, judge_sides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -80,8 +80,9 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
     lines = [f"{side:4}  {name}" for side, name in turns]
     up_to = f"up to {other.looks} looks, each: " if other.looks > 1 else ""
     more = f" ({most} where the machine is busier on one side)" if repeats > base.run.repeats else ""
-    about = f"{counted(len(turns), 'recording')} of both sides, about {seconds}{more}"
-    lines.append(f"{up_to}plan {_name(base, other)}: {about}")
+    lines.append(
+        f"{up_to}plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}{more}"
+    )
     return described, lines
 
 
@@ -100,8 +101,7 @@ def busier(base: Path, new: Path) -> list[tuple[str, int]]:
     from dds_trace.analyzer.verdicts.sides import busier_repeats, run_loads
 
     sides = [analyze(folder, details=False) for folder in (base, new)]
-    repeats = busier_repeats(sides[0].runs, sides[1].runs, run_loads(sides))
-    return [(repeat.cell, repeat.repeat) for repeat in repeats]
+    return [one[:2] for one in busier_repeats(sides[0].runs, sides[1].runs, run_loads(sides))]
 
 
 def run_sides(
@@ -156,7 +156,7 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
     if alarms is not None:
         print(_in_words(alarms))
     if judged is not None:
-        judged.show()
+        judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
 
 
 def say_missing(missing: Mapping[str, str], side: str = "") -> None:

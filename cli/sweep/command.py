@@ -17,7 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
-from ..compare import FailIf, Looks, Strict, judge_sides, read_gates
+from ..compare import ComparisonReport, FailIf, Looks, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
@@ -197,7 +197,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
         print(f"Wrote {outcome.folder}")
         print(f"{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
         if judged is not None:
-            judged.show()
+            judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
@@ -20,20 +19,20 @@ if TYPE_CHECKING:
 _OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecided"}
 
 
-def thresholds_json(gates: Sequence[Gated]) -> list[dict[str, object]]:
-    return [
+def thresholds_json(gates: Sequence[Gated]) -> object:
+    from dds_trace.analyzer.saving.records import to_json
+
+    judged = [
         {
             "threshold": result.gate.text,
             "result": result.where,
             "outcome": _OUTCOMES[result.outcome.value],
-            **{
-                name: value if value is not None and math.isfinite(value) else None
-                for name, value in (("measured", result.measured), ("low", result.low), ("high", result.high))
-            },
+            **{name: getattr(result, name) for name in ("measured", "low", "high")},
             "reason": result.reason,
         }
         for result in (gated.result for gated in gates)
     ]
+    return to_json(judged, not_finite=lambda _: None)
 
 
 def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool = True) -> list[Gate]:

@@ -39,14 +39,7 @@ class AgainstOutcome:
     new: SweepOutcome
 
 
-Repeats = Mapping[int, Sequence[Cell]]
-"""Number of a repeat -> the base's cells that are recorded in it."""
-
-BusierRepeats = Callable[[Path, Path], Iterable[tuple[str, int]]]
-"""Function from both folders to the repeats, by the base's cell, in which the machine was busier on one side: fewer than half."""
-
-
-def interleave(base: Plan, new: Plan, repeats: Repeats | None = None) -> list[InterleavedRun]:
+def interleave(base: Plan, new: Plan, repeats: Mapping[int, Sequence[Cell]] | None = None) -> list[InterleavedRun]:
     """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
 
     A linear drift, and an effect of the first run on the second, cancel over two repeats.
@@ -82,11 +75,12 @@ def run_against(
     progress: SweepProgress,
     *,
     commands: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
-    busier: BusierRepeats = lambda _, __: (),
+    busier: Callable[[Path, Path], Iterable[tuple[str, int]]] = lambda _, __: (),
 ) -> AgainstOutcome:
     """Record every cell of both sides, interleaved, in the folders `base` and `new`; order and repeats are the base's.
 
-    Repeats in which the machine was `busier` on one side are recorded again, once. `commands` are the `dds-record` of each
+    `busier` returns, by cell of the base, repeats in which the machine was busier on one side: they are recorded again, once.
+    `commands` are the `dds-record` of each
     side, None for the installed one.
     """
     runs = interleave(base, new)
@@ -102,37 +96,32 @@ def run_against(
             runners[side] = Runner(plan, folder / side, station, side_progress, is_installed_here=command is None)
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
-        _record(runs, runners, cells, progress)
+
+        def record(turns: Sequence[InterleavedRun]) -> None:
+            for turn in turns:
+                cells[turn.side].append(turn.group.cells[0])
+            complete = sum(runner.prepare(cells[side]) for side, runner in runners.items())
+            progress.begin(sum(map(len, cells.values())), complete)
+            try:
+                for turn in turns:
+                    runners[turn.side].run_group(turn.group, cells[turn.side])
+            finally:
+                progress.end()
+
+        record(runs)
         is_recorded = all(len(runner.reasons(cells[side])) < len(cells[side]) for side, runner in runners.items())
         repeated = busier(folder / BASE, folder / NEW) if is_recorded else ()
         counts = Counter(name for name, number in repeated if number <= base.run.repeats)
         if counts:
-            repeats = counted(counts.total(), "repeat was", "repeats were")
-            progress.note(f"{repeats} recorded while the machine was busier on one side: recorded again, not judged")
+            again = counted(counts.total(), "repeat is", "repeats are")
+            progress.note(f"the machine was busier on one side: {again} recorded again, and these not judged")
             further = {
                 base.run.repeats + number: [cell for cell in base.cells if counts[cell.name] >= number]
                 for number in range(1, max(counts.values()) + 1)
             }
-            _record(interleave(base, new, further), runners, cells, progress)
+            record(interleave(base, new, further))
         outcomes = [SweepOutcome(folder / side, len(cells[side]), runners[side].reasons(cells[side])) for side in plans]
     return AgainstOutcome(folder, *outcomes)
-
-
-def _record(
-    runs: Sequence[InterleavedRun],
-    runners: Mapping[str, Runner],
-    cells: Mapping[str, list[Cell]],
-    progress: SweepProgress,
-) -> None:
-    for run in runs:
-        cells[run.side].append(run.group.cells[0])
-    complete = sum(runner.prepare(cells[side]) for side, runner in runners.items())
-    progress.begin(sum(map(len, cells.values())), complete)
-    try:
-        for run in runs:
-            runners[run.side].run_group(run.group, cells[run.side])
-    finally:
-        progress.end()
 
 
 class _SideProgress(SweepProgress):

@@ -61,9 +61,15 @@ class WinCount:
 
 @dataclass(frozen=True, slots=True)
 class DataVerdict:
-    """Result for one kind of data (`Binary, same domain`), over all messages of two setups or more.
+    """Result for one kind of data, over all messages of two setups or more.
 
-    Of `cells` messages `inconclusive` have no clear winner, `within_one_run` of these as a setup has fewer than three runs.
+    Attributes:
+        data: data type and domain mode, as in `Binary, same domain`.
+        cells: number of compared messages.
+        wins: the one with most messages first.
+        inconclusive: number of messages without a clear winner.
+        place: devices, link and conditions; each is judged for itself.
+        within_one_run: messages among the inconclusive ones for which a setup has fewer than three runs.
     """
 
     data: str

@@ -81,8 +81,7 @@ def _fits(row: Mapping[str, object], patterns: Patterns) -> bool:
 class Gate:
     """A condition under which a comparison fails.
 
-    The limit is a ratio new / base for `RATIO`, otherwise ns or a share; `topic` may be a pattern. Judged are results whose
-    columns fit the patterns of `results`, without those of another gate (`unless`); `accepted` says why a change is accepted.
+    The limit is a ratio new / base for `RATIO`, otherwise ns or a share; results that fit a pattern of `unless` are not judged.
     """
 
     text: str

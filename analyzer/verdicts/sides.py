@@ -196,10 +196,7 @@ class BusierRepeat(NamedTuple):
 
 
 def busier_repeats(base: Sequence[Run], new: Sequence[Run], loads: Mapping[int, RunLoad]) -> list[BusierRepeat]:
-    """Return the interleaved repeats in which one side's machine was busier.
-
-    None of a cell with as many as half: both sides meet the same machine, and what differs so often goes with a side.
-    """
+    """Return interleaved repeats in which one side's machine was busier; of a cell none or fewer than half, which goes with a side."""
     passes = pass_numbers([*base, *new])
     partners = {(run.labels.get(CELL_LABEL), passes.get(run.run_id)): run.run_id for run in base if run.run_id in loads}
     by_cell: dict[str, list[BusierRepeat]] = defaultdict(list)

@@ -227,7 +227,6 @@ def _analyze(
     shows_all: bool = False,
 ) -> Analysis:
     from dds_trace.analyzer.exports.kinds import export as write_export
-    from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pairing.parquet import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
@@ -251,9 +250,6 @@ def _analyze(
     earlier = read_provenance(target)
     with AnalysisBar() as bar:
         analysis = analyze(traces, out=target, progress=bar.reading, step=bar.step, **more, write_more=write_more)
-    for finding in analysis.findings:
-        if finding.severity is Severity.ERROR:
-            say(f"{finding.where}: {finding.what} {finding.action}")
     write_reports(analysis, [TERMINAL], target, shows_all=shows_all)
     written[:0] = analysis.outputs.values()
     for path in written:

@@ -46,7 +46,6 @@ class Default:
 
 
 def find_files() -> list[Path]:
-    """Return the files of defaults, the first one counts most."""
     variable = os.environ.get(VARIABLE)
     if variable is not None:
         return [Path(variable)] if variable else []
@@ -56,7 +55,6 @@ def find_files() -> list[Path]:
 
 
 def _own_file() -> Path | None:
-    """Return the file in the user's configuration folder; a relative path would be a working folder's."""
     config = Path(os.environ.get("XDG_CONFIG_HOME") or Path(_home(), ".config"))
     return config / "dds-trace" / FILE_NAME if config.is_absolute() else None
 

@@ -95,7 +95,7 @@ def _security() -> Iterator[Check]:
 
     for backend in _installed():
         for level in backend.security[-1:]:
-            name, environment = f"--backend {backend.name} --security {level.value}", dict(os.environ)
+            name, environment = f"--backend {backend.name} -o security={level.value}", dict(os.environ)
             try:
                 with tempfile.TemporaryDirectory() as folder, opened_keys(level, f"{folder}/keys") as keys:
                     options = NodeOptions(
@@ -126,7 +126,7 @@ def _permissions() -> Iterator[Check]:
     from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
     from dds_trace.recorder.wire.ring import NO_CAPTURE, may_capture
 
-    yield _permitted("--realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
+    yield _permitted("-o realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
     yield _permitted("--wire", may_capture(), NO_CAPTURE)
     yield _permitted("[network] and [link] of a plan", os.geteuid() == 0, "run `dds-trace sweep` as root")
 

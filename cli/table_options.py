@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from enum import Enum
 from typing import Annotated, Any, TypeVar
@@ -14,16 +14,18 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest, shown
 from dds_trace.recorder.choices import Discovery, Role
 from dds_trace.recorder.option import Option
-from dds_trace.recorder.option_table import OPTIONS, SETTINGS, choices_of, help_of, key_of
+from dds_trace.recorder.option_table import OPTIONS, choices_of, flag_of, help_of, is_setting, key_of
 
 from .program import option, starting
 
 _Record = TypeVar("_Record")
 
 
-def with_options(names: Iterable[str]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def with_options(
+    names: Iterable[str], hidden: Callable[[Option], bool] = lambda _: False
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return the decorator that gives a function with `**values` the options of these rows."""
-    options = [_parameter(name) for name in names]
+    options = [_parameter(name, hidden=hidden(OPTIONS[name])) for name in names]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         declared = inspect.signature(function, eval_str=True).parameters.values()
@@ -34,15 +36,12 @@ def with_options(names: Iterable[str]) -> Callable[[Callable[..., None]], Callab
     return decorate
 
 
-def _parameter(name: str) -> inspect.Parameter:
+def _parameter(name: str, *, hidden: bool) -> inspect.Parameter:
     row = OPTIONS[name]
     kind: Any = list[row.kind] if row.is_repeatable else row.kind  # type: ignore[name-defined]
     values = [] if issubclass(row.kind, Enum) else choices_of(row)
     info = option(
-        f"{row.name} {row.metavar}",
-        help_of(row),
-        autocompletion=starting(values) if values else None,
-        hidden=row.name in SETTINGS,
+        f"{row.name} {row.metavar}", help_of(row), autocompletion=starting(values) if values else None, hidden=hidden
     )
     return inspect.Parameter(
         name,
@@ -54,13 +53,20 @@ def _parameter(name: str) -> inspect.Parameter:
 
 SettingsOption = Annotated[
     list[str] | None,
-    option("-o KEY=VALUE", "A key of a plan, such as buffer=4MB; `-o help` lists them; repeatable.", is_eager=True),
+    option(
+        "-o KEY=VALUE",
+        "A rarer setting, such as buffer=4MB; `-o help` lists them; repeatable.",
+        is_eager=True,
+        autocompletion=starting([f"{key_of(row)}=" for row in OPTIONS.values()]),
+    ),
 ]
 
 
-def settings_as_options(words: Sequence[str]) -> list[str]:
+def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[str]:
     """Return the words with each `-o KEY=VALUE` as the option of that key; with `-o help` print the keys and exit."""
-    rows = {key_of(row): row for row in SETTINGS.values()}
+    if "-o" not in words:
+        return list(words)
+    rows = {key_of(row): row for row in OPTIONS.values() if role is None or role in (row.roles or Role)}
     options: list[str] = []
     remaining = iter(words)
     for word in remaining:
@@ -70,39 +76,38 @@ def settings_as_options(words: Sequence[str]) -> list[str]:
         key, equals, value = next(remaining, "help").partition("=")
         key = key.replace("-", "_")
         if key == "help":
-            print("\n".join(f"{key}={row.metavar or 'false'}  {help_of(row)}" for key, row in _rows_here(rows, words)))
+            print("\n".join(_listed(rows, words, role)))
             sys.exit()
         if key not in rows or not equals:
             raise OptionError(f"-o {key}: write KEY=VALUE; {nearest(key, rows)}")
         if rows[key].metavar:
             options += [rows[key].name, value]
         elif value in ("true", "false"):
-            options += [rows[key].name] if value == "false" else []
+            options += [rows[key].name] if value == flag_of(rows[key]) else []
         else:
             raise OptionError(f"-o {key}={shown(value)}: write true or false")
     return options
 
 
-def _rows_here(rows: Mapping[str, Option], words: Sequence[str]) -> list[tuple[str, Option]]:
+def _listed(rows: Mapping[str, Option], words: Sequence[str], role: Role | None) -> Iterator[str]:
     from dds_trace.recorder.backends import load_backend
 
     named = words[words.index("--backend") + 1 :][:1] if "--backend" in words else []
     backend = load_backend(named[0] if named else OPTIONS["backend"].field_default)  # type: ignore[arg-type]
     can_have = {
         **{name: any(name in names for names in backend.sizes.values()) for name in ("buffer", "segment", "fragment")},
-        **dict.fromkeys(("clients", "call_timeout", "response_size"), bool(backend.calls)),
+        **dict.fromkeys(("call", "clients", "call_timeout", "response_size"), bool(backend.calls)),
+        **dict.fromkeys(("security", "keys"), bool(backend.security)),
+        "transport": len(backend.transports) > 1,
         "when_full": backend.can_drop,
         "priority": backend.priorities is not None,
         "congestion_control": backend.has_congestion_control,
         "multicast": backend.can_multicast,
         "executor": backend.has_ros,
     }
-    role = next((role for role in Role if role.value in words), None)
-    return [
-        (key, row)
-        for key, row in rows.items()
-        if can_have.get(key, True) and (role is None or not row.roles or role in row.roles)
-    ]
+    for key, row in rows.items():
+        if is_setting(row, role) and can_have.get(key, True):
+            yield f"{key}={row.metavar or flag_of(row)}  {help_of(row)}"
 
 
 def given_values(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -104,7 +104,6 @@ def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
 
 
 def build(words: Sequence[str]) -> typer.Typer:
-    """Return the program with the commands that its first words may mean."""
     chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in COMMANDS][:1]
     chosen = chosen or [name for name in COMMANDS if words and name.startswith(f"{words[0]} ")]
     root = make_app(completes=True)

@@ -30,7 +30,6 @@ def avoid_slow_sorts(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 
 def is_slow_with_avx512(cpuinfo: str) -> bool:
-    """Return whether a processor is a Zen 4, from the first part of `/proc/cpuinfo`."""
     fields = dict(re.findall(r"^([\w ]+?)\s*: (.*)$", cpuinfo, re.MULTILINE))
     return (
         fields.get("vendor_id") == AMD

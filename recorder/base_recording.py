@@ -53,8 +53,8 @@ if TYPE_CHECKING:
 ResultT = TypeVar("ResultT")
 
 _SPUN = (
-    f"a thread under --realtime computed for {SPIN_S:g} s without a pause, and none has that priority any more: the recording ended "
-    "there; repeat it without --realtime, or on another transport"
+    f"a thread under -o realtime computed for {SPIN_S:g} s without a pause, and none has that priority any more: the recording ended "
+    "there; repeat it without -o realtime, or on another transport"
 )
 LOOK_S = 0.5
 """Period of checks of a running role."""

@@ -11,15 +11,11 @@ class Discovery(Enum):
 
 
 class Serialization(Enum):
-    """What the client library gets: serialized bytes or message objects."""
-
     RAW = "raw"
     TYPED = "typed"
 
 
 class ExecutorKind(Enum):
-    """Executor that calls the subscriptions; `AUTO` is the fastest one installed."""
-
     AUTO = "auto"
     EVENTS = "events"
     SINGLE = "single"

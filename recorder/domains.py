@@ -65,7 +65,6 @@ def first_port(domain_id: int) -> int:
 
 
 def domain_port_range(domain_id: int) -> range:
-    """Return the 250 ports of a domain, or those up to 65535 of the last one."""
     return range(first_port(domain_id), min(first_port(domain_id + 1), _PORTS_END))
 
 

@@ -20,7 +20,7 @@ class StoppedError(TraceError):
 
 
 class NotAppliedError(TraceError):
-    """The middleware does not use a requested setting, under `--strict`."""
+    """The middleware does not use a requested setting, under `-o strict=true`."""
 
     exit_code = 11  # 10 is an incomplete sweep
 

@@ -19,11 +19,11 @@ from .option import Axis, Option, option, options_of
 from .option_values import parse_percentage
 from .options import PingOptions, RecordOptions, TapOptions
 
+_SENDERS = (Role.PING, Role.RELAY, Role.BEACON)
+
 
 @dataclass(frozen=True, slots=True)
 class CommandOptions:
-    """Options of a recording that are not a field of the other records."""
-
     role: Role | None = option(
         None,
         "--role ROLE",
@@ -60,7 +60,11 @@ class CommandOptions:
         axis=Axis(meaning="QoS durability of both sides"),
     )
     history: History = option(
-        History.KEEP_LAST, "--history QOS", "Messages in the queue:", axis=Axis(meaning="QoS history of both sides")
+        History.KEEP_LAST,
+        "--history QOS",
+        "Messages in the queue:",
+        roles=_SENDERS,
+        axis=Axis(meaning="QoS history of both sides"),
     )
     depth: int = option(
         10,
@@ -74,12 +78,14 @@ class CommandOptions:
         "--deadline TIME",
         "Maximum period between two messages, e.g. 20ms.",
         parse=lambda text: parse_duration(text, "--deadline"),
+        roles=_SENDERS,
     )
     lifespan: int | None = option(
         None,
         "--lifespan TIME",
         "Maximum age of a message at delivery, e.g. 1.5s.",
         parse=lambda text: parse_duration(text, "--lifespan"),
+        roles=_SENDERS,
     )
     limits_path: Path | None = option(
         None,
@@ -127,44 +133,32 @@ OPTIONS: Mapping[str, Option] = {
 """Rows by field; no two records share a name."""
 
 
-SETTINGS = {
-    row.name: row
-    for row in OPTIONS.values()
-    if row.name[2:]
-    in [
-        "buffer",
-        "segment",
-        "fragment",
-        "when-full",
-        "priority",
-        "congestion-control",
-        "no-multicast",
-        "executor",
-        "serialization",
-        "flow",
-        "clients",
-        "call-timeout",
-        "response-size",
-        "ping-share",
-        "start-at",
-        "wake",
-        "load",
-        "load-to",
-        "relay-id",
-        "no-own-cost",
-    ]
+_SHARED = ("out", "force", "json", "check", "duration", "backend", "rmw", "domain", "discovery", "peer")
+_PAIRED = (*_SHARED, "reliability", "depth", "configuration", "tuned", "wire")
+OFTEN: Mapping[Role, tuple[str, ...]] = {
+    Role.PING: (*_PAIRED, "data", "size", "rate", "messages", "bridge", "fail-if-lost"),
+    Role.RELAY: (*_PAIRED, "type", "rotate"),
+    Role.TAP: (*_SHARED, "topics", "live", "payload", "limits", "rotate"),
+    Role.BEACON: (*_SHARED, "rate", "rotate"),
 }
-"""Rows that a person gives as `-o KEY=VALUE`: a plan varies them."""
+"""Options that `--help` of a role shows; a person gives any other as `-o KEY=VALUE`."""
 
 
-def typed_words(words: Sequence[str]) -> list[str]:
-    """Return the options of a recording as a person types them."""
+def is_setting(row: Option, role: Role | None = None) -> bool:
+    return all(row.name[2:] not in ("role", *OFTEN[user]) for user in ([role] if role else Role))
+
+
+def typed_words(words: Sequence[str], role: Role) -> list[str]:
+    rows = {row.name: row for row in OPTIONS.values() if is_setting(row, role)}
     typed, remaining = [], iter(words)
     for word in remaining:
-        row = SETTINGS.get(word)
-        value = "" if row is None else f"{key_of(row)}={next(remaining) if row.metavar else 'false'}"
-        typed += [word] if row is None else ["-o", value]
+        row = rows.get(word)
+        typed += [word] if row is None else ["-o", f"{key_of(row)}={next(remaining) if row.metavar else flag_of(row)}"]
     return typed
+
+
+def flag_of(row: Option) -> str:
+    return "false" if row.name.startswith("--no-") else "true"
 
 
 def key_of(row: Option) -> str:

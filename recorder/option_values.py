@@ -57,7 +57,7 @@ def parse_rate_or_max(text: str) -> float:
 
 def parse_rates(texts: Iterable[str]) -> dict[str, float]:
     pairs = parse_pairs("--expect", texts, "/camera/image=30")
-    return {name: parse_rate(text, f"--expect {name}") for name, text in pairs.items()}
+    return {name: parse_rate(text, f"-o expect={name}") for name, text in pairs.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,14 +127,18 @@ def check_call(
 ) -> None:
     if call is Call.NONE:
         if clients > 1 or response_bytes is not None:
-            raise OptionError("--clients and --response-size need --call service or action")
+            raise OptionError("-o clients and -o response_size need -o call=service or action")
     elif bridge != "none":
-        raise OptionError(f"--call {call.value} with --bridge {bridge}: bridges are started for topics; use one domain")
+        raise OptionError(
+            f"-o call={call.value} with --bridge {bridge}: bridges are started for topics; use one domain"
+        )
     elif flows:
-        raise OptionError(f"--call {call.value} with --flow {flows[0]}: a flow is a topic; remove one of them")
+        raise OptionError(f"-o call={call.value} with -o flow={flows[0]}: a flow is a topic; remove one of them")
     elif is_one_way:
-        raise OptionError(f"--call {call.value} with --rate max or --ping-share: each call has a response; remove them")
+        raise OptionError(
+            f"-o call={call.value} with --rate max or -o ping_share: each call has a response; remove them"
+        )
     elif call is Call.ACTION and size_bytes not in (None, ACTION_GOAL_BYTES):
         raise OptionError(
-            f"--size {size_bytes}: the goal of an action is one number of {ACTION_GOAL_BYTES} bytes; give --response-size"
+            f"--size {size_bytes}: the goal of an action is one number of {ACTION_GOAL_BYTES} bytes; give -o response_size"
         )

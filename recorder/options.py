@@ -60,7 +60,7 @@ class PingOptions:
             unit="bytes",
         ),
     )
-    seed: int | None = detail(None, "--seed N", "Seed of the random content. Default: drawn", limit=limits.SEED)
+    seed: int | None = detail(None, "--seed N", "Seed of the random content. Default: random", limit=limits.SEED)
     rate_hz: float | None = detail(
         None,
         "--rate HZ",
@@ -237,6 +237,7 @@ class RecordOptions:
         Serialization.RAW,
         "--serialization KIND",
         "What the client library gets: raw (serialized bytes) or typed (message objects).",
+        roles=(Role.PING, Role.RELAY),
         axis=Axis(),
     )
     rotation: Rotation | None = detail(
@@ -251,6 +252,7 @@ class RecordOptions:
         "--flow NAME",
         "Name of a flow, which has topics of its own, so that several pings of one kind of data share a relay; for a relay repeatable.",
         limit=limits.FLOW_NAME,
+        roles=(Role.PING, Role.RELAY),
     )
     types: tuple[str, ...] = detail(
         (),
@@ -262,7 +264,7 @@ class RecordOptions:
     relay_id: int | None = detail(
         None,
         "--relay-id N",
-        "Number of the relay in the trace. Default: drawn",
+        "Number of the relay in the trace. Default: random",
         limit=limits.RELAY_ID,
         roles=(Role.RELAY,),
     )

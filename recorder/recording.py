@@ -33,7 +33,7 @@ from .option_values import ACTION_GOAL_BYTES
 from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.binary import BINARY
-from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes
+from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
 from .roles.ping import LONGEST_SETTLE_NS, PingThread, open_ping
 from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
@@ -226,8 +226,10 @@ class PingRecording(BaseRecording):
             bridge.mark_ready()
         # Others may need a moment more; through a bridge they are not discovered.
         relays = len(look_for_relays(node, data_type).publishers) if ping.plan.bridge == "none" else 1
-        if has_echo and not self._probe(ALL_RELAYS_S, ALL_RELAYS_S, relays):
-            self.watch.note(f"{ping.echoing_relays} of {relays} discovered relays answer")
+        if has_echo:
+            self._probe(ALL_RELAYS_S, ALL_RELAYS_S, relays)
+            for text in unexpected_relays(ping.echoing_relays, relays, ping_options.relays):
+                self.watch.note(text)
 
     def _probe(self, seconds: float, most_s: float, relays: int) -> bool:
         """Wait for echoes; give up if the middleware does not take a probe within `most_s`, or after a stop."""

@@ -69,8 +69,6 @@ def _percent(title: str, share_of: Callable[[int], float | None]) -> Shown:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A horizontal axis; positions are at their values on a log axis, else at 0, 1, 2 ..."""
-
     title: str
     label: Callable[[Book, float], str]
     is_log: bool = True

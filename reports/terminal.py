@@ -12,6 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.printable import printable
@@ -34,7 +35,7 @@ INLINE_BAR, BAR = 5, 30
 """Cells of the longest bar in a line of all setups, and in a line of its own."""
 
 LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
-FIRST = (PointKind.RECOVERY, *LOSSES, PointKind.CURE)
+FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
 
 PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
 
@@ -45,6 +46,11 @@ def brief_lines(book: Book) -> list[Text]:
     noun = "message" if measured.startswith("1 ") else "messages"
     title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
     parts = [_wrapped(title, "", "bold")]
+    parts += [
+        _marked(FAIL, f"{kind.heading}: {kind.listed[0].what} {kind.listed[0].action}")
+        for kind in book.findings
+        if kind.severity == Severity.ERROR.value
+    ]
     vendors = book.groups.vendors
     parts += [
         _marked(FAIL if kind in LOSSES else OPEN, sentence) for kind, sentence in answer.sentences if kind in FIRST
@@ -77,7 +83,7 @@ def _fitted(parts: Sequence[list[Text]], more: str) -> list[Text]:
 
 
 def _more(book: Book) -> str:
-    findings = [words for _, words in severity_counts(book.findings)]
+    findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
     return ", ".join([*findings, f"tables of {counted(len(book.groups.groups), 'result')}"])
 
 
@@ -343,7 +349,6 @@ def _runs(runs: float | None) -> str:
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
-    """Draw a curve on a log axis; bars count its levels, which are denser in the tail."""
     positive = [value for value in curve if value > 0]
     if not positive:
         return MISSING

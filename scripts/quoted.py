@@ -4,7 +4,7 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, both in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`,
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`,
 `claims study` and `needs study` those of a sweep of plans/paper-claims.toml.
 """
 
@@ -25,6 +25,7 @@ from stored_tables import RATIOS, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.cli.sweep.advise import proof_of, shown
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import render_brief
@@ -63,14 +64,17 @@ def quote(kind: str, campaign: str) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         folder = unpack(campaign, Path(scratch))
         if kind == "topics":
-            here, shown = Path.cwd(), io.StringIO()
+            here, shown_card = Path.cwd(), io.StringIO()
             os.chdir(scratch)  # the card names the path as it is given
             try:
-                with contextlib.redirect_stdout(shown):
+                with contextlib.redirect_stdout(shown_card):
                     print_topics(analyze_topics([Path(campaign)]))
             finally:
                 os.chdir(here)
-            lines = shown.getvalue().splitlines()
+            lines = shown_card.getvalue().splitlines()
+        elif kind == "advice":
+            (path,) = folder.glob("*.xml")
+            lines = shown({"vendor": "fastdds", **proof_of(path.stem, folder / "base", folder / "new")})
         else:
             book = Book(analyze(folder))
             if kind == "table":

@@ -93,7 +93,6 @@ def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
 
 
 def is_large(batch: Batch) -> bool:
-    """Return whether a batch exceeds `BATCH_EVENTS`: it is one group, or one run."""
     return batch.events > BATCH_EVENTS
 
 

@@ -69,8 +69,6 @@ def _first_group(result: BatchResult) -> int:
 
 
 class _ValueSpool:
-    """The values of a group that comes in parts: a file for each metric."""
-
     def __init__(self, group: int) -> None:
         self.group = group
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
@@ -94,7 +92,6 @@ class _ValueSpool:
 
 
 def merge_sketches(parts: Statistics) -> Statistics:
-    """Merge statistics of parts of groups: percentiles by histogram, the rest exactly."""
     moments = {
         key: merge_moments(frame)
         for key, frame in parts.frame.partition_by("group", "metric", as_dict=True, maintain_order=True).items()

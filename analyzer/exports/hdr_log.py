@@ -49,7 +49,6 @@ def hdr_log(analysis: Analysis) -> str:
 
 
 def _histograms(analysis: Analysis) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.uint64]]]:
-    """Yield tag, duration in s, and values in ns with their counts."""
     names = name_groups(analysis.summary) if len(analysis.summary) else []
     lasted = dict(analysis.run_times.group_by("group").agg((pl.col("last_ns") - pl.col("origin_ns")).sum()).iter_rows())
     for (group, metric), part in analysis.distributions.partition_by(
@@ -77,7 +76,6 @@ def _tag(words: str) -> str:
 
 
 def encode_histogram(value_ns: NDArray[np.int64], count: NDArray[np.int64]) -> bytes:
-    """Return a histogram of values from 0 on in the compressed encoding V2."""
     _, exponent = np.frexp((value_ns | ((2 << _HALF_BITS) - 1)).astype(np.float64))
     bucket = exponent.astype(np.int64) - (_HALF_BITS + 1)
     index = (bucket << _HALF_BITS) + (value_ns >> bucket)

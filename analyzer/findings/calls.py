@@ -45,7 +45,7 @@ def calls(evidence: Evidence) -> Iterator[Observation]:
     Severity.WARNING,
     Subject.RESULT,
     "Lost requests and responses are counted as losses. For late ones look at the largest latencies: a lower rate or fewer clients "
-    "may help, or a longer --call-timeout, if the caller can wait.",
+    "may help, or a longer -o call_timeout, if the caller can wait.",
 )
 def calls_timed_out(evidence: Evidence) -> Iterator[Observation]:
     """Calls had no response within their timeout."""

@@ -140,7 +140,6 @@ def some(names: Iterable[str], at_most: int = 3) -> str:
 
 
 def percent(part: float, whole: float) -> str:
-    """Print a share that differs from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"
 

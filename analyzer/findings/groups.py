@@ -142,7 +142,7 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
     "waits_in_reader",
     Severity.WARNING,
     Subject.RESULT,
-    "This is the {role}'s program, not the link: a free CPU, another --executor or a fresh process may help.",
+    "This is the {role}'s program, not the link: a free CPU, another -o executor or a fresh process may help.",
 )
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
     """Messages wait for the program that reads them.

@@ -126,9 +126,9 @@ def _outlived_lifespan(members: Sequence[_Member], row: Mapping[str, int]) -> _C
     if not isinstance(lifespan_ns, int) or longest_ns is None or longest_ns < _OLD_SHARE * lifespan_ns:
         return None
     return _Cause(
-        f"a message older than {format_duration(lifespan_ns)} is not delivered (--lifespan), and the others took up to "
+        f"a message older than {format_duration(lifespan_ns)} is not delivered (-o lifespan), and the others took up to "
         f"{format_duration(longest_ns)}",
-        "leave --lifespan out if late messages are of use, or make it longer than the latency",
+        "leave -o lifespan out if late messages are of use, or make it longer than the latency",
     )
 
 
@@ -150,7 +150,7 @@ _CAUSES = (_outlived_lifespan, _dropped_by_zenoh, _outlived_history)
     "relay_joined_late",
     Severity.WARNING,
     Subject.RELAY,
-    "Start every relay first, and give the ping --relays {relays}, which waits for them.",
+    "Start every relay first, and give the ping -o relays={relays}, which waits for them.",
 )
 def late_relays(evidence: Evidence) -> Iterator[Observation]:
     """A relay began when the run was under way."""

@@ -102,9 +102,9 @@ NOTES: tuple[Check, ...] = (
     ),
     sessions.RECORDINGS.note(
         "slow_to_disk",
-        "Events waited longer for the disk than --fsync promises",
+        "Events waited longer for the disk than -o fsync=true promises",
         pl.col("longest_unsaved_ns") > sessions.UNSAVED_NS,
-        "For {longest_unsaved_ns:duration} events were not on the disk, though --fsync was given: a power loss then would have taken "
+        "For {longest_unsaved_ns:duration} events were not on the disk, though -o fsync=true was given: a power loss then would have taken "
         "more than the last second.",
         "Nothing is missing here; a faster disk or less load on the machine may help the next time.",
     ),

@@ -164,7 +164,6 @@ def _second_sources(evidence: Evidence, exchange: Exchange, counts: Mapping[str,
 
 
 def _is_direct(exchange: Exchange) -> bool:
-    """Return whether no bridge is between the two sides, which writes replies itself."""
     far_id = exchange.run.relay_domain_id if exchange.relay is None else exchange.relay.domain_id
     return exchange.run.bridge == "none" and far_id in (None, exchange.ping.domain_id)
 

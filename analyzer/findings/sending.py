@@ -141,7 +141,6 @@ def stand_stills(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: int) -> str:
-    """Describe the machine meanwhile; empty without samples before and after."""
     timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
     rows = timed.filter(session_id=ping_id)
     before = rows.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()

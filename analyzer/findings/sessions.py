@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 UNSAVED_NS = 1_000_000_000
-"""With `--fsync` a power loss takes less (`chunk_seconds`)."""
+"""With `-o fsync=true` a power loss takes less (`chunk_seconds`)."""
 
 _ERROR_CHARACTERS = 400
 """Longest part of an error that is repeated."""

@@ -26,7 +26,7 @@ _HALF = 2
 """A result is reported if one in this many of its runs, or more, show the same."""
 
 
-@check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with --warmup {messages}, which leaves them out.")
+@check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with -o warmup={messages}, which leaves them out.")
 def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
     """The first messages are not like the others.
 

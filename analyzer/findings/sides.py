@@ -137,7 +137,7 @@ def _versions(session: Session) -> dict[str, str]:
     "wireless_on_one_machine",
     Severity.WARNING,
     Subject.RESULT,
-    "Give --connectivity loopback, or run the relay on the other device.",
+    "Give -o connectivity=loopback, or run the relay on the other device.",
 )
 def wireless_on_one_machine(evidence: Evidence) -> Iterator[Observation]:
     """A link called wireless was within one machine."""

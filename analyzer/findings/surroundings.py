@@ -21,7 +21,6 @@ _LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01, "awake": 0.01, "emula
 
 
 def _loads(evidence: Evidence) -> pl.DataFrame:
-    """Sessions that made a load; a second one of the same machine only waits."""
     rows = []
     for session in evidence.campaign.sessions.values():
         load = object_of(session.extra.get("load"))
@@ -114,7 +113,7 @@ def disturbed_flows(evidence: Evidence) -> Iterator[Observation]:
     "slower_under_load",
     Severity.INFO,
     Subject.RESULT,
-    "Processors of its own (--cpu-affinity) or real-time priority (--realtime) may help: measure them as another setup under the same load.",
+    "Processors of its own (-o cpu_affinity) or real-time priority (-o realtime) may help: measure them as another setup under the same load.",
 )
 def slowed_results(evidence: Evidence) -> Iterator[Observation]:
     """A result is slower, or loses more, under a load than without."""

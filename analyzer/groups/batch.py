@@ -101,7 +101,6 @@ class Batch:
 
 
 def described_exchanges(batch: Batch) -> pl.DataFrame:
-    """Return a row per exchange: its index `exchange`, `group`, `run_id` and `relay_id`."""
     exchanges = batch.exchanges
     return pl.DataFrame(
         {
@@ -142,12 +141,10 @@ def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.i
 
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
-    """Fill null; a view where none is."""
     return (values.fill_null(missing) if values.null_count() else values).to_numpy()
 
 
 def present(values: pl.Series) -> NDArray[Any]:
-    """Leave out null; a view where none is."""
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
 
 

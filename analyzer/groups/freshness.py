@@ -91,7 +91,6 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """List the outages: columns of `OUTAGE_SCHEMA`, by group, run and relay."""
     lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
     if not (lost >= OUTAGE_MESSAGES).any():
         return pl.DataFrame(schema=OUTAGE_SCHEMA)

@@ -174,7 +174,6 @@ def _add_ping(sums: _Sums, counts: JsonObject) -> None:
 
 
 def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
-    """Add the counts of a relay's capture, unless other groups share them or the ping's capture has them."""
     if is_shared:
         sums.shared_counts += 1
     if is_shared or _is_local(counts):

@@ -23,8 +23,6 @@ Stamp = tuple[object, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTrace:
-    """A trace without its events, their index, and the file that they wait in."""
-
     trace: Trace
     parts: Mapping[EventKey, EventPart]
     file: Path

@@ -48,7 +48,6 @@ def congestion_controls(session: Session) -> tuple[str, ...]:
 
 
 def socket_drops(session: Session) -> int | None:
-    """Return the datagrams dropped at own UDP sockets; None where unknown."""
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
@@ -77,7 +76,6 @@ def interface_bytes(session: Session) -> dict[str, int]:
 
 
 def kernel_counts(session: Session) -> dict[str, int]:
-    """Return the rise of each kernel counter (`ReasmFails`)."""
     begin, end = (object_of(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
@@ -86,7 +84,6 @@ def kernel_counts(session: Session) -> dict[str, int]:
 
 
 def may_be_cut(session: Session, payload_bytes: int) -> bool:
-    """Return whether the kernel may have cut such a message into IP fragments."""
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False

@@ -36,7 +36,6 @@ _BY_BOOT = "udp_mem"
 
 
 def lasting_parts(session: Session) -> dict[str, object]:
-    """Return dotted name -> value."""
     host = {name: value for name, value in session.host.items() if name not in _NOT_LASTING}
     if isinstance(mtus := host.pop("mtu", None), dict):
         # Interfaces come and go with containers; possible sizes of packets last.

@@ -144,8 +144,10 @@ def match_groups(
         if not answered.is_empty():
             parts[key] = answered
 
-    ordered = sorted(parts, key=lambda key: [(value is not None, value) for value in key])  # nulls first
-    return {key: MatchedGroup(parts[key], unfinished) for key in ordered}
+    def nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
+        return [(value is not None, value) for value in key]
+
+    return {key: MatchedGroup(parts[key], unfinished) for key in sorted(parts, key=nulls_first)}
 
 
 def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]) -> dict[Key, Key]:

@@ -11,7 +11,7 @@ import typer  # noqa: TC002 - it reads the annotation
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
-from dds_trace.recorder.option_table import OPTIONS, SETTINGS, CommandOptions, key_of
+from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is_setting, key_of
 
 from ..program import Version, ask_about_folder, command, make_app, run_command
 from ..table_options import (
@@ -26,7 +26,7 @@ from ..table_options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from dds_trace.recorder.options import RecordOptions
 
@@ -54,7 +54,7 @@ app = make_app(completes=True)
 
 
 @command(app, "record", table="record", often=("role", *_OFTEN), overridden=overridden, defaults=_DEFAULTS)
-@with_options(OPTIONS)
+@with_options(OPTIONS, is_setting)
 def record_command(
     context: typer.Context,
     settings_given: SettingsOption = None,  # noqa: ARG001 - read before
@@ -73,9 +73,8 @@ _HELP = {
 }
 
 
-def _role_app(role: Role) -> typer.Typer:
-    role_app = make_app()
-    names = [name for name, row in OPTIONS.items() if name != "role" and role in (row.roles or Role)]
+def role_app(role: Role, names: Iterable[str]) -> typer.Typer:
+    app = make_app()
 
     def overridden_of_role(values: Mapping[str, Any]) -> dict[str, str]:
         return overridden({"role": role, **values})
@@ -86,11 +85,15 @@ def _role_app(role: Role) -> typer.Typer:
     record_role.__doc__ = _HELP[role]
     keys = [row.name.lstrip("-") for row in OPTIONS.values()]
     settings: Any = {"table": "record", "ignored": keys, "often": _OFTEN, "defaults": _DEFAULTS}
-    command(role_app, role.value, overridden=overridden_of_role, **settings)(with_options(names)(record_role))
-    return role_app
+    declare = command(app, role.value, overridden=overridden_of_role, **settings)
+    declare(with_options(names, lambda row: is_setting(row, role))(record_role))
+    return app
 
 
-ping, relay, tap, beacon = map(_role_app, Role)
+ping, relay, tap, beacon = (
+    role_app(role, [name for name, row in OPTIONS.items() if name != "role" and role in (row.roles or Role)])
+    for role in Role
+)
 
 
 def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
@@ -170,10 +173,14 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
 
 def words_of_role(words: Sequence[str]) -> list[str]:
     """Return the words of `dds-trace record ROLE` with its settings as options; what was an option of its own is said."""
+    role = next((role for role in Role if role.value in words[1:2]), None)
+    if role is None:
+        return list(words)
+    rows = {row.name: row for row in OPTIONS.values() if is_setting(row, role)}
     for word in words:
-        if (row := SETTINGS.get(word.partition("=")[0])) is not None:
-            say(f"{row.name} is a key of a plan now: -o {key_of(row)}={row.metavar or 'false'}")
-    return settings_as_options(words)
+        if (row := rows.get(word.partition("=")[0])) is not None:
+            say(f"{row.name} is a setting now: -o {key_of(row)}={row.metavar or flag_of(row)}")
+    return settings_as_options(words, role)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -66,7 +66,6 @@ def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = Fa
 
 
 def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
-    """Show the most that is recorded: looks at the default and each bundle, and a proof of both sides."""
     from dds_trace.recorder.sweep.advice import bundles
 
     from .dry_run import dry_run
@@ -110,7 +109,7 @@ def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
         }
         for vendor, vendor_cells in _cells_by_vendor(plan).items()
     ]
-    print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in _shown(advice)))
+    print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in shown(advice)))
     return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
 
 
@@ -160,9 +159,6 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
 
 
 def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.costs import pays
     from dds_trace.recorder.sweep.advice import variables_of
     from dds_trace.recorder.sweep.against import run_against
     from dds_trace.recorder.sweep.run.progress import make_progress
@@ -171,22 +167,27 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     outcome = run_against(replace(plan, name="before"), new, folder, make_progress(plain_console(stderr=True)))
     if missing := {**outcome.base.missing, **outcome.new.missing}:
         return {"reason": f"{_INCOMPLETE} of {path.stem}: {next(iter(missing.values()))}"}
-    sides = (outcome.base.folder, outcome.new.folder)
-    comparison = compare(analyze(sides[0], details=False), analyze(sides[1], details=False), CompareOptions(**COMPARED))
+    proof = proof_of(path.stem, outcome.base.folder, outcome.new.folder)
+    proof["folders"] = [str(outcome.base.folder), str(outcome.new.folder)]
+    if proof["kept"]:
+        proof |= {"configuration": str(path.absolute()), "variables": variables_of(vendor, path)}
+    return proof
+
+
+def proof_of(name: str, base: Path, new: Path) -> Advice:
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+    from dds_trace.analyzer.verdicts.costs import pays
+
+    comparison = compare(analyze(base, details=False), analyze(new, details=False), CompareOptions(**COMPARED))
     is_kept = pays(comparison)
     proof = comparison.rows.select(_PROOF).rows(named=True)
     received = comparison.delivery.select(_RECEIVED).rows(named=True)
-    return {
-        "kept": is_kept,
-        "reason": f"{path.stem} {'pays' if is_kept else f'looked best, and does not pay: {_why_not(proof, received)}'}",
-        "folders": list(map(str, sides)),
-        "proof": proof,
-        "received": received,
-        **({"configuration": str(path.absolute()), "variables": variables_of(vendor, path)} if is_kept else {}),
-    }
+    reason = f"{name} {'pays' if is_kept else f'looked best, and does not pay: {_why_not(proof, received)}'}"
+    return {"kept": is_kept, "reason": reason, "proof": proof, "received": received}
 
 
-def _shown(advice: Advice) -> list[str]:
+def shown(advice: Advice) -> list[str]:
     looks = sorted(advice.get("first_look", {}).items(), key=lambda look: look[1])
     lines = [f"{advice['vendor']}: {'use it' if advice['kept'] else 'the default is kept'}: {advice['reason']}"]
     lines += [f"  export {name}={shlex.quote(value)}" for name, value in advice.get("variables", {}).items()]
@@ -205,7 +206,6 @@ def _shown(advice: Advice) -> list[str]:
 
 
 def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
-    """Name what it was judged by, and what moved most where that is something else."""
     fewer = [row for row in received if row["verdict"] == "worse" or (row["difference_high"] or 0.0) < 0]
     slower = [row for row in proof if row["verdict"] == "worse" or (row["ratio_low"] or 0.0) > 1]
     judged = [*map(_delivery, fewer), *map(_response, slower)]

@@ -8,6 +8,8 @@ import typer
 
 from dds_trace.cli import analyze, trace
 from dds_trace.cli.record import command as record
+from dds_trace.recorder.choices import Role
+from dds_trace.recorder.option_table import OPTIONS, flag_of, help_of, is_setting, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,4 +36,12 @@ def commands() -> str:
 
 def _help(name: str, command: Any) -> str:
     context = command.make_context(name, [], resilient_parsing=True, terminal_width=COLUMNS)
-    return str(command.get_help(context))
+    role = next((role for role in Role if name == f"{trace.PROGRAM} record {role.value}"), None)
+    return "\n".join([str(command.get_help(context)), *(_settings(role) if role else ())])
+
+
+def _settings(role: Role) -> Iterator[str]:
+    yield "\nSettings:"
+    for row in OPTIONS.values():
+        if role in (row.roles or Role) and is_setting(row, role):
+            yield f"  -o {key_of(row)}={row.metavar or flag_of(row)}\n      {help_of(row)}"

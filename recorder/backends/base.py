@@ -118,20 +118,20 @@ class Backend:
         if options.rmw is not None and not self.has_ros:
             raise OptionError(f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out")
         if options.executor is not ExecutorKind.AUTO and not self.has_ros:
-            raise OptionError(f"--executor {options.executor.value}: the backend {self.name} has none; leave it out")
+            raise OptionError(f"-o executor={options.executor.value}: the backend {self.name} has none; leave it out")
         if options.congestion_control is not None and not self.has_congestion_control:
             raise OptionError(
-                f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
+                f"-o congestion_control={options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
         self._check_sending(options)
         self._check_sizes(options)
         self._check_call(options)
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
-            raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
+            raise OptionError(f"-o transport={options.transport.value}: the backend {self.name} only has {names}")
         if options.security is not Security.OFF and options.security not in self.security:
             levels = ", ".join(level.value for level in (Security.OFF, *self.security))
-            raise OptionError(f"--security {options.security.value}: the backend {self.name} only has {levels}")
+            raise OptionError(f"-o security={options.security.value}: the backend {self.name} only has {levels}")
         if options.security is not Security.OFF and self.speaks_dds and options.domain_id > LAST_SECURED_DOMAIN:
             raise OptionError(
                 f"--domain {options.domain_id}: secured domains are at most {LAST_SECURED_DOMAIN}; choose another"
@@ -145,10 +145,10 @@ class Backend:
     def _check_sending(self, options: NodeOptions) -> None:
         if options.priority is not None and options.priority not in (self.priorities or ()):
             allowed = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
-            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {allowed}")
+            raise OptionError(f"-o priority={options.priority}: the priorities of the backend {self.name}: {allowed}")
         if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
             raise OptionError(
-                f"--when-full {options.when_full.value}: the backend {self.name} has no such choice; leave it out"
+                f"-o when_full={options.when_full.value}: the backend {self.name} has no such choice; leave it out"
             )
         if not options.multicast and not self.can_multicast:
             raise OptionError(f"--no-multicast: the backend {self.name} sends no message to a group; leave it out")
@@ -161,7 +161,7 @@ class Backend:
                     if self.sizes and options.transport is not Transport.DEFAULT
                     else ""
                 )
-                raise OptionError(f"--{name} {size}: the backend {self.name}{over} has no such size; leave it out")
+                raise OptionError(f"-o {name}={size}: the backend {self.name}{over} has no such size; leave it out")
 
     def own_variables(self, options: NodeOptions) -> Mapping[str, str]:
         """Return the variables that give the middleware the file of `--configuration`; refuse one that cannot be read."""
@@ -180,12 +180,12 @@ class Backend:
     def _check_call(self, options: NodeOptions) -> None:
         if options.call is Call.NONE:
             return
-        call = f"--call {options.call.value}"
+        call = f"-o call={options.call.value}"
         if options.call not in self.calls:
             allowed = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
             raise OptionError(f"{call}: the calls of the backend {self.name}: {allowed}")
         if options.priority is not None or options.when_full is not WhenFull.DEFAULT:
-            raise OptionError(f"{call}: --priority and --when-full are of publishers; remove them")
+            raise OptionError(f"{call}: -o priority and -o when_full are of publishers; remove them")
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""
@@ -193,7 +193,6 @@ class Backend:
         return first_port(domain_id) + self.relay_port
 
     def describe_meeting(self, domain_id: int, dds_backends: str) -> str:
-        """Return `meeting_needs` for a relay in `domain_id`."""
         port = "" if self.relay_port is None else self.port_of(domain_id)
         return self.meeting_needs.format(port=port, dds_backends=dds_backends)
 

@@ -122,7 +122,7 @@ def security_settings(options: NodeOptions) -> str:
     plugins = next((folder for folder in folders if (folder / "libdds_security_auth.so").exists()), None)
     if plugins is None:
         raise BackendUnavailableError(
-            f"--security {options.security.value}: this Cyclone DDS has no security plugins, as none from pip has; build the package "
+            f"-o security={options.security.value}: this Cyclone DDS has no security plugins, as none from pip has; build the package "
             "cyclonedds 0.10.2 against Debian's cyclonedds-dev (docs/how-to/axes.md)"
         )
     return _SECURITY.format(enclave(options.keys, listens=options.listens), plugins)

@@ -79,7 +79,7 @@ def unlike_participant(names: Iterable[str], security: Security, network: Iterab
     for name in sorted(_names_without_security(*network) if secured else names):
         match = _SECURED_NAME.fullmatch(name)
         if name.startswith("dds_trace_relay_") and bool(match) is not secured:
-            level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"
+            level = f"with -o security={match[1].replace('_', '-')}" if match else "without -o security"
             return f"{name} {level}, and this ping is {'with' if secured else 'without'}"
     return ""
 

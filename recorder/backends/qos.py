@@ -56,7 +56,7 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
 
 def refuse_durations(backend: str, qos: Qos) -> None:
     for policy in requested_durations(qos):
-        raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
+        raise OptionError(f"-o {policy}: the backend {backend} has no such quality of service; leave it out")
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:

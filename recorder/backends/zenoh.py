@@ -337,7 +337,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
     shared_memory = _SHARED_MEMORY[options.transport]
     if options.security is not Security.OFF:
         if options.transport is Transport.SHM:
-            raise OptionError("--transport shm: shared memory is not encrypted; leave it or --security out")
+            raise OptionError("-o transport=shm: shared memory is not encrypted; leave it or -o security out")
         shared_memory = {"enabled": False}
     sizes = options.sizes
     if sizes.segment is not None:
@@ -401,7 +401,6 @@ def _joined(old: Any, new: Any) -> Any:
 
 
 def _priorities() -> list[Any]:
-    """Return zenoh's priorities, the first 1 and the last 7."""
     import zenoh
 
     names = ("REAL_TIME", "INTERACTIVE_HIGH", "INTERACTIVE_LOW", "DATA_HIGH", "DATA", "DATA_LOW", "BACKGROUND")
@@ -412,7 +411,7 @@ def _check_qos(qos: Qos) -> None:
     refuse_durations("zenoh", qos)
     if qos.durability != Durability.VOLATILE:
         raise OptionError(
-            f"--durability {qos.durability}: zenoh keeps no messages for late subscriptions without a storage"
+            f"-o durability={qos.durability}: zenoh keeps no messages for late subscriptions without a storage"
         )
 
 

@@ -80,7 +80,7 @@ def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Ite
         try:
             os.close(os.open(DMA_LATENCY, os.O_RDWR))
         except OSError as err:
-            raise OptionError(f"--load {kind}: {DMA_LATENCY}: {err.strerror}; run as root, or leave it out") from err
+            raise OptionError(f"-o load={kind}: {DMA_LATENCY}: {err.strerror}; run as root, or leave it out") from err
     # -I -S starts fastest: only the standard library.
     command = [*ending_with_parent(), sys.executable, "-I", "-S", str(PROGRAM), kind, host or ""]
     stdin = subprocess.PIPE if kind == "emulated-pi3" else subprocess.DEVNULL
@@ -95,12 +95,12 @@ def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Ite
 
 def _check_stealing(others: Sequence[str]) -> None:
     if not others:
-        raise OptionError("--load emulated-pi3 needs two processors, one of them only for the relay")
+        raise OptionError("-o load=emulated-pi3 needs two processors, one of them only for the relay")
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(STEALER_PRIORITY))
     except OSError as err:
-        raise OptionError(f"--load emulated-pi3: SCHED_FIFO is not permitted ({err.strerror}); run as root") from err
+        raise OptionError(f"-o load=emulated-pi3: SCHED_FIFO is not permitted ({err.strerror}); run as root") from err
     os.sched_setscheduler(0, policy, parameters)
 
 

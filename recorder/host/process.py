@@ -41,7 +41,7 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 
 HOW_TO_BE_PERMITTED = (
     "run as root, or add 'USER - rtprio 99' and 'USER - memlock unlimited' to "
-    "/etc/security/limits.conf and log in again, or leave --realtime out"
+    "/etc/security/limits.conf and log in again, or leave -o realtime out"
 )
 
 _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
@@ -63,7 +63,7 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:  # a page fault would delay a stamp
             reason = os.strerror(ctypes.get_errno())
-            raise OptionError(f"--realtime: locking memory is not permitted ({reason}): {HOW_TO_BE_PERMITTED}")
+            raise OptionError(f"-o realtime: locking memory is not permitted ({reason}): {HOW_TO_BE_PERMITTED}")
         set_realtime(realtime_priority)
         applied |= {"realtime_priority": realtime_priority, "memory_locked": True}
     return applied
@@ -76,7 +76,7 @@ def parse_cpus(text: str) -> list[int]:
         first, _, last = part.partition("-")
         cpus.update(range(int(first), int(last or first) + 1))
     if not cpus:
-        raise OptionError(f"--cpu-affinity {text!r}: a range goes from the lower CPU number to the higher")
+        raise OptionError(f"-o cpu_affinity={text!r}: a range goes from the lower CPU number to the higher")
     return sorted(cpus)
 
 
@@ -86,7 +86,7 @@ def pin_cpus(text: str) -> list[int]:
     missing = [cpu for cpu in cpus if cpu not in allowed]
     if missing:
         raise OptionError(
-            f"--cpu-affinity {text}: CPU {missing[0]} is not among those this process may use "
+            f"-o cpu_affinity={text}: CPU {missing[0]} is not among those this process may use "
             f"({', '.join(map(str, sorted(allowed)))})"
         )
     # Loaded libraries may have started threads, and the call moves one.
@@ -107,7 +107,7 @@ def set_realtime(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as err:
         raise OptionError(
-            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {HOW_TO_BE_PERMITTED}"
+            f"-o realtime={priority}: SCHED_FIFO is not permitted ({err.strerror}): {HOW_TO_BE_PERMITTED}"
         ) from err
 
 

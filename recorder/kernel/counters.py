@@ -29,8 +29,6 @@ _LIMITS = {
 
 @dataclass(frozen=True, slots=True)
 class InterfaceCounters:
-    """Totals of one interface since it came up."""
-
     sent_bytes: int = 0
     received_bytes: int = 0
     sent_packets: int = 0

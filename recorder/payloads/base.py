@@ -117,7 +117,7 @@ class DataType:
     def object_form(self) -> Form[RosMessage, RosMessage]:
         """Return the form of message objects; raise an `OptionError` if there is none."""
         if self.objects is None:
-            raise OptionError(f"--serialization typed: {self.type_name} is only sent as raw bytes")
+            raise OptionError(f"-o serialization=typed: {self.type_name} is only sent as raw bytes")
         return self.objects
 
 

@@ -112,7 +112,7 @@ class LiveFeed:
         if self._sample is None or self._data_type is None or len(sent_ns) < 2:
             raise OptionError(
                 f"{self._where}: {counted(len(sent_ns), 'message')} arrived; check its publisher, "
-                "or give a longer --wait"
+                "or give a longer -o wait"
             )
         rate_hz = rate_of(sent_ns)
         return Payload(
@@ -167,7 +167,7 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
                 return publisher
         time.sleep(CHECK_PERIOD_S)
     raise OptionError(
-        f"{where}: it has no publisher in domain {node.options.domain_id}; start one, or give a longer --wait"
+        f"{where}: it has no publisher in domain {node.options.domain_id}; start one, or give a longer -o wait"
     )
 
 

@@ -123,7 +123,14 @@ def explain_silence(
     )
 
 
-_SAME_SECURITY = "give ping and relay the same --security and --keys"
+def unexpected_relays(answering: int, discovered: int, requested: int) -> Iterator[str]:
+    if answering < discovered:
+        yield f"{answering} of {discovered} discovered relays answer"
+    elif answering > requested:
+        yield f"{answering} relays answer, and the result will be of all of them: end the others, or give -o relays={answering}"
+
+
+_SAME_SECURITY = "give ping and relay the same -o security and -o keys"
 
 
 def _advice(
@@ -131,7 +138,7 @@ def _advice(
 ) -> str:
     data_type = plan.payload.data_type
     if view.incompatible:
-        return "give ping and relay the same --reliability, --durability and --deadline"
+        return "give ping and relay the same --reliability, -o durability and -o deadline"
     if view.unassignable:
         return (
             f"install the same version of {data_type.type_name.split('/')[0]} on both sides: their definitions of "
@@ -143,7 +150,7 @@ def _advice(
     if any(difference.setting is Setting.MEMORY_NAMESPACE for difference in not_applied):
         return (
             "let both sides have one /dev/shm (containers: --ipc=host, or one volume at /dev/shm), or give both "
-            "--transport udp"
+            "-o transport=udp"
         )
     if view.subscriptions:
         return _advice_unheard(node, plan.payload.payload_bytes, causes)
@@ -173,7 +180,7 @@ def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
         name, uid = next(iter(others.items()))
         return (
             f"{SHM / name} belongs to user {uid} and this process to user {os.geteuid()}, and Fast DDS's shared memory is only "
-            "open to its owner: run both as one user, or give both --transport udp"
+            "open to its owner: run both as one user, or give both -o transport=udp"
         )
     causes = list(own)
     if size_bytes >= _MANY_FRAGMENTS_BYTES and node.options.qos.reliability == "best_effort":
@@ -181,12 +188,13 @@ def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
             f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does "
             "not take in time: try --reliability reliable or a smaller --size"
         )
-    causes.append("look at errors of the middleware above; try a smaller --size or a longer --wait")
+    causes.append("look at errors of the middleware above; try a smaller --size or a longer -o wait")
     return f"a relay is there but messages do not get through: {'; '.join(causes)}; check firewalls between the devices"
 
 
 def _meeting_options(options: NodeOptions) -> str:
     usual, durations = Qos(), requested_durations(options.qos)
+    is_secured = options.security is not Security.OFF
     requested = {
         "rmw": options.rmw or "",
         "call": "" if options.call is Call.NONE else options.call.value,
@@ -196,10 +204,15 @@ def _meeting_options(options: NodeOptions) -> str:
             for policy in ("reliability", "durability")
             if (value := str(getattr(options.qos, policy))) != getattr(usual, policy)
         },
-        "security": "" if options.security is Security.OFF else f"{options.security.value} --keys {options.keys}",
+        "security": options.security.value if is_secured else "",
+        "keys": str(options.keys) if is_secured else "",
         "deadline": spell_duration(durations["deadline"], digits=9) if "deadline" in durations else "",
     }
-    return "".join(f"--{name} {value} " for name, value in requested.items() if value)
+    return "".join(
+        f"--{name} {value} " if name in ("rmw", "reliability") else f"-o {name}={value} "
+        for name, value in requested.items()
+        if value
+    )
 
 
 def _listed(endpoints: tuple[Endpoint, ...]) -> str:

@@ -63,7 +63,7 @@ def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
 def message_objects_of(node: Node) -> ObjectNode:
     if not isinstance(node, ObjectNode):
         raise OptionError(
-            f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
+            f"-o serialization=typed: the backend {node.middleware.backend} only carries serialized messages"
         )
     return node
 

@@ -90,7 +90,7 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
     share = ping.ping_share or (MAX_RATE_PING_SHARE if math.isinf(rate_hz) else 1.0)
     if ping.wake_ms * rate_hz >= 1000:
         raise OptionError(
-            f"--wake {ping.wake_ms}: at {rate_hz:g} Hz a message leaves every {1e3 / rate_hz:g} ms; give less"
+            f"-o wake={ping.wake_ms}: at {rate_hz:g} Hz a message leaves every {1e3 / rate_hz:g} ms; give less"
         )
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}

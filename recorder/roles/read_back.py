@@ -77,7 +77,7 @@ class ReadBack:
         different += publisher_differences(self._publisher_settings, self._node.publisher_settings)
         level = self._node.options.security
         if level is not Security.OFF and not self._node.read_security():
-            words = f"asked for --security {level.value}, and nothing in this process secures its messages"
+            words = f"asked for -o security={level.value}, and nothing in this process secures its messages"
             different += (Difference(Setting.SECURITY, level.value, "nothing", words),)
         return different
 
@@ -119,7 +119,7 @@ class ReadBack:
         self._reported.update((difference.setting, difference.asked) for difference in unreported)
         if unreported and self._strict:
             at_end = "" if trace is None else f" (seen at the end: {trace} is complete, but no answer will use it)"
-            raise NotAppliedError(f"--strict: {'; '.join(difference.words for difference in unreported)}{at_end}")
+            raise NotAppliedError(f"-o strict=true: {'; '.join(difference.words for difference in unreported)}{at_end}")
         for difference in unreported:
             self._note(f"not applied: {difference.words}; no answer will use this recording")
 

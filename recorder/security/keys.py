@@ -73,7 +73,7 @@ def opened_keys(level: Security, folder: str | None) -> Iterator[str | None]:
     path = Path(folder) if folder else Path(shared) / level.value if shared else None
     if path is None:
         raise OptionError(
-            f"--security {level.value} needs --keys FOLDER, the same for both sides; a folder that is not there yet is made, and "
+            f"-o security={level.value} needs -o keys=FOLDER, the same for both sides; a folder that is not there yet is made, and "
             "removed at the end"
         )
     is_ours = not path.exists()
@@ -92,12 +92,12 @@ def _check(path: Path, level: Security) -> None:
         status, made_for = path.stat(), Security(read_regular(path / LEVEL_FILE).decode(errors="replace").strip())
     except (OSError, ValueError) as err:
         reason = getattr(err, "strerror", None) or f"its file {LEVEL_FILE} names no level"
-        raise OptionError(f"--keys {path}: {reason}; give a folder that dds-trace made, or a new name") from err
+        raise OptionError(f"-o keys={path}: {reason}; give a folder that dds-trace made, or a new name") from err
     if status.st_uid != os.geteuid() or status.st_mode & 0o077:
-        raise OptionError(f"--keys {path}: others can read it; chmod 700 it, as your own user")
+        raise OptionError(f"-o keys={path}: others can read it; chmod 700 it, as your own user")
     if made_for is not level:
         raise OptionError(
-            f"--keys {path}: made for --security {made_for.value}, not {level.value}; give another folder"
+            f"-o keys={path}: made for -o security={made_for.value}, not {level.value}; give another folder"
         )
 
 
@@ -129,7 +129,7 @@ def make_keys(path: Path, level: Security) -> None:
         draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))  # mode 0700
     except OSError as err:
         raise OptionError(
-            f"--keys {path}: cannot be made ({err.strerror or err}); give a folder that can be written"
+            f"-o keys={path}: cannot be made ({err.strerror or err}); give a folder that can be written"
         ) from err
     authority = _Authority()
     signed = {
@@ -158,8 +158,6 @@ def make_keys(path: Path, level: Security) -> None:
 
 
 class _Authority:
-    """A certificate authority; its key is never written."""
-
     def __init__(self) -> None:
         now = datetime.now(timezone.utc)
         self.valid = (now - timedelta(days=1), now + _VALID)

@@ -124,6 +124,6 @@ def speaks_tls(host: str, port: int) -> bool | None:
 def unlike_tls(addresses: Iterable[tuple[str, int]], *, is_secured: bool) -> str:
     for host, port in addresses:
         if speaks_tls(host, port) is (not is_secured):
-            other = "without TLS" if is_secured else "with TLS (--security)"
+            other = "without TLS" if is_secured else "with TLS (-o security)"
             return f"a program at {host}:{port} {other}, and this ping is {'with' if is_secured else 'without'}"
     return ""

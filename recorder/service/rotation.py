@@ -20,7 +20,7 @@ from ..option_values import KeepFree
 DIGITS = 5
 
 MOST_MORE_BYTES = 100_000_000
-"""Largest reserve above `--keep-free` that must be free before writing resumes."""
+"""Largest reserve above `-o keep_free` that must be free before writing resumes."""
 
 _SHOWN_BYTES = 100_000
 
@@ -92,7 +92,7 @@ def find_shortage(trace: Path, keep_free: KeepFree, *, was_short: bool = False) 
     if free >= floor + (min(floor // 5, MOST_MORE_BYTES) if was_short else 0):
         return None
     return OutputError(
-        f"{trace}: the disk has {_rounded(free)} free, and {_rounded(floor)} must stay free (--keep-free); delete files or "
+        f"{trace}: the disk has {_rounded(free)} free, and {_rounded(floor)} must stay free (-o keep_free); delete files or "
         "record to another disk"
     )
 

@@ -55,7 +55,6 @@ def write_bundles(vendor: str, plan: Plan, folder: Path) -> list[Path]:
 
 
 def variables_of(vendor: str, path: Path) -> dict[str, str]:
-    """Return the variables with which any program of the vendor loads a file; for zenoh one for its ROS middleware, too."""
     maker = load_backend("ros2" if vendor == "fastdds" else vendor).variables_of
     assert maker is not None
     variables = dict(maker("rmw_fastrtps_cpp", path.absolute()))

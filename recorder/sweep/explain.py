@@ -42,8 +42,6 @@ AS_IS, MACHINE, NATIVE = "as is", "machine", "native"
 
 @dataclass(frozen=True, slots=True)
 class ExplainedSetup:
-    """One setup: key -> the cells between which the latency rises."""
-
     name: str
     pairs: Mapping[str, tuple[Cell, Cell]]
 

@@ -73,7 +73,6 @@ def _try_lock(lock: int) -> bool:
 
 
 def make_parts(folder: Path) -> Path:
-    """Make the folder for unfinished traces; refuse a link, which would lead elsewhere."""
     parts = folder / PARTS
     try:
         parts.mkdir(parents=True, exist_ok=True)

@@ -38,7 +38,6 @@ _TOO_OLD = "No such option: --check"
 
 
 def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dict[str, str]:
-    """Return the refused cells of all repeats, and why; nothing is run."""
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
     not_here = cache(_not_here)  # of some middlewares, in thousands of cells

@@ -114,7 +114,6 @@ class Bisection:
         return Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
 
     def _confirmed(self, rate_hz: float) -> str:
-        """Return why a majority did not sustain the rate; a failure also rules out higher rates."""
         return self.trial(rate_hz, 1) and self._majority(rate_hz)
 
     def _majority(self, rate_hz: float) -> str:
@@ -152,7 +151,6 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
 
 
 def _loses_more(result: CellResult, percent: float) -> bool:
-    """Return whether more was lost than allowed and than chance explains (Poisson, 5 %)."""
     lost = round(result.loss_percent * result.published / 100)
     allowed = percent * result.published / 100
     fewer = (
@@ -178,7 +176,6 @@ def messages_needed(search: Search) -> int:
 
 
 def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
-    """Yield the answer for each cell; complete trials are not run again."""
     for group in group_by_relay(plan, plan.cells):
         knees: list[tuple[Cell, Knee]] = []
         with runner.relay(group) as relay:

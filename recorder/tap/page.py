@@ -63,7 +63,7 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "
     try:
         server = LocalServer((HOST, port), Handler)
     except OSError as error:
-        raise OptionError(f"--live-port {port}: {error.strerror}; choose another port") from error
+        raise OptionError(f"-o live_port={port}: {error.strerror}; choose another port") from error
     thread = threading.Thread(target=server.serve_forever, name="tap-page", daemon=True)
     thread.start()
     try:

@@ -41,6 +41,8 @@ from .headline import (
     factor_words,
     few_lost_sentence,
     forged_sentence,
+    interference_sentences,
+    limits_words,
     loss_sentence,
     recovery_sentences,
     tail_sentence,
@@ -48,13 +50,14 @@ from .headline import (
     winner_sentences,
 )
 from .numbers import Intervals, Values
-from .topics import topic_sentences
+from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
 
 class PointKind(str, Enum):
     FORGED = "forged"
     RECOVERY = "recovery"
+    INTERFERENCE = "interference"
     LOSS = "loss"
     AVOID = "avoid"
     CURE = "cure"
@@ -97,8 +100,9 @@ def answer_info(
 ) -> Conclusion:
     metric = values.default_metric
     topics = topic_sentences(analysis.topics)
-    if not groups.groups:
-        headline, *points = topics or ["No measurement was found."]
+    if not groups.groups or is_of_topics(analysis):
+        limits = [limits_words(analysis).strip()] if topics else []
+        headline, *points = [*topics, *filter(None, limits)] or ["No measurement was found."]
         kinds = (PointKind.TOPIC if topics else PointKind.NOTHING,) * (1 + len(points))
         return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "", kinds)
     if not values.has(metric):
@@ -114,11 +118,7 @@ def answer_info(
     losses = loss_sentence(usable, values)
     remarks = (
         *_deadline_remarks(analysis.details, groups),
-        *(
-            []
-            if has_latency
-            else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
-        ),
+        *([] if has_latency else [_without_latency(metric)]),
         *_level_remarks(usable, values, metric),
         *([] if losses or forged else ["Every message was received."]),
     )
@@ -129,6 +129,7 @@ def answer_info(
         *((PointKind.TOPIC, text) for text in topics),
         (PointKind.FORGED, forged_sentence(analysis, groups)),
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
+        *((PointKind.INTERFERENCE, text) for text in interference_sentences(analysis, usable)),
         (PointKind.LOSS, losses),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
@@ -328,7 +329,9 @@ def _missed_ratio(row: Mapping[str, int]) -> float:
     return row["missed"] / max(1, row["judged"] + row["unsure"])
 
 
-_WITHOUT_LATENCY = "No relay's trace was found: the latency is unknown"
+def _without_latency(metric: str) -> str:
+    what = METRIC_LABELS[metric].lower()
+    return f"No relay's trace was found: the latency is unknown, and the {what} below includes the time in the relay."
 
 
 MOST_COMPARED = 3

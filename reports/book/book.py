@@ -27,7 +27,7 @@ from .recording import (
     run_times,
 )
 from .sizes import Glance, SizeTable, glance_info, size_table
-from .topics import TopicTable, topic_tables
+from .topics import TopicTable, is_of_topics, topic_tables
 
 
 class Book:
@@ -78,7 +78,6 @@ class Book:
 
     @cached_property
     def fastest(self) -> list[Fastest]:
-        """Who is fastest for each kind of message; empty without latencies."""
         answers = self.analysis.details.answers if self.values.default_metric == "latency" else ()
         return fastest_setups(answers, self.groups.vendors)
 
@@ -88,7 +87,7 @@ class Book:
 
     @cached_property
     def sizes(self) -> SizeTable | None:
-        return size_table(self.analysis, self.groups.vendors)
+        return None if is_of_topics(self.analysis) else size_table(self.analysis, self.groups.vendors)
 
     @cached_property
     def glance(self) -> Glance | None:

@@ -43,7 +43,6 @@ MOST_NAMED = 3
 
 
 def forged_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return which results are not to be used, or are doubtful, as replies may be from another program."""
     labels = group_labels(groups)
     sentences = []
     for code, words in (FORGED, "Do not use, as somebody else may have answered"), (DOUBTFUL, "Doubtful"):
@@ -56,7 +55,6 @@ def forged_sentence(analysis: Analysis, groups: Groups) -> str:
 
 
 def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
-    """Return how long each setup took to come back: median and range of its runs."""
     series = {group.index: groups.series_of(group) for group in groups.groups}
     labels = setup_labels({group: asdict(member) for group, member in series.items()}, groups.vendors)
     outages: dict[tuple[str, float, str], dict[str, list[float | None]]] = {}
@@ -96,8 +94,31 @@ def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
     )
 
 
+def interference_sentences(analysis: Analysis, groups: Groups) -> list[str]:
+    vendors = {group.index: groups.series_of(group).vendor_label for group in groups.groups}
+    cases: dict[str, dict[tuple[str, str], list[float]]] = {}
+    for row in analysis.details.interference.filter(pl.col("group").is_in(list(vendors))).iter_rows(named=True):
+        case = (
+            f"The flow {row['flow']} with {row['with_flows']}" if row["flow"] else f"A message with {row['with_flows']}"
+        )
+        factors = cases.setdefault(case, {})
+        if row["verdict"] in ("worse", "better") and row["ratio"] is not None and math.isfinite(row["ratio"]):
+            factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["ratio"])
+    return [
+        printable(f"{case} takes {'; '.join(_as_long(*factor) for factor in factors.items()) or _NOT_LONGER}.")
+        for case, factors in cases.items()
+    ]
+
+
+_NOT_LONGER = "as long as without, as far as can be shown"
+
+
+def _as_long(vendor_statistic: tuple[str, str], factors: Sequence[float]) -> str:
+    vendor, statistic = vendor_statistic
+    return f"{factor_words(factors)} as long {dict(PERCENTILES)[statistic]} ({vendor})"
+
+
 def loss_sentence(groups: Groups, values: Values) -> str:
-    """Return what was lost of all messages that were due, unsent ones too."""
     planned, lost = _planned_and_lost(groups.groups, values)
     if not lost:
         return ""
@@ -138,7 +159,6 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
-    """`cures`: row -> cure of its losses."""
     lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
     worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
     shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
@@ -365,10 +385,10 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
     executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
     ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
-    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}{ros}.{_limits(analysis)}"
+    return f"Measured on {_some(parts, 'more pairs of devices')}{runs}{ros}.{limits_words(analysis)}"
 
 
-def _limits(analysis: Analysis) -> str:
+def limits_words(analysis: Analysis) -> str:
     counts = Counter(code for finding in analysis.findings for code in [finding.code] * finding.count)
     full, recordings = counts["cpu_saturated"], len(analysis.sessions)
     words = ""

@@ -11,7 +11,8 @@ import polars as pl
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.base.units import MISSING, finite
+from dds_trace.analyzer.verdicts.judgements import exceeds_lossy_share
+from dds_trace.base.units import MISSING, counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
 
@@ -89,6 +90,15 @@ class Intervals:
         is_between = self.is_between_runs(metric, percentile, group)
         return f"{self.runs[group]}" if is_between else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
 
+    def rests_on(self, metric: str, percentile: str, group: int) -> str:
+        if _value(self.is_between, metric, percentile, group) is None:
+            return ""
+        within = "" if self.is_between_runs(metric, percentile, group) else f" ({Basis.WITHIN_RUN.value})"
+        bursts = self.tail_episodes(metric, percentile, group)
+        return f"rests on {counted(self.runs[group], 'run')}{within}" + (
+            "" if bursts is None else f", {counted(bursts, 'burst')}"
+        )
+
 
 def _value(of_groups: Ends, metric: str, percentile: str, group: int) -> int | None:
     values = of_groups.get(metric, {}).get(percentile, ())
@@ -121,11 +131,12 @@ def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Curves of all groups (`report_values`): metric -> for each group the times at the first levels; `shares` were received."""
+    """Curves of all groups (`report_values`): metric -> for each group the times at the first levels; `shares` were received, `losses` names those that a figure marks."""
 
     levels: tuple[float, ...]
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]
     shares: tuple[float | None, ...] = ()
+    losses: tuple[str, ...] = ()
 
 
 def any_curve(analysis: Analysis) -> bool:
@@ -136,4 +147,11 @@ def any_curve(analysis: Analysis) -> bool:
 def curves_info(analysis: Analysis) -> Curves:
     drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
-    return Curves(LEVELS, values_ns, planned_shares(analysis.summary))
+    shares = planned_shares(analysis.summary)
+    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, shares)))
+
+
+def _loss_text(share: float | None) -> str:
+    if share is None or not exceeds_lossy_share(1 - share):
+        return ""
+    return "< 1 %" if 0 < share < 0.01 else f"{math.floor(100 * share)} %"

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 
+import polars as pl
+
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
@@ -14,6 +16,7 @@ from dds_trace.base.units import counted, format_rate, format_size
 
 from .groups import VENDORS, Groups, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
 from .recording import OwnCost, RunTime, cost_words, setting_words, version_words
+from .topics import is_of_topics
 from .verdicts import conditions_label
 
 MOST_LISTED = 12
@@ -40,17 +43,11 @@ class Overview:
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
     conditions = {conditions_label(condition_of(member.setting)) for member in groups.series}
-    devices = dict.fromkeys(device_label(member) for member in groups.series) or sorted(
-        {f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}
-    )
-    vendors = [member.vendor_label for member in groups.series] or [
-        groups.vendors.of(member) for member in in_order_of({member.vendor for member in analysis.sessions}, VENDORS)
-    ]
     facts = (
-        Fact("Devices", _listed(devices)),
+        Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({printable(member.connectivity) for member in groups.series}))),
         Fact("Conditions", "; ".join(sorted(conditions - {""}))),
-        Fact("Middleware", _listed(dict.fromkeys(vendors))),
+        Fact("Middleware", _listed(_vendors(analysis, groups))),
         Fact("Domains", _listed(list(dict.fromkeys(domain_label(member) for member in groups.series)))),
         Fact("Messages", _messages(analysis)),
         Fact("Sent", _sent(groups)),
@@ -72,14 +69,31 @@ def _listed(values: Iterable[str]) -> str:
     return ", ".join(shown)
 
 
+def _devices(analysis: Analysis, groups: Groups) -> str:
+    if groups.series:
+        return _listed(dict.fromkeys(device_label(member) for member in groups.series))
+    return _listed(sorted({f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}))
+
+
+def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
+    if groups.series:
+        return list(dict.fromkeys(member.vendor_label for member in groups.series))
+    return [
+        groups.vendors.of(member) for member in in_order_of({member.vendor for member in analysis.sessions}, VENDORS)
+    ]
+
+
 def _messages(analysis: Analysis) -> str:
-    if not analysis.summary.height:
+    of_topics = is_of_topics(analysis)
+    counts = analysis.topics.with_columns(unsent=pl.lit(0)) if of_topics else analysis.summary
+    if not counts.height:
         return ""
-    published, received, unsent = (int(analysis.summary[name].sum()) for name in ("published", "received", "unsent"))
+    published, received, unsent = (int(counts[name].sum()) for name in ("published", "received", "unsent"))
     due, runs = published + unsent, len(analysis.runs)
     share = "all received" if due == received else f"{format_count(received)} received"
     never = f", {format_count(unsent)} never sent" if unsent else ""
-    return f"{format_count(due)} in {counted(runs, 'run', text=format_count(runs))}, {share}{never}"
+    parts = counted(counts["topic"].n_unique(), "topic") if of_topics else counted(runs, "run", text=format_count(runs))
+    return f"{format_count(due)} in {parts}, {share}{never}"
 
 
 def _sent(groups: Groups) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from dds_trace.analyzer.model.parameters import SITE_COLUMNS
@@ -68,13 +68,9 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         f"{f'On {pair}: ' if several else ''}{_sentence(candidates_there, deadline, opens=not several)}"
         for pair, candidates_there in by_pair.items()
     ]
-    for runs, ratio in sorted((c.runs, c.unseen_ratio) for c in recommendation.best if c.unseen_ratio is not None)[:1]:
-        sentences.append(
-            f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
-        )
     return Advice(
         job=_job_words(recommendation.job),
-        sentence=" ".join(sentences) or _NOTHING,
+        sentence=" ".join([*sentences, *_unseen(recommendation.best)]) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
         missing=_missing_words(recommendation, full_names),
         commands=_commands(recommendation),
@@ -155,6 +151,13 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
     return words[0].upper() + words[1:] if opens else words
 
 
+def _unseen(candidates: Iterable[Candidate]) -> Iterator[str]:
+    chances = [(c.runs, c.unseen_ratio) for c in candidates if c.unseen_ratio is not None]
+    if chances:
+        runs, ratio = min(chances)
+        yield f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
+
+
 def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
     basis = "a guess"
     if candidate.measured:
@@ -190,39 +193,24 @@ QOS_DEFAULTS = {
 }
 """Columns that are options of both sides, with the option's default."""
 
-SETTING_OPTIONS = {
-    "serialization": "-o serialization",
-    "cpu_affinity": "--cpu-affinity",
-    "load": "-o load",
-    "priority": "-o priority",
-    "when_full": "-o when_full",
-    "security": "--security",
-    "realtime_priority": "--realtime",
-    "wire": "--wire",
-    "discovery": "--discovery",
-    "transport": "--transport",
-    "executor": "-o executor",
-    "tuned": "--tuned",
-    "congestion_control": "-o congestion_control",
-    "deadline_ns": "--deadline",
-    "lifespan_ns": "--lifespan",
-    "rmw": "--rmw",
-    "multicast": "-o multicast",
-    "buffer_bytes": "-o buffer",
-    "segment_bytes": "-o segment",
-    "fragment_bytes": "-o fragment",
-    "call": "--call",
-    "response_bytes": "-o response_size",
-}
-"""Setting of one side -> its option; any other is a `--setting` of the ping."""
+_SHOWN = ("rmw", "discovery", "tuned", "wire")
+_KEYS = {"realtime_priority": "realtime", "response_bytes": "response_size"}
+
+
+def _option_of(field: str) -> str:
+    key = _KEYS.get(field) or re.sub("_(ns|ms|bytes)$", "", field)
+    return f"--{key}" if field in _SHOWN else f"-o {key}"
+
+
+_SIDE_FIELDS = """durability history serialization cpu_affinity load priority when_full security realtime_priority wire discovery
+    transport executor tuned congestion_control deadline_ns lifespan_ns rmw multicast buffer_bytes segment_bytes fragment_bytes call
+    response_bytes"""
+SETTING_OPTIONS = {field: _option_of(field) for field in _SIDE_FIELDS.split()}
+"""Setting of one side -> its option; any other is a `setting` of the ping."""
 
 PING_OPTIONS = {
-    "bridge_running": "--bridge-running",
-    "bridge_listen": "--bridge-listen",
-    "relays": "--relays",
-    "ping_share": "-o ping_share",
-    "wake_ms": "-o wake",
-    "clients": "-o clients",
+    field: _option_of(field)
+    for field in ("bridge_running", "bridge_listen", "relays", "ping_share", "wake_ms", "clients")
 }
 
 LISTENS_AT = "0.0.0.0:7447"
@@ -270,7 +258,7 @@ def _message(setting: Setting, extra: Mapping[str, str], job: Job, messages: int
         if key in PING_OPTIONS:
             yield from _option(PING_OPTIONS[key], LISTENS_AT if key == "bridge_listen" else value)
         elif key not in SETTING_OPTIONS and key not in ("data", "flows"):
-            yield from ("--setting", f"{key}={value}")
+            yield from ("-o", f"setting={key}={value}")
 
 
 def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterator[str]:
@@ -278,11 +266,11 @@ def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterat
         if value not in (QOS_DEFAULTS.get(key), "default"):
             text = spell_duration(int(value)) if key.endswith("_ns") and value.isdecimal() else value
             yield from _option(SETTING_OPTIONS.get(key, f"--{key}"), text)
-            yield from ("--keys", "keys") if key == "security" else ()
+            yield from ("-o", "keys=keys") if key == "security" else ()
     if setting["connectivity"] != "loopback":
-        yield from ("--connectivity", str(setting["connectivity"]))
+        yield from ("-o", f"connectivity={setting['connectivity']}")
     if device is not None:
-        yield from ("--device", str(device))
+        yield from ("-o", f"device={device}")
 
 
 def _option(name: str, value: str) -> tuple[str, ...]:

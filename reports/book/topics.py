@@ -52,6 +52,11 @@ class TopicTable:
     rows: tuple[tuple[str, ...], ...]
 
 
+def is_of_topics(analysis: Analysis) -> bool:
+    """Return whether topics were recorded, and messages of our own only by beacons, which compare clocks."""
+    return analysis.topics.height > 0 and all(run.labels.get("role") == "beacon" for run in analysis.runs)
+
+
 def topic_sentences(topics: pl.DataFrame) -> list[str]:
     rows = sorted(topics.to_dicts(), key=lambda row: row["ping_device"] == row["relay_device"])
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]

@@ -35,6 +35,7 @@ WITHIN_ONE_RUN = (
     "the messages within one run can show."
 )
 
+VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
 MODES = {"same": "same domain", "different": "different domains"}
 
 # Columns that extend equal labels of setups.

@@ -16,11 +16,10 @@ from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
-from ..book.verdicts import received_words, runs_words
+from ..book.verdicts import VERDICTS, received_words, runs_words
 from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
-    VERDICTS,
     both_words,
     change_words,
     gate_notes,

@@ -66,7 +66,11 @@ KNOTS_IN_PAGE = 4000
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """Clocks of one device pair, `elapsed_s` since the first mark; the title has the drift of the longest segment."""
+    """Clocks of one device pair; the title has the drift of the longest segment.
+
+    Attributes:
+        elapsed_s: of each mark since the first.
+    """
 
     title: str
     first_offset_ns: int
@@ -78,8 +82,6 @@ class ClockPair:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Device pairs with two clocks; `one_clock` if some pair shared one."""
-
     pairs: tuple[ClockPair, ...]
     decimated: bool
     one_clock: bool

@@ -13,7 +13,7 @@ from dds_trace.base.units import counted, finite
 from ..book.book import Book
 from ..book.groups import Groups
 from ..book.numbers import whole_ns
-from ..book.verdicts import received_words, runs_words
+from ..book.verdicts import VERDICTS, received_words, runs_words
 from .figure import FEW_GROUPS, Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, is_few
 
 
@@ -34,8 +34,6 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class BridgedCell:
-    """One message: percentile -> cost, and the mean load of the bridge's processes."""
-
     costs: Mapping[str, Cost]
     bridge_cpu_percent: float | None
 
@@ -77,7 +75,8 @@ def cost_of(row: Mapping[str, Any]) -> Cost | None:
     low_ns, high_ns = whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"])
     ratios = (finite(row[name]) for name in ("ratio", "ratio_low", "ratio_high"))
     ratio, low, high = (None if value is None else round(value, 4) for value in ratios)
-    return Cost(difference_ns, low_ns, high_ns, ratio, low, high, row["verdict"], received_words(row), runs_words(row))
+    verdict = VERDICTS[row["verdict"]]
+    return Cost(difference_ns, low_ns, high_ns, ratio, low, high, verdict, received_words(row), runs_words(row))
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
@@ -125,8 +124,6 @@ INTERFERENCE = FigureMaker(interference_info, interference_figure)
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """Groups from the top of the chart, and group through a bridge -> what that costs."""
-
     groups: tuple[int, ...]
     cells: Mapping[int, BridgedCell]
 

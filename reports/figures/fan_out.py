@@ -20,8 +20,6 @@ COUNTS = ("relays", "hosts", "pings", "topics", "flow", "flows", "wire")
 
 @dataclass(frozen=True, slots=True)
 class Receivers:
-    """One result: how many relays, or pings, and medians in ns."""
-
     group: int
     count: int
     first_ns: int | None
@@ -31,8 +29,6 @@ class Receivers:
 
 @dataclass(frozen=True, slots=True)
 class FanOut:
-    """Setup -> its results, by count; `of` is what is counted."""
-
     of: str
     lines: Mapping[str, tuple[Receivers, ...]]
 

@@ -72,10 +72,15 @@ ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """How groups are spread along the axis, over lines and over panels; what is on neither separates panels, as in `facets.js`.
+    """How groups are spread along the axis, over lines and over panels.
 
-    `x` is `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message), `cell` (without) or another
-    dimension of `book.facets`, as `lines` (empty: one a panel) and `panels`, whose values are side by side.
+    What is neither on the axis nor a line separates panels. The page spreads by the same rule and tables (`facets.js`).
+
+    Attributes:
+        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, with panels by data type), `cell`
+            (without) or another dimension of `book.facets`.
+        panels: dimension with its values side by side; the others follow below.
+        lines: dimension with a line for each value; empty for one line a panel.
     """
 
     x: str
@@ -171,7 +176,12 @@ def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> d
 
 @dataclass(frozen=True, slots=True)
 class LineFigure:
-    """A row of the table of figures whose marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
+    """A row of the table of figures with marks or lines of one value of each group; fields as in `Figure` and `FigureMaker`.
+
+    Attributes:
+        value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
+        shows: of a book, whether a group shows something; a panel needs one.
+    """
 
     name: str
     title: str

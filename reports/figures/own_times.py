@@ -42,7 +42,6 @@ FIRST_MESSAGE = FigureMaker(first_message_info, first_message_figure, opened=Fal
 
 
 def recovery_info(book: Book) -> OwnTimes:
-    """Collect the runs that came back; the settings of their groups name the outage."""
     recoveries = book.analysis.details.recoveries
     times: dict[int, list[int]] = {}
     for group, back_ns in recoveries.filter(~recoveries["never"]).select("group", "back_ns").iter_rows():

@@ -35,8 +35,6 @@ class GroupTimeline:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Groups with at least one message, and the longest outages (start, end) of each."""
-
     groups: tuple[GroupTimeline, ...]
     decimated: bool
     outages: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)

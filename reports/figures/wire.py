@@ -41,8 +41,6 @@ class WirePart:
 
 @dataclass(frozen=True, slots=True)
 class WireCost(Faceted):
-    """Group -> its parts from the bottom up; the bars of `incomplete` groups are too low."""
-
     parts: Mapping[int, tuple[WirePart, ...]]
     incomplete: tuple[int, ...]
 
@@ -88,8 +86,6 @@ WIRE_COST = FigureMaker(wire_cost_info, wire_cost_figure)
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """Messages of one group that were sent again equally often; times are of the received ones."""
-
     repeats: int
     messages: int
     p50_ns: int | None

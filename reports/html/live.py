@@ -27,6 +27,7 @@ from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import open_regular
 from dds_trace.base.local_server import LocalServer
 from dds_trace.base.streams import say
+from dds_trace.base.units import clock_words
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly
@@ -61,6 +62,13 @@ class SweepStatus:
     def running(self) -> bool:
         return self.done < self.planned
 
+    @property
+    def words(self) -> str:
+        if self.age_s is None:
+            return ""
+        left = f"{clock_words(self.age_s)} ago, about {clock_words(self.left_s)} left" if self.running else "complete"
+        return f"{self.done} of {self.planned}, {left}"
+
 
 def sweep_status(folder: Path) -> SweepStatus:
     total = SweepStatus()
@@ -84,8 +92,6 @@ def sweep_status(folder: Path) -> SweepStatus:
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """A folder with traces, and where the analysis is written (None: its default)."""
-
     folder: Path
     out: Path | None = None
 
@@ -162,7 +168,8 @@ class Watcher:
         return Shown(_encoded(page.replace("<body>", f"<body>\n{notice}", 1)), version)
 
     def status(self) -> str:
-        return json.dumps({"version": self.shown.version, **asdict(sweep_status(self._options.folder))})
+        status = sweep_status(self._options.folder)
+        return json.dumps({"version": self.shown.version, "words": status.words, **asdict(status)})
 
     @contextmanager
     def serving(self) -> Iterator[None]:

@@ -179,7 +179,6 @@ _asset = partial(asset, __package__)
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Return a policy for these scripts; plotly.js needs style attributes, downloads data and blob images."""
     hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "
@@ -188,7 +187,11 @@ def _policy(*scripts: str, connect: str) -> str:
 
 
 def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
-    groups, values = book.groups, book.values
+    groups, values, intervals = book.groups, book.values, book.intervals
+    rests_on = {
+        metric: {name: [intervals.rests_on(metric, name, group.index) for group in groups.groups] for name in columns}
+        for metric, columns in intervals.is_between.items()
+    }
     filters, styles = filters_info(groups), line_styles(book.facets)
     return {
         "title": printable(book.analysis.title),
@@ -252,7 +255,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             }
             for run in book.run_times
         ],
-        "intervals": book.intervals,
+        "intervals": {"low_ns": intervals.low_ns, "high_ns": intervals.high_ns, "rests_on": rests_on},
         "figures": {
             figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": figure.plan}
             for figure in figures

@@ -88,10 +88,10 @@ def test_files_of_an_earlier_analysis_of_other_traces_are_named(runs, capsys):
     assert "report.md: of an earlier analysis" in capsys.readouterr().err
 
 
-def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
+def test_doubts_that_spoil_numbers_are_in_the_answer(tmp_path, capsys):
     write_pair(tmp_path, TWELVE, runs=[run(published=99)])
     assert analyze(tmp_path) == 0
-    assert "87 of 99 published messages" in capsys.readouterr().err
+    assert "✗ Missing publications: 87 of 99" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

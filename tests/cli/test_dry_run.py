@@ -44,8 +44,8 @@ def plan(tmp_path, domains):
     ("text", "reason"),
     [
         ("rmw = 'rmw_fastrtps_cpp'", "--rmw rmw_fastrtps_cpp: the backend socket has no ROS middleware"),
-        ("executor = 'single'", "--executor single: the backend socket has none"),
-        ("transport = 'shm'", "--transport shm: the backend socket only has"),
+        ("executor = 'single'", "-o executor=single: the backend socket has none"),
+        ("transport = 'shm'", "-o transport=shm: the backend socket only has"),
         ("[devices.ping]\noptions = ['--depth', '0']", "--depth 0"),
         ("data = 'file:/nowhere/at/all'", "--data file:/nowhere/at/all: No such file"),
         ("[devices.ping]\noptions = ['--data', 'photos']", "there is no data type 'photos'"),
@@ -74,7 +74,7 @@ def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, p
     shown = json.loads(out)
     assert code == 10
     ((name, reason),) = shown["cannot_start"].items()
-    assert (name in [cell["name"] for cell in shown["cells"]], "--transport shm" in reason) == (True, True)
+    assert (name in [cell["name"] for cell in shown["cells"]], "-o transport=shm" in reason) == (True, True)
     one = plan("[axes]\nbackend = 'socket'\n")
     assert call(one, "--rehearse", "--json", "--out", tmp_path)[0] == 0
 
@@ -109,7 +109,7 @@ def test_a_dry_run_runs_nothing_of_a_plan(call, plan, tmp_path, monkeypatch, ssh
 
 def test_a_dry_run_checks_options(call, plan, tmp_path):
     code, _, err = call(plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path)
-    assert (code, "--transport shm" in err) == (10, True)
+    assert (code, "-o transport=shm" in err) == (10, True)
 
 
 def test_a_dry_run_names_what_is_not_here_and_counts_the_rest(call, plan, tmp_path, monkeypatch):

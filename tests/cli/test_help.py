@@ -104,7 +104,8 @@ def test_every_program_tells_its_version(program):
 @pytest.mark.parametrize(
     ("program", "line", "completions"),
     [
-        ("dds-record", "--transp", {"--transport"}),
+        ("dds-record", "--reliab", {"--reliability"}),
+        ("dds-trace", "record ping -o transp", {"transport"}),
         ("dds-trace", "sweep plan.toml --against", {"--against"}),
         ("dds-trace", "sweep new --se", {"--send"}),
         ("dds-trace", "explain ", {"rates", "size"}),
@@ -140,15 +141,16 @@ def test_the_shell_is_told_how_a_line_may_go_on(program, line, completions, monk
 
 
 def test_a_recording_has_the_options_of_its_role():
-    options = {
-        role: {option for parameter in command_of(f"dds-trace record {role}").params for option in parameter.opts}
-        for role in ("ping", "relay", "tap", "beacon")
-    }
+    parameters = {role: command_of(f"dds-trace record {role}").params for role in ("ping", "relay", "tap", "beacon")}
+    options = {role: {option for row in rows for option in row.opts} for role, rows in parameters.items()}
+    shown = {role: sum(not row.hidden for row in rows) + 1 for role, rows in parameters.items()}  # and --help
+    assert shown == {"ping": 25, "relay": 21, "tap": 19, "beacon": 16}
     assert {"--rate", "--bridge"} <= options["ping"]
     assert {"--topics", "--live"} <= options["tap"]
     assert not {"--rate", "--bridge", "--topics", "--role"} & options["relay"]
     assert "--bridge" not in options["tap"] | options["beacon"]
     assert not {"--topics", "--relay-id", "--rotate", "--role"} & options["ping"]
+    assert not {"--flow", "--serialization", "--deadline", "--history"} & options["tap"]
 
 
 def test_a_recording_by_the_names_of_the_card_is_the_same(tmp_path, monkeypatch, capsys):
@@ -176,7 +178,7 @@ def test_an_option_that_went_names_the_command_that_does_it(words, now, capsys, 
     assert " ".join(now.split()[:2]) in trace.COMMANDS or now.split()[0] in {*trace.COMMANDS, "record"}
 
 
-def test_what_only_a_plan_varies_is_a_setting(tmp_path, monkeypatch, capsys):
+def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
     taken = []
     monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", lambda options, **_: taken.append(options))
 
@@ -189,9 +191,10 @@ def test_what_only_a_plan_varies_is_a_setting(tmp_path, monkeypatch, capsys):
     assert (taken[0].node.buffer_bytes, taken[0].own_cost) == (1_000_000, False)
     keys = {line.partition("=")[0] for line in ends("relay", "-o", "help")[1].splitlines()}
     assert {"buffer", "congestion_control", "relay_id"} <= keys
-    assert not {"clients", "executor", "when_full"} & keys  # of a ping, or of other middlewares
-    code, _, err = ends("ping", "--no-own-cost", "--buffer", "2MB")
-    assert (code, "-o own_cost=false" in err, taken[1].node.buffer_bytes) == (0, True, 2_000_000)
+    assert not {"clients", "executor", "when_full", "bridge", "tuned"} & keys  # of a ping, of other middlewares, shown
+    code, _, err = ends("ping", "--no-own-cost", "--buffer", "2MB", "--fsync")
+    assert (code, "-o own_cost=false" in err, "-o fsync=true" in err) == (0, True, True)
+    assert (taken[1].node.buffer_bytes, taken[1].destination.fsync) == (2_000_000, True)
     for words, said in (
         (("-o", "bufer=1MB"), "did you mean 'buffer'"),
         (("-o", "own_cost=no"), "true or false"),

@@ -67,7 +67,7 @@ def test_only_the_best_look_is_proved(looks, proved, tmp_path, monkeypatch, caps
 
 def test_the_variables_are_printed_as_a_shell_takes_them():
     advice = {"vendor": "zenoh", "kept": True, "reason": "it pays", "variables": {"ZENOH_CONFIG_OVERRIDE": "a=1;b=2"}}
-    assert "  export ZENOH_CONFIG_OVERRIDE='a=1;b=2'" in module._shown(advice)
+    assert "  export ZENOH_CONFIG_OVERRIDE='a=1;b=2'" in module.shown(advice)
 
 
 MESSAGE = {"data_type": "binary", "payload_bytes": 145_000, "rate_hz": 8.0}
@@ -86,7 +86,7 @@ def received(base, new, verdict):
 def test_what_was_received_comes_first_where_the_default_lost_most(sentences):
     rows = [proof("p50", math.inf, 82.4e6, "better", 0.0, 0.0, 0.0), proof("p99", None, None, "inconclusive")]
     advice = {"vendor": "fastdds", "kept": True, "reason": "it pays", "proof": rows}
-    shown = module._shown({**advice, "received": [received(0.21, 1.0, "better")]})
+    shown = module.shown({**advice, "received": [received(0.21, 1.0, "better")]})
     assert [line.split()[6] for line in shown[1:]] == ["received", "response", "response"]
     assert not [line for line in shown if "times" in line or "?" in line]
     sentences(*shown)

@@ -144,5 +144,5 @@ def test_a_recording_that_a_spinning_thread_ended_is_no_success(toy_backend, tmp
     relay = RecordOptions(TraceDestination(tmp_path / "relay.mcap"), toy_backend, backend="toy", own_cost=False)
     recorded = record(relay, stop, Notes())
     assert recorded.error.exit_code == StoppedError.exit_code
-    assert "--realtime" in str(recorded.error)
+    assert "-o realtime" in str(recorded.error)
     assert read_trace(recorded.trace.path).sessions[0].state == "closed"

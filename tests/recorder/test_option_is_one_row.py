@@ -41,7 +41,7 @@ print(json.dumps({
     "ping": "--toy-level 2" in " ".join(ping_arguments(plan, cell, 1.0, None)),
     "relay": "--toy-level 2" in " ".join(relay_arguments(plan, cell.relay)),
     "schema": "toy_level" in plan_schema()["$defs"],
-    "reference": [word in page for word, page in (("--toy-level N", commands()), ("`toy_level`", plan_keys()))],
+    "reference": [word in page for word, page in (("-o toy_level=N", commands()), ("`toy_level`", plan_keys()))],
 }))
 """
 
@@ -72,7 +72,7 @@ RECORD = ("-m", "dds_trace.cli.record")
 
 
 def test_it_is_in_the_help_and_among_the_defaults(ran):
-    assert "--toy-level N " in ran(*RECORD, "--help")[0]
+    assert "toy_level=N " in ran(*RECORD, "-o", "help")[0]
     config, _ = ran(*RECORD, "--print-config", "--toy-level", "7")
     assert ["--toy-level", "7", "option"] in [line.split() for line in config.splitlines()]
     (ran.folder / "dds-trace.toml").write_text("[record]\ntoy-level = 4\n")

@@ -112,7 +112,7 @@ def profile_xml(
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
     if transport not in _LAYOUTS:
-        raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
+        raise OptionError(f"-o transport={transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
         raise OptionError(NO_TUNING.format(transport.value))
     names, discovery = _LAYOUTS[transport]
@@ -170,7 +170,7 @@ def profile_environment(
         if environment.get(name):
             raise OptionError(
                 f"{name} already names a profile, and Fast DDS only loads one: set the transports there, or unset it to use "
-                "--transport and --tuned"
+                "-o transport and --tuned"
             )
     # Fast DDS 3 warns of the older variable, and loads the same profile twice.
     variables = PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]

@@ -45,7 +45,7 @@ INSTALL = (
 )
 
 NO_TUNING = (
-    "--tuned has no effect with --transport {}: it enlarges the buffers of UDP sockets, which do not carry the messages "
+    "--tuned has no effect with -o transport={}: it enlarges the buffers of UDP sockets, which do not carry the messages "
     "there; leave one of the two options out"
 )
 
@@ -129,11 +129,11 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
     if middleware.vendor != "fastdds":
         if options.transport is not Transport.DEFAULT:
             raise OptionError(
-                f"--transport {options.transport.value} is Fast DDS's, and the middleware here is {rmw}; leave it out"
+                f"-o transport={options.transport.value} is Fast DDS's, and the middleware here is {rmw}; leave it out"
             )
         if any(options.sizes):
             raise OptionError(
-                f"--buffer, --segment and --fragment are for Fast DDS, and the middleware here is {rmw}; leave them out"
+                f"-o buffer, -o segment and -o fragment are for Fast DDS, and the middleware here is {rmw}; leave them out"
             )
         if options.tuned:
             raise OptionError(
@@ -141,7 +141,7 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
             )
     if not middleware.has_durations:
         for policy in requested_durations(options.qos):
-            raise OptionError(f"--{policy}: {rmw} does not implement it; leave it out")
+            raise OptionError(f"-o {policy}: {rmw} does not implement it; leave it out")
 
 
 def package_version(package: str) -> str | None:

@@ -67,7 +67,7 @@ class Ros2Node(ThreadedNode):
             if options.keys is None:
                 raise BackendUnavailableError(f"ROS 2 cannot open a node: {str(err).splitlines()[0]}") from err
             raise BackendUnavailableError(
-                f"--security {options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
+                f"-o security={options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
                 f"({str(err).splitlines()[0]}); use a ROS 2 from apt, or --backend cyclonedds, zenoh or socket"
             ) from err
         self._executor, executor_name = _make_executor(options.executor, self._context)
@@ -366,7 +366,7 @@ def _make_executor(kind: ExecutorKind, context: Any) -> tuple[Any, str]:
         events = getattr(import_module("rclpy.experimental"), "EventsExecutor", None)
     if kind is ExecutorKind.EVENTS and events is None:
         raise BackendUnavailableError(
-            "this rclpy has no EventsExecutor (ROS 2 Jazzy and later have it); use --executor single"
+            "this rclpy has no EventsExecutor (ROS 2 Jazzy and later have it); use -o executor=single"
         )
     if kind is not ExecutorKind.SINGLE and events is not None:
         with _python_signal_handlers():

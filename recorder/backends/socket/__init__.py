@@ -1,6 +1,6 @@
 """`socket`: plain TCP or UDP without a middleware (docs/reference/middlewares.md).
 
-The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
+The relay listens at a port that follows from the domain, the ping connects. `-o transport=default` is TCP without
 Nagle's delay, `udp` is UDP with fragments of 60 KB and no retransmission.
 """
 
@@ -42,7 +42,7 @@ BACKEND = Backend(
     install="it needs nothing",
     meeting=Meeting.PEERS,
     meeting_needs=(
-        "both have --backend socket and the same --domain and --transport, --peer names the relay's device, and nothing "
+        "both have --backend socket and the same --domain and -o transport, --peer names the relay's device, and nothing "
         "blocks its port {port}"
     ),
     relay_port=8,

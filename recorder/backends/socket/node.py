@@ -57,9 +57,9 @@ class SocketNode(ThreadedNode):
         self._links: TcpLinks | UdpLinks
         if options.transport is Transport.UDP:
             if options.security is not Security.OFF:
-                raise OptionError(f"--security {options.security.value}: TLS is for TCP; leave --transport udp out")
+                raise OptionError(f"-o security={options.security.value}: TLS is for TCP; leave -o transport=udp out")
             if options.congestion_control is not None:
-                raise OptionError(f"--congestion-control {options.congestion_control}: UDP has none; leave it out")
+                raise OptionError(f"-o congestion_control={options.congestion_control}: UDP has none; leave it out")
             buffer_bytes = options.buffer_bytes or (BUFFER_BYTES if options.tuned else None)
             links = UdpLinks(
                 self._greeting, listen, resolved, self._receivers, self.strangers, buffer_bytes, options.fragment_bytes
@@ -150,10 +150,10 @@ def _without(mapping: dict[str, str], key: str) -> dict[str, str]:
 def _check_qos(qos: Qos, protocol: str) -> None:
     refuse_durations("socket", qos)
     if qos.durability != Durability.VOLATILE:
-        raise OptionError(f"--durability {qos.durability}: sockets keep no messages for late subscriptions")
+        raise OptionError(f"-o durability={qos.durability}: sockets keep no messages for late subscriptions")
     if protocol == "udp" and qos.reliability != Reliability.BEST_EFFORT:
         raise OptionError(
-            "--transport udp: plain UDP does not retransmit; give --reliability best_effort on both sides"
+            "-o transport=udp: plain UDP does not retransmit; give --reliability best_effort on both sides"
         )
 
 
@@ -175,7 +175,7 @@ def prepare_connection(connection: socket.socket, name: str | None, buffer_bytes
         except OSError as err:
             allowed = sorted(ALLOWED_CONGESTION_CONTROL.read_text().split())
             raise OptionError(
-                f"--congestion-control {name}: the kernel refuses it ({err.strerror}); it allows {', '.join(allowed)}"
+                f"-o congestion_control={name}: the kernel refuses it ({err.strerror}); it allows {', '.join(allowed)}"
             ) from err
     read = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, _CONGESTION_NAME_BYTES)
     return read.rstrip(b"\0").decode("ascii", "replace")

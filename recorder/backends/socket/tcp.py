@@ -100,7 +100,6 @@ class TcpLinks:
             peer.greet(self._greeting)
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
-        """Return a function that sends a frame; it blocks while a peer does not read."""
         name, length, head = topic.encode(), -1, b""
 
         # Between the stamp and the kernel: few calls, little memory.

@@ -156,7 +156,7 @@ def say(line: str) -> None:
 
 
 def main() -> int:
-    with contextlib.suppress(OSError):  # a recorder's --realtime is not the bridge's
+    with contextlib.suppress(OSError):  # a recorder's -o realtime is not the bridge's
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     folder, up_pattern, patience_s, command = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]), sys.argv[4:]
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)  # orphans of the program become our children

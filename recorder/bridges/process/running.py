@@ -31,7 +31,7 @@ from .programs import program_environment
 from .supervise import SupervisedProgram, describe_end, killing_signal
 
 LINK_MIDDLEWARES = ("zenoh", "socket")
-"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are not for them."""
+"""Middlewares that join the halves of a bridge; `-o transport` and `--tuned` are not for them."""
 
 
 class ProgramReadBack:
@@ -315,7 +315,7 @@ def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type:
     if node.security is not Security.OFF and not (bridge.secures_link and node.security is Security.ENCRYPT_RTPS):
         names = ", ".join(name for name in BRIDGE_MODULES if load_bridge(name).secures_link)
         raise OptionError(
-            f"--security {node.security.value} with --bridge {ping.bridge}: what can be secured is the link between two halves, by "
+            f"-o security={node.security.value} with --bridge {ping.bridge}: what can be secured is the link between two halves, by "
             f"TLS (encrypt-rtps) of {names}"
         )
     topic = BridgedTopic(data_type.topic, data_type.type_name)

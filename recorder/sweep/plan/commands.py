@@ -60,7 +60,8 @@ def ping_arguments(
     `relay_address` is None on one machine; `further` are the addresses of the second host and those after it.
     """
     hosts = [relay_address, *further][: cell.hosts] if connects_to_relay(cell.backend) else []
-    partner = plan.partners.get(replace(cell, repeat=1).name)
+    name = replace(cell, repeat=1).name
+    partner = plan.partners.get(name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     link = plan.link_of(cell)
     return [
@@ -73,7 +74,7 @@ def ping_arguments(
         *_length_arguments(plan, cell),
         *("--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
-        *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
+        *("--label", f"sweep={plan.name}", "--label", f"cell={name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),

@@ -283,7 +283,7 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (
             plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),
-            "the axis security needs both devices on this machine, as no key is sent; use `dds-trace record ROLE --security` and `--keys`",
+            "the axis security needs both devices on this machine, as no key is sent; use `dds-trace record ROLE -o security` and `-o keys`",
         ),
         (
             any(cell.outage and cell.outage_by != OutageBy.RELAY.value for cell in plan.cells) and not plan.namespaces,

@@ -58,7 +58,6 @@ ENDED_CODES = (0, RelayLostError.exit_code)
 
 
 def _check_programs(programs: Iterable[Program]) -> None:
-    """Raise a `CellFailedError` if one of several pings has failed: the others would run without it."""
     for program in programs:
         code = program.exit_code
         if code is not None and code not in ENDED_CODES:

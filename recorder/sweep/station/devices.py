@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Protocol
 
+from ...choices import Role
 from ...option_table import typed_words
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, place_of, remove_files
 from .programs import DEFAULTS_VARIABLE, Program, rehearse_program
@@ -37,8 +38,6 @@ class StartedProgram(Protocol):
 
 
 class RelayDevice:
-    """A device for relays; each kind overrides what it needs."""
-
     keeps_traces = False
     """Whether the traces stay on the device until a person copies them."""
 
@@ -70,8 +69,6 @@ class RelayDevice:
 
 
 class LocalDevice(RelayDevice):
-    """This machine, or a namespace of it; `bridge` is its `dds-trace bridge`."""
-
     def __init__(
         self, folder: Path, command: Sequence[str], lock: int | None = None, bridge: Sequence[str] = ()
     ) -> None:
@@ -99,8 +96,6 @@ class LocalDevice(RelayDevice):
 
 
 class SpreadDevice(RelayDevice):
-    """Several hosts as one device: each relay is on the one that the name of its segment has."""
-
     def __init__(self, hosts: Sequence[RelayDevice]) -> None:
         self.hosts = hosts
 
@@ -133,8 +128,6 @@ class SpreadDevice(RelayDevice):
 
 
 class PrintedDevice(RelayDevice):
-    """A device where a person starts each relay by a printed command."""
-
     keeps_traces = True
 
     def __init__(self, show: Callable[[str], None]) -> None:
@@ -154,7 +147,7 @@ class PrintedDevice(RelayDevice):
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
     _, role, *options = arguments
-    words = ["dds-trace", "record", role, *typed_words(options), "--out", f"relay-{number}.mcap"]
+    words = ["dds-trace", "record", role, *typed_words(options, Role(role)), "--out", f"relay-{number}.mcap"]
     return f"{DEFAULTS_VARIABLE}= {shlex.join(words)}"
 
 

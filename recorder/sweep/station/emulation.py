@@ -154,7 +154,6 @@ def _route_socket(namespace: str) -> socket.socket:
 
 
 def link_changes(messages: bytes) -> Iterator[bool]:
-    """Yield for each message about the link whether frames pass from then on; `lo` is left out."""
     at = 0
     while at + 28 <= len(messages):
         length, kind = struct.unpack_from("IH", messages, at)

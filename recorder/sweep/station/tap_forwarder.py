@@ -167,7 +167,6 @@ class Wire:
 
 
 def quantile(counts: Counter[int], share: float) -> int | None:
-    """Return the smallest value that this share of the values does not exceed."""
     rank = share * counts.total()
     reached = 0
     for value in sorted(counts):

@@ -69,7 +69,6 @@ def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]
     memory = batch.memory
 
     def number(position: Numbers, octets: int) -> Numbers:
-        """Return big-endian numbers; the caller masks what is beyond the memory's end."""
         value = np.zeros(len(position), np.int64)
         for octet in range(octets):
             value = value << 8 | memory[np.minimum(position + octet, memory.size - 1)]

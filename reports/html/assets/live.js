@@ -20,24 +20,15 @@ async function fetched(path, read) {
   }
 }
 
-/** `34 of 55, 3 s ago, about 6 min left` next to the title. */
-function showProgress({ done, planned, age_s: age, left_s: left }) {
-  if (age === null) return;
-  const short = (seconds) =>
-    seconds < 90
-      ? `${Math.round(seconds)} s`
-      : seconds < 5400
-        ? `${Math.round(seconds / 60)} min`
-        : `${(seconds / 3600).toFixed(1)} h`;
+/** `34 of 55, 00:03 ago, about 06:10 left` next to the title. */
+function showProgress({ words }) {
+  if (!words) return;
   let place = document.getElementById("progress");
   if (!place) {
     place = Object.assign(document.createElement("p"), { id: "progress", className: "live" });
     (document.querySelector(".page-head > div") || document.body).append(place);
   }
-  place.textContent =
-    done < planned
-      ? `${done} of ${planned}, ${short(age)} ago, about ${short(left)} left`
-      : `${done} of ${planned}, complete`;
+  place.textContent = words;
 }
 
 /**

@@ -160,17 +160,9 @@ function intervalOf(group, statistic = view.statistic) {
   return [end("low_ns"), end("high_ns")];
 }
 
-/**
- * What the interval of a percentile rests on: runs, and beyond a tail episodes, as a sentence; empty without an
- * interval.
- */
+/** What the interval of a percentile rests on, as a sentence; empty without an interval. */
 function restsOn(group, statistic = view.statistic) {
-  const between = DATA.intervals.is_between[view.metric]?.[statistic]?.[group] ?? null;
-  if (between === null) return "";
-  const episodes = statistic === "p50" ? null : (DATA.intervals.episodes[view.metric]?.[statistic]?.[group] ?? null);
-  const count = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
-  const runs = `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}`;
-  return episodes === null ? runs : `${runs}, ${count(episodes, "burst")}`;
+  return DATA.intervals.rests_on[view.metric]?.[statistic]?.[group] ?? "";
 }
 
 const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;

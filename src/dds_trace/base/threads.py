@@ -150,7 +150,7 @@ class FastLock:
 
 
 def run_in_background() -> None:
-    """Put this thread back under the ordinary scheduler, if allowed; it inherits SCHED_FIFO of `--realtime`."""
+    """Put this thread back under the ordinary scheduler, if allowed; it inherits SCHED_FIFO of `-o realtime`."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

@@ -187,14 +187,14 @@ def called_wireless(folder, cure=None):
 
 SITUATIONS = {
     "few_samples": (few_samples, r"at least ([\d,]+) messages"),
-    "short_warm_up": (short_warm_up, r"--warmup (\d+)"),
+    "short_warm_up": (short_warm_up, r"-o warmup=(\d+)"),
     "nothing_counted": (all_warm_up, "more messages than warm-up"),
     "orphan_relay_events": (without_ping, "Copy the ping's trace"),
     "The relay's trace is missing": (without_relay_trace, "Copy the relay's trace"),
     "no_relay": (without_relay, "Start the relay first"),
     "missing_schedule": (without_schedule, "Record T0"),
     "unlike_payloads": (other_sizes, "each size a run of its own"),
-    "wireless_on_one_machine": (called_wireless, "--connectivity loopback"),
+    "wireless_on_one_machine": (called_wireless, "-o connectivity=loopback"),
 }
 """Check -> what makes the situation, and the cured one for a match of the cure; and the cure in its words."""
 

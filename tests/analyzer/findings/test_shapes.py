@@ -41,7 +41,7 @@ def test_a_short_warm_up_is_named_with_the_length_that_would_do(tmp_path, senten
     sentences(finding.what.partition(": ")[0])
     messages = int(re.search(r"up to (\d+) messages", finding.what)[1])
     assert 30 <= messages <= 45
-    assert finding.action == f"Record with --warmup {10 + messages}, which leaves them out."
+    assert finding.action == f"Record with -o warmup={10 + messages}, which leaves them out."
 
 
 def test_latency_that_rises_through_a_run(tmp_path, sentences):

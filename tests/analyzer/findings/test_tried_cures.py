@@ -135,8 +135,8 @@ def test_without_the_lifespan_late_messages_are_delivered(tmp_path, domain_id):
             pass
     (loss,) = found(tmp_path / "short", "loss")
     assert "older than 1 ms" in loss.what
-    assert "--lifespan" in loss.what
-    assert quoted("leave --lifespan out", loss)
+    assert "-o lifespan" in loss.what
+    assert quoted("leave -o lifespan out", loss)
     assert received(tmp_path / "none") > received(tmp_path / "short")
 
 
@@ -155,9 +155,9 @@ def test_a_ping_that_waits_for_both_relays_has_no_late_one(tmp_path, domain_id):
     (joined,) = found(late, "relay_joined_late")
     assert " on b" in joined.where
     assert found(late, "loss") == []
-    option, number = quoted(r"(--relays) (\d+)", joined).groups()
+    setting = quoted(r"-o (relays=\d+)", joined)[1]
     waiting.mkdir()
-    with pinging(RunningCommand, waiting, *sides, "--rate", 20, "--messages", 40, option, number, "--wait", 60) as ping:
+    with pinging(RunningCommand, waiting, *sides, "--rate", 20, "--messages", 40, "-o", setting, "--wait", 60) as ping:
         ping.wait_for_line("waiting for an echo")
         with (
             relaying(RunningCommand, waiting, *sides, "--device", "a"),

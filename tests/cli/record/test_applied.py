@@ -56,7 +56,7 @@ def test_strict_ends_a_ping_before_its_trace(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap"):
         done = ping(domain_id, out, "--strict", environment=IGNORED)
     assert done.status == NotAppliedError.exit_code
-    assert done.stderr.splitlines()[-1].startswith("dds-record: --strict: asked for UDP")
+    assert done.stderr.splitlines()[-1].startswith("dds-record: -o strict=true: asked for UDP")
     assert not out.exists()
 
 
@@ -68,7 +68,7 @@ def test_strict_ends_a_relay_at_the_first_ping_and_leaves_its_place_free(domain_
         ping(domain_id, tmp_path / "ping.mcap", "--duration", 1)
         done = relaying.finish()
     assert done.status == NotAppliedError.exit_code, done.stderr
-    assert "--strict: asked for UDP" in done.stderr
+    assert "-o strict=true: asked for UDP" in done.stderr
     assert not out.exists()
 
 

@@ -44,11 +44,11 @@ def test_relays_of_two_backends_share_no_port():
     [
         ({"domain_id": 233}, lambda _: False, "--domain 233: a DDS domain id must be between 0 and 232"),
         ({"rmw": "rmw_x"}, lambda backend: backend.has_ros, "--rmw rmw_x: the backend {} has no ROS middleware"),
-        ({"executor": ExecutorKind.SINGLE}, lambda backend: backend.has_ros, "--executor single: the backend {}"),
+        ({"executor": ExecutorKind.SINGLE}, lambda backend: backend.has_ros, "-o executor=single: the backend {}"),
         (
             {"transport": Transport.SHM},
             lambda backend: Transport.SHM in backend.transports,
-            "--transport shm: the backend {} only has default",
+            "-o transport=shm: the backend {} only has default",
         ),
         (
             {"peers": ("pi4",)},
@@ -225,7 +225,7 @@ def test_closing_twice_leaves_once_and_needs_no_start():
 def test_a_node_without_message_objects_says_so():
     with (
         ToyNode(NodeOptions(domain_id=3)) as node,
-        pytest.raises(OptionError, match="--serialization typed: the backend toy only carries serialized"),
+        pytest.raises(OptionError, match="-o serialization=typed: the backend toy only carries serialized"),
     ):
         message_objects_of(node)
 

@@ -45,7 +45,7 @@ def test_the_default_needs_no_profile():
 
 @pytest.mark.parametrize("transport", [Transport.SHM, Transport.LARGE_DATA])
 def test_transports_that_cannot_be_tuned_are_refused(transport):
-    with pytest.raises(OptionError, match=f"--tuned has no effect with --transport {transport.value}"):
+    with pytest.raises(OptionError, match=f"--tuned has no effect with -o transport={transport.value}"):
         requested_profile(transport, tuned=True)
 
 

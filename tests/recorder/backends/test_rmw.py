@@ -58,20 +58,20 @@ def test_a_version_is_found_wherever_the_installation_tells_it(tmp_path, monkeyp
         (
             "rmw_zenoh_cpp",
             {"transport": Transport.SHM},
-            "--transport shm is Fast DDS's, and the middleware here is rmw_zenoh_cpp",
+            "-o transport=shm is Fast DDS's, and the middleware here is rmw_zenoh_cpp",
         ),
         (
             "rmw_cyclonedds_cpp",
             {"tuned": True},
             "--tuned: no settings for large messages of rmw_cyclonedds_cpp are known",
         ),
-        ("rmw_of_somebody", {"transport": Transport.UDP, "tuned": True}, "--transport udp is Fast DDS's"),
+        ("rmw_of_somebody", {"transport": Transport.UDP, "tuned": True}, "-o transport=udp is Fast DDS's"),
         (
             "rmw_zenoh_cpp",
             {"qos": Qos(extra={"deadline_ns": 5})},
-            "--deadline: rmw_zenoh_cpp does not implement it; leave it out",
+            "-o deadline: rmw_zenoh_cpp does not implement it; leave it out",
         ),
-        ("rmw_zenoh_cpp", {"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: rmw_zenoh_cpp does not implement it"),
+        ("rmw_zenoh_cpp", {"qos": Qos(extra={"lifespan_ns": 5})}, "-o lifespan: rmw_zenoh_cpp does not implement it"),
     ],
 )
 def test_settings_of_one_vendor_are_refused_on_the_others_before_anything_is_opened(rmw, more, said):

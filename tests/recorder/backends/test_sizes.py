@@ -89,7 +89,7 @@ def test_sockets_have_the_buffer_and_cut_at_the_fragment(transport):
 def test_a_size_that_a_middleware_does_not_have_is_refused(backend, transport, name):
     with pytest.raises(OptionError) as error:
         load_backend(backend).check(NodeOptions(transport=transport, **{f"{name}_bytes": 70_000}))
-    assert f"--{name}" in str(error.value)
+    assert f"-o {name}=" in str(error.value)
 
 
 def udp(buffer_bytes):

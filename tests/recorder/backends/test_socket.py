@@ -354,11 +354,11 @@ def test_addresses_are_bounded(domain_id, udp_relay):
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("pi4:x",)}, "write HOST or HOST:PORT"),
         ({"transport": Transport.UDP}, "--reliability best_effort"),
-        ({"congestion_control": "none_such"}, "--congestion-control none_such: the kernel refuses it"),
+        ({"congestion_control": "none_such"}, "-o congestion_control=none_such: the kernel refuses it"),
         ({"transport": Transport.UDP, "qos": BEST_EFFORT, "congestion_control": "reno"}, "UDP has none"),
         ({"qos": Qos(durability="transient_local")}, "keep no messages"),
-        ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend socket has no such"),
-        ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend socket has no such"),
+        ({"qos": Qos(extra={"deadline_ns": 5})}, "-o deadline: the backend socket has no such"),
+        ({"qos": Qos(extra={"lifespan_ns": 5})}, "-o lifespan: the backend socket has no such"),
     ],
 )
 def test_options_without_a_meaning_are_refused(domain_id, more, line):

@@ -87,8 +87,8 @@ def test_domains_stay_apart_even_at_one_address(domains):
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("multicast",)}, "--discovery subnet"),
         ({"qos": Qos(durability="transient_local")}, "keeps no message"),
-        ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend zenoh has no such"),
-        ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend zenoh has no such"),
+        ({"qos": Qos(extra={"deadline_ns": 5})}, "-o deadline: the backend zenoh has no such"),
+        ({"qos": Qos(extra={"lifespan_ns": 5})}, "-o lifespan: the backend zenoh has no such"),
     ],
 )
 def test_options_without_a_meaning_are_refused(domain_id, more, line):

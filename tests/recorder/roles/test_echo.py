@@ -16,7 +16,7 @@ from dds_trace.recorder.kernel.sockets import Socket, TcpState
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
 from dds_trace.recorder.roles import echo
-from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays, own_causes
+from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.progress import Silence
 from dds_trace.tracefile.format.descriptions import Qos
@@ -65,7 +65,7 @@ def test_each_backend_says_what_lets_its_sides_meet(node, backend):
         "cyclonedds": ("multicast", "CYCLONEDDS_URI"),
         "connext": ("multicast", "--peer"),
         "zenoh": ("--backend zenoh", "--peer", "TCP port 8659"),
-        "socket": ("--backend socket", "--transport", "--peer", "port 8658"),
+        "socket": ("--backend socket", "-o transport", "--peer", "port 8658"),
     }
     words = expected.get(backend, (load_backend(backend).meeting_needs,))
     assert all(word in advice for word in words)
@@ -117,7 +117,7 @@ def test_a_receiver_of_another_user_is_named_and_what_helps(node, plan, monkeypa
     node.middleware = Middleware("ros2", "fastdds", None)
     monkeypatch.setattr(echo, "ports_of_others", lambda _ports: {"fastrtps_port8661": 1000})
     assert "fastrtps_port8661 belongs to user 1000" in explain_silence(node, plan, 20)
-    assert "--transport udp" in explain_silence(node, plan, 20)
+    assert "-o transport=udp" in explain_silence(node, plan, 20)
     node.options = replace(node.options, transport=Transport.UDP)
     assert "firewalls" in explain_silence(node, plan, 20)
 
@@ -126,7 +126,7 @@ def test_the_printed_command_repeats_what_decides_whether_the_sides_meet(node, p
     see(node)
     qos = Qos("best_effort", "transient_local", extra={"deadline_ns": 20_000_000, "lifespan_ns": 5})
     node.options = replace(node.options, qos=qos, transport=Transport.SHM, rmw="rmw_fastrtps_cpp")
-    options = "--rmw rmw_fastrtps_cpp --transport shm --reliability best_effort --durability transient_local --deadline 20ms --out"
+    options = "--rmw rmw_fastrtps_cpp -o transport=shm --reliability best_effort -o durability=transient_local -o deadline=20ms --out"
     assert options in explain_silence(node, plan, 20)
 
 
@@ -198,3 +198,12 @@ def test_a_silent_relay_in_sight_may_come_back_until_the_run_has_ended(node):
 def test_a_short_silence_is_no_loss_of_a_relay(node):
     see(node)
     assert find_loss(node, BINARY, replace(LASTING, duration_ns=1), ended=True) is None
+
+
+@pytest.mark.parametrize(
+    ("answering", "discovered", "requested", "words"),
+    [(1, 1, 1, ""), (2, 2, 2, ""), (1, 2, 1, "1 of 2 discovered"), (2, 2, 1, "give -o relays=2")],
+)
+def test_a_second_relay_is_named_before_the_first_message(answering, discovered, requested, words):
+    assert words in "".join(unexpected_relays(answering, discovered, requested))
+    assert bool(words) is bool(list(unexpected_relays(answering, discovered, requested)))

@@ -96,7 +96,7 @@ def test_bytes_are_patched_where_they_lie():
 
 
 def test_a_node_or_a_type_without_message_objects_is_refused():
-    with pytest.raises(OptionError, match="--serialization typed: the backend ros2 only carries serialized"):
+    with pytest.raises(OptionError, match="-o serialization=typed: the backend ros2 only carries serialized"):
         object_lane(FakeNode())
     cloud = header_data_type("sensor_msgs/msg/PointCloud2")
     with pytest.raises(OptionError, match="sensor_msgs/msg/PointCloud2 is only sent as raw"):

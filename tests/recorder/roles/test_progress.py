@@ -155,5 +155,5 @@ def test_data_that_cannot_be_sent_is_refused():
     with pytest.raises(OptionError, match="--rate cannot be given with topic:/NAME"):
         planned(live, rate_hz=5.0)
     other = dataclasses.replace(MADE, data_type=header_data_type("sensor_msgs/msg/PointCloud2"))
-    with pytest.raises(OptionError, match="--serialization typed: sensor_msgs/msg/PointCloud2"):
+    with pytest.raises(OptionError, match="-o serialization=typed: sensor_msgs/msg/PointCloud2"):
         planned(other, serialization=Serialization.TYPED)

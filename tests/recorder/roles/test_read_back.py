@@ -117,7 +117,7 @@ def test_strict_ends_the_recording(monkeypatch):
     bench = Bench(monkeypatch, strict=True)
     bench.seen = applied(memory=(segment(),))
     bench.read_back.read_begin()
-    with pytest.raises(NotAppliedError, match=r"^--strict: asked for UDP, shared memory is open"):
+    with pytest.raises(NotAppliedError, match=r"^-o strict=true: asked for UDP, shared memory is open"):
         bench.read_back.report()
     assert bench.notes == []
 

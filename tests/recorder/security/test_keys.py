@@ -130,5 +130,5 @@ def test_a_folder_that_is_not_there_is_made_or_refused_in_one_line(tmp_path):
     make_keys(tmp_path / "parent" / "keys", Security.SIGN)
     assert stat.S_IMODE((tmp_path / "parent" / "keys").stat().st_mode) == 0o700
     (tmp_path / "file").write_text("")
-    with pytest.raises(OptionError, match=r"--keys .*file/keys: cannot be made"):
+    with pytest.raises(OptionError, match=r"-o keys=.*file/keys: cannot be made"):
         make_keys(tmp_path / "file" / "keys", Security.SIGN)

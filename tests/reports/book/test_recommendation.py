@@ -12,8 +12,9 @@ from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.cli import trace
 from dds_trace.cli.record.command import words_of_role
 from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option import options_of
-from dds_trace.recorder.option_table import SETTINGS, key_of
+from dds_trace.recorder.option_table import is_setting, key_of
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
@@ -166,12 +167,12 @@ def test_on_one_machine_and_of_a_bag_the_command_says_so():
 
 def test_every_setting_of_a_recording_has_its_option_in_the_commands():
     rows = {
-        name: f"-o {key_of(row)}" if row.name in SETTINGS else row.name
+        name: f"-o {key_of(row)}" if is_setting(row, Role.PING) else row.name
         for record in (PingOptions, RecordOptions, NodeOptions)
         for name, row in options_of(record).items()
         if row.in_key
     }
-    own = {"settings": "--setting", **SETTING_OPTIONS, **PING_OPTIONS}
+    own = {"settings": "-o setting", **SETTING_OPTIONS, **PING_OPTIONS}
     assert {name: own.get(name) for name in rows} == rows
 
 

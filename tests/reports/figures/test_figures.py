@@ -210,7 +210,7 @@ def test_bridge_cost_is_the_difference_with_its_interval():
     assert cell.bridge_cpu_percent == 30.0
     assert cost.ratio == pytest.approx(3, rel=0.02)
     assert cost.ratio_low <= cost.ratio <= cost.ratio_high
-    assert (cost.difference_ns, cost.verdict) == (2 * MS, "worse")
+    assert (cost.difference_ns, cost.verdict) == (2 * MS, "slower")
     # Three runs a way that spread by 3 %: Welch's t on their logarithms reaches 8 % of 3 ms.
     assert 1.8 * MS <= cost.low_ns <= 2 * MS <= cost.high_ns <= 2.2 * MS
     assert "p99" not in cell.costs

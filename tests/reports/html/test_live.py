@@ -196,7 +196,7 @@ def test_the_status_tells_how_far_the_sweeps_are(watcher, tmp_path):
     def status():
         return json.loads(fetch(watcher.address + "status").read())
 
-    assert status() == {"version": "", "done": 0, "planned": 0, "age_s": None, "left_s": 0.0}
+    assert status() == {"version": "", "words": "", "done": 0, "planned": 0, "age_s": None, "left_s": 0.0}
     cells = {"a": {"status": "complete"}, "b": {"status": "recorded"}, "c": {"status": "running"}}
     for name, left_s in (("one", 600), ("two", 60)):
         (tmp_path / name).mkdir()
@@ -209,6 +209,8 @@ def test_the_status_tells_how_far_the_sweeps_are(watcher, tmp_path):
     assert (told["done"], told["planned"]) == (4, 10)
     assert 0 <= told["age_s"] < 60
     assert 540 <= told["left_s"] <= 660
+    assert live.SweepStatus(4, 10, 3.0, 370.0).words.split(", ")[1:] == ["00:03 ago", "about 06:10 left"]
+    assert live.SweepStatus(10, 10, 3.0).words == "10 of 10, complete"
 
 
 def test_an_update_travels_without_plotly(watcher, tmp_path):

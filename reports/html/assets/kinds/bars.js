@@ -67,7 +67,7 @@ KINDS.bars = function bars(plan, width, all) {
           y: line.points.map((point) => (point.value === Infinity ? top : point.value * S)),
           text: line.points.map((point, place) =>
             isLossy(point.group)
-              ? shareText(point.group) + (isPicture ? "" : " received")
+              ? lossText(point.group) + (isPicture ? "" : " received")
               : !isPicture && thick > 12 && base.has(point.group) && !lost[place]
                 ? differenceText(plannedTime(plan, base.get(point.group)), point.value)
                 : "",
@@ -313,7 +313,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
         value.high_ns,
         value.runs,
         value.received,
-        { worse: "slower", better: "faster" }[value.verdict] || value.verdict,
+        value.verdict,
         ...(hasLoads ? [plan.cells[group].bridge_cpu_percent] : []),
       ),
     ),

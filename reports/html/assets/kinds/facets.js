@@ -12,7 +12,6 @@
 const KINDS = {};
 
 const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
-const LOSSY = 0.99; // results below this received share get hollow markers
 
 const GROUP_COLUMNS = [
   { label: "Data" },
@@ -47,10 +46,9 @@ function receivedWords(base, other) {
 
 /** The share of a group's planned messages that came back; 1 where none was due. */
 const shareOf = (group) => DATA.curves.shares[group] ?? 1;
-const isLossy = (group) => shareOf(group) < LOSSY;
-/** The share received in as few characters as fit next to a mark. */
-const shareText = (group) =>
-  shareOf(group) > 0 && shareOf(group) < 0.01 ? "< 1 %" : `${Math.floor(100 * shareOf(group))} %`;
+/** The share received of a group that lost much, short enough to be next to its hollow mark; else empty. */
+const lossText = (group) => DATA.curves.losses[group];
+const isLossy = (group) => lossText(group) !== "";
 const LOST_FOOT = "A hollow mark lost more than 1 % of its messages; the number next to it is the share received.";
 
 const atomsOf = (key) => MADE_OF[key] || (key ? [key] : []);
@@ -207,7 +205,7 @@ function sharesBeside(lines, traces) {
             {
               x: traces[place].x[at],
               y: traces[place].y[at],
-              text: shareText(point.group),
+              text: lossText(point.group),
               color: traces[place].line.color,
             },
           ]

@@ -38,8 +38,6 @@ const VALUES = {
       ...SHARES,
       of: (group) => ratios[group],
       label: "Received",
-      flat: (values) => values.every((value) => value === 1),
-      flatSaid: "Nothing was lost, so not drawn",
     };
   },
   sustained() {
@@ -48,8 +46,6 @@ const VALUES = {
       ...SHARES,
       of: (group) => sustained[group],
       label: "Replies of the rate",
-      flat: (values) => values.every((value) => value >= 0.99),
-      flatSaid: "Kept up everywhere, so not drawn",
       further: {
         columns: [
           { label: "Achieved", unit: "Hz", format: formatHz },
@@ -155,17 +151,9 @@ KINDS.lines = function lines(plan, width, all) {
   const value = VALUES[plan.value || "statistic"](plan);
   const found = collected(plan, value.of);
   const { x, lines: dimension } = found.facet;
-  const left = [];
-  const kept = found.panels.filter((panel) => {
-    const points = pointsOf(panel);
-    const why = value.flat?.(points.map((point) => point.value))
-      ? value.flatSaid
-      : ["size", "rate", "place"].includes(x) && new Set(points.map((point) => point.x)).size < 2
-        ? "One position only, so not drawn"
-        : "";
-    if (why) left.push([why, panel.title]);
-    return !why;
-  });
+  const isAlone = (panel) =>
+    ["size", "rate", "place"].includes(x) && new Set(pointsOf(panel).map((point) => point.x)).size < 2;
+  const kept = found.panels.filter((panel) => !isAlone(panel));
   const every = kept.flatMap(pointsOf);
   const log = value.axis === timeAxis && view.scale === "linear" ? "row" : "all";
   const axes = new Map();
@@ -241,7 +229,7 @@ KINDS.lines = function lines(plan, width, all) {
     legend: found.legend,
     missing: found.missing,
     foot: [
-      ...leftOutSaid(left),
+      ...leftOutSaid(found.panels.filter(isAlone)),
       ...(["cell", "plane"].includes(x) && panels.length ? [CELL_FOOT] : []),
       ...(every.some((point) => isLossy(point.group)) ? [LOST_FOOT] : []),
     ].join(" "),
@@ -266,13 +254,9 @@ KINDS.lines = function lines(plan, width, all) {
 
 const CELL_FOOT = "Numbers below the axis: rate in Hz, and under it the size.";
 
-/** Which panels are not drawn, by the reason: `Nothing was lost, so not drawn: same domain; IMU.` */
-function leftOutSaid(left) {
-  const why = new Map();
-  for (const [reason, title] of left) why.set(reason, [...(why.get(reason) || []), title]);
-  return [...why].map(
-    ([reason, titles]) => `${reason}: ${titles.length > 8 ? counted(titles.length, "panel") : titles.join("; ")}.`,
-  );
+function leftOutSaid(panels) {
+  const titles = panels.length > 8 ? counted(panels.length, "panel") : panels.map(({ title }) => title).join("; ");
+  return panels.length ? [`One position only, so not drawn: ${titles}.`] : [];
 }
 
 function diagonal(panel) {
@@ -352,7 +336,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
           text: grid(
             (group) =>
               format(valueOf(group)).replace(" ", "\u00a0") +
-              (isLossy(group) && view.tiles === "statistic" ? `<br>${shareText(group)}` : ""),
+              (isLossy(group) && view.tiles === "statistic" ? `<br>${lossText(group)}` : ""),
           ),
           hovertext: grid((group) => groupHover(group, `${label}: ${format(valueOf(group))}`, sampleHover(group))),
           hoverinfo: "text",

@@ -202,15 +202,9 @@ def choose_command(
     """
     from dds_trace.analyzer.verdicts.job import make_job
 
-    words = {
-        "data": data,
-        "size": size,
-        "rate": rate,
-        "deadline": deadline,
-        "reliability": reliability,
-        "metric": metric,
-    }
-    job = make_job({**words, **({} if domain is None else {"domain": domain})})
+    job = make_job(
+        size=size, rate=rate, deadline=deadline, reliability=reliability, data=data, domain=domain, metric=metric
+    )
     _analyze(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
 
 

@@ -51,7 +51,10 @@ class CommandOptions:
         roles=(Role.PING,),
     )
     reliability: Reliability = option(
-        Reliability.RELIABLE, "--reliability QOS", "Delivery:", axis=Axis(meaning="QoS reliability of both sides")
+        Reliability.RELIABLE,
+        "--reliability QOS",
+        "Delivery: Default: reliable; of a tap best_effort",
+        axis=Axis(meaning="QoS reliability of both sides"),
     )
     durability: Durability = option(
         Durability.VOLATILE,
@@ -69,7 +72,7 @@ class CommandOptions:
     depth: int = option(
         10,
         "--depth N",
-        "Length of the queue with keep_last.",
+        "Length of the queue with keep_last. Default: 10; of a tap 32",
         limit=limits.DEPTH,
         axis=Axis(meaning="messages that `keep_last` keeps, of both sides"),
     )

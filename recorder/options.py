@@ -290,7 +290,7 @@ class RecordOptions:
     load_to: str | None = detail(
         None,
         "--load-to HOST",
-        "Where the UDP of --load network goes. Default: the first --peer, else this machine",
+        "Where the UDP of -o load=network goes. Default: the first --peer, else this machine",
         limit=limits.HOST,
         roles=(Role.PING,),
     )

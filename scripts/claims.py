@@ -340,7 +340,7 @@ def choice_rows(analysis: Analysis) -> list[dict[str, object]]:
     messages, rows = analysis.load_messages(), []
     for need in NEEDS:
         if need.job:
-            job = make_job({"data": "binary", **need.job})
+            job = make_job(**need.job)
             for candidate in recommend_settings(messages, job, runs=analysis.runs).candidates:
                 place = place_of(candidate.setting)
                 if place["link"] in need.links:

@@ -239,9 +239,9 @@ def report_schema() -> Schema:
         "findings": a_list(of_record(Finding, "findings"), "worst first: by severity, then by effect"),
         "sources": a_list(of_record(Source, "sources"), "the files that were looked at"),
         "sessions": a_list(
-            of_record(Session, "sessions", SESSION_FIELDS), "as docs/reference/trace-format.md has them"
+            of_record(Session, "sessions", SESSION_FIELDS), "as docs/trace-format.md has them"
         ),
-        "runs": a_list(of_record(Run, "runs", RUN_FIELDS), "as docs/reference/trace-format.md has them"),
+        "runs": a_list(of_record(Run, "runs", RUN_FIELDS), "as docs/trace-format.md has them"),
         "groups": of_groups(),
         "topics": of_topics(TOPIC_SCHEMA, "topics that taps heard, one for each pair of devices"),
         "topic_hops": of_topics(HOP_SCHEMA, "what each hop of a chain of topics takes"),
@@ -298,7 +298,7 @@ RUN_FIELDS = (
     "qos",
     "labels",
 )
-"""Fields that a report promises; `docs/reference/trace-format.md` has all that a session and a run may have."""
+"""Fields that a report promises; `docs/trace-format.md` has all that a session and a run may have."""
 
 
 def comparison_schema() -> Schema:

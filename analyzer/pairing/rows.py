@@ -58,12 +58,6 @@ class RowStore(ABC):
     @abstractmethod
     def scan(self) -> pl.LazyFrame: ...
 
-    def in_file(self) -> RowStore:
-        assert self.file is not None
-        store = RowsInFile(self.file)
-        store.groups = self.groups
-        return store
-
     def locate(self, summary: pl.DataFrame) -> None:
         published = pl.col("published").cast(pl.Int64)
         self.groups = summary.select(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, split_quantity
@@ -17,9 +16,6 @@ from ..model.metrics import METRICS
 
 DEFAULT_RELIABILITY = "0.99"
 """Share of messages within the deadline where a job names none: 1000 messages can decide it."""
-
-IMU_BYTES = 296
-"""Size of a message of `data=imu`: 37 float64."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +42,12 @@ class Job:
 Value = TypeVar("Value")
 
 
-@dataclass(frozen=True, slots=True)
-class _Key(Generic[Value]):
-    name: str
-    example: str
-    parse: Callable[[str], Value | None]
-
-    def value(self, words: Mapping[str, str]) -> Value:
-        with suppress(OptionError):
-            value = self.parse(words[self.name])
-            if value is not None:
-                return value
-        raise OptionError(f"{self.name} {words[self.name]!r} is not understood; give one as {self.name} {self.example}")
+def _read(name: str, parse: Callable[[str], Value | None], text: str, example: str) -> Value:
+    with suppress(OptionError):
+        value = parse(text)
+        if value is not None:
+            return value
+    raise OptionError(f"{name} {text!r} is not understood; give one as {name} {example}")
 
 
 def _share(text: str) -> float | None:
@@ -66,60 +56,30 @@ def _share(text: str) -> float | None:
     return share if 0 < share < 1 else None
 
 
-_DATA = _Key("data", "binary", str)
-_SIZE = _Key("size", "502KB", lambda text: parse_size(text) or None)
-_RATE = _Key("rate", "20", parse_rate)
-_DEADLINE = _Key("deadline", "50ms", parse_duration)
-_RELIABILITY = _Key("reliability", "0.999", _share)
-_DOMAIN = _Key("domain", "same", lambda text: text if text in {"same", "different"} else None)
-_METRIC = _Key("metric", "response", lambda text: text if text in METRICS else None)
-_KEYS: dict[str, _Key[str] | _Key[int] | _Key[float]] = {
-    key.name: key for key in (_DATA, _SIZE, _RATE, _DEADLINE, _RELIABILITY, _DOMAIN, _METRIC)
-}
-
-
-def parse_job(text: str) -> Job:
-    """Read a job from `KEY=VALUE ...`.
+def make_job(
+    *,
+    size: str,
+    rate: str,
+    deadline: str,
+    reliability: str = DEFAULT_RELIABILITY,
+    data: str = "binary",
+    domain: str | None = None,
+    metric: str = "response",
+) -> Job:
+    """Return the job of the words of `dds-trace choose`: `make_job(size="502KB", rate="20", deadline="50ms")`.
 
     Raises:
-        OptionError: a key is unknown, given twice or missing, or a value is of another kind.
+        OptionError: a value is of another kind.
     """
-    words: dict[str, str] = {}
-    for word in text.split():
-        name, equals, value = word.partition("=")
-        if name not in _KEYS:
-            near = difflib.get_close_matches(name, _KEYS, n=1, cutoff=0)[0]
-            raise OptionError(f"job {text!r}: no key {name!r}; did you mean {near!r}?")
-        if not equals or not value:
-            raise OptionError(f"job {text!r}: {name} has no value; write {name}={_KEYS[name].example}")
-        if name in words:
-            raise OptionError(f"job {text!r}: {name} is given twice")
-        words[name] = value
-        _KEYS[name].value(words)  # here, to report the first of several errors
-    return make_job(words)
-
-
-def make_job(words: Mapping[str, str]) -> Job:
-    """Return the job of key -> value in words.
-
-    Raises:
-        OptionError: a key is missing, or a value is of another kind.
-    """
-    words = {_RELIABILITY.name: DEFAULT_RELIABILITY, _METRIC.name: "response", **words}
-    if words.get(_DATA.name) == "imu":
-        words.setdefault(_SIZE.name, str(IMU_BYTES))
-    missing = [name for name in _KEYS if name not in words and name != _DOMAIN.name]
-    if missing:
-        examples = ", ".join(f"{name} {_KEYS[name].example}" for name in missing)
-        raise OptionError(f"{', '.join(missing)} missing; add {examples}")
+    modes = {"same", "different"}
     return Job(
-        data_type=_DATA.value(words),
-        payload_bytes=_SIZE.value(words),
-        rate_hz=_RATE.value(words),
-        deadline_ns=_DEADLINE.value(words),
-        reliability=_RELIABILITY.value(words),
-        domain_mode=_DOMAIN.value(words) if _DOMAIN.name in words else None,
-        metric=_METRIC.value(words),
+        data_type=data,
+        payload_bytes=_read("size", lambda text: parse_size(text) or None, size, "502KB"),
+        rate_hz=_read("rate", parse_rate, rate, "20"),
+        deadline_ns=_read("deadline", parse_duration, deadline, "50ms"),
+        reliability=_read("reliability", _share, reliability, "0.999"),
+        domain_mode=domain and _read("domain", lambda text: text if text in modes else None, domain, "same"),
+        metric=_read("metric", lambda text: text if text in METRICS else None, metric, "response"),
     )
 
 

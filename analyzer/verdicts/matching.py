@@ -144,10 +144,8 @@ def match_groups(
         if not answered.is_empty():
             parts[key] = answered
 
-    def nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
-        return [(value is not None, value) for value in key]
-
-    return {key: MatchedGroup(parts[key], unfinished) for key in sorted(parts, key=nulls_first)}
+    ordered = sorted(parts, key=lambda key: [(value is not None, value) for value in key])
+    return {key: MatchedGroup(parts[key], unfinished) for key in ordered}
 
 
 def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]) -> dict[Key, Key]:

@@ -76,16 +76,13 @@ _HELP = {
 def role_app(role: Role, names: Iterable[str]) -> typer.Typer:
     app = make_app()
 
-    def overridden_of_role(values: Mapping[str, Any]) -> dict[str, str]:
-        return overridden({"role": role, **values})
-
     def record_role(context: typer.Context, settings_given: SettingsOption = None, **values: Any) -> None:  # noqa: ARG001 - read before
         _record(context, {"role": role, **given_values(values)})
 
     record_role.__doc__ = _HELP[role]
     keys = [row.name.lstrip("-") for row in OPTIONS.values()]
     settings: Any = {"table": "record", "ignored": keys, "often": _OFTEN, "defaults": _DEFAULTS}
-    declare = command(app, role.value, overridden=overridden_of_role, **settings)
+    declare = command(app, role.value, overridden=lambda values: overridden({"role": role, **values}), **settings)
     declare(with_options(names, lambda row: is_setting(row, role))(record_role))
     return app
 

@@ -195,7 +195,7 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
             words.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
     floors = [(cost.single_executor_ns, cost.floor_median_ns) for cost in costs]
     added_ns = [single - default for single, default in floors if single is not None and default is not None]
-    words += [f"through rclpy with --executor single {format_added_ns(max(added_ns))}"] if added_ns else []
+    words += [f"through rclpy with -o executor=single {format_added_ns(max(added_ns))}"] if added_ns else []
     return f"{'; '.join(words)}; not subtracted" if words else ""
 
 

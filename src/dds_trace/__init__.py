@@ -27,7 +27,7 @@ Judge:
 - `judge_gates`: judge every matched result by every gate.
 - `GateOutcome`: the outcome of a gate, with its exit code.
 - `Job`: messages to send, and the latency that they need.
-- `parse_job`: read a job such as `data=binary size=502KB rate=20 deadline=50ms reliability=0.999`.
+- `make_job`: make one of words: `make_job(size="502KB", rate="20", deadline="50ms", reliability="0.999")`.
 - `Recommendation`: the settings for a job, best first.
 
 Traces:
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
     from .analyzer.verdicts.gate import Gate, GateOutcome, parse_gate
     from .analyzer.verdicts.gates import judge_gates
-    from .analyzer.verdicts.job import Job, parse_job
+    from .analyzer.verdicts.job import Job, make_job
     from .analyzer.verdicts.recommend import Recommendation
     from .base.errors import MissingEventsError, OptionError, OutputError, TraceError, TraceFormatError
     from .base.version import __version__
@@ -128,8 +128,8 @@ __all__ = [
     "iter_event_batches",
     "judge_gates",
     "load_analysis",
+    "make_job",
     "parse_gate",
-    "parse_job",
     "read_trace",
     "recover",
     "write_derived",

@@ -26,7 +26,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.compare import CompareOptions
 from dds_trace.analyzer.verdicts.costs import bridge_cost
-from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
@@ -264,7 +264,7 @@ def test_details_that_are_not_requested_are_empty_frames_and_null_columns(tmp_pa
 
 def test_a_job_gets_its_recommendation(tmp_path):
     write_pair(tmp_path, drawn())
-    job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
+    job = make_job(data="binary", size="33KB", rate="10", deadline="50ms", reliability="0.9")
     details = analyze(tmp_path, job=job).details
     assert details.recommendation is not None
     assert [c.fit.value for c in details.recommendation.candidates] == ["likely"]  # one run

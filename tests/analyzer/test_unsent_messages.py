@@ -19,7 +19,7 @@ from dds_trace.analyzer.verdicts.compare import compare
 from dds_trace.analyzer.verdicts.false_alarms import count_false_alarms, half_widths
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
 from dds_trace.analyzer.verdicts.gates import judge_gates
-from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.analyzer.verdicts.recommend import Fit
 
 MS = 1_000_000
@@ -66,7 +66,7 @@ def both(tmp_path_factory):
     folder = tmp_path_factory.mktemp("both")
     record(folder / "whole", "whole")
     record(folder / "half", "half", first=10)
-    job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
+    job = make_job(data="binary", size="33KB", rate="10", deadline="50ms", reliability="0.9")
     return analyze(folder, deadline_ns=50 * MS, job=job)
 
 

@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 from report_schemas import REPORT, closed
 from wording import numbers
 
-from dds_trace import Details, __version__, parse_job
+from dds_trace import Details, __version__, make_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
@@ -165,7 +165,7 @@ def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
 
 def test_a_recommendation_is_in_the_json_report():
     analysis = EVERY_ANALYSIS["small campaign"]()
-    job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
+    job = make_job(data="binary", size="33KB", rate="10", deadline="50ms", reliability="0.9")
     recommended = replace(analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job))
     report = json.loads(document.render(Book(replace(analysis, details=recommended))))
     Draft202012Validator(closed(REPORT)["properties"]["recommendation"]).validate(report["recommendation"])

@@ -77,7 +77,7 @@ class _Cell(NamedTuple):
 
 
 class _Pages:
-    """Pages that may be discandidates; those on which rows go on have consecutive numbers, and begin with the next one's.
+    """Pages that may be displaced; those on which rows go on have consecutive numbers, and begin with the next one's.
 
     In a log each page follows its own number. `_moved` has offsets of pages, and how far they were moved in bytes.
     """

@@ -10,7 +10,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
-from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.analyzer.verdicts.job import make_job
 
 MS = 1_000_000
 COUNT = 1000
@@ -65,7 +65,7 @@ def test_a_barred_group_is_in_no_answer_and_in_no_recommendation(tmp_path):
     record(tmp_path, "fastdds", MS, ping={"not_applied": NOT_APPLIED})
     record(tmp_path, "cyclonedds", 2 * MS, number=1)
     record(tmp_path, "zenoh", 3 * MS, number=2)
-    job = parse_job("data=binary size=1000 rate=10 deadline=50ms reliability=0.99")
+    job = make_job(data="binary", size="1000", rate="10", deadline="50ms", reliability="0.99")
     analysis = analyze(tmp_path, job=replace(job, payload_bytes=analyze(tmp_path).summary["payload_bytes"][0]))
     (answer,) = analysis.details.answers
     assert [each.setting["vendor"] for each in answer.contenders] == ["cyclonedds", "zenoh"]

@@ -10,11 +10,11 @@ from trace_files import SAMPLE_NAMES, SAMPLES, copy_sample
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details, load_analysis
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.saving.folder import MANIFEST
-from dds_trace.analyzer.verdicts.job import parse_job
+from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.base.errors import OutputError, OutputExistsError, TraceError, TraceFormatError
 from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
-JOB = parse_job("data=binary size=33KB rate=20 deadline=50ms reliability=0.9")
+JOB = make_job(data="binary", size="33KB", rate="20", deadline="50ms", reliability="0.9")
 WAYS = {
     "plain": {},
     "deadline and job": {"deadline_ns": 5_000_000, "job": JOB},

@@ -87,8 +87,8 @@ def test_one_side_without_security_is_named(domain_id, tmp_path, environment, se
         with recorder(environment, *arguments) as ping:
             _, said = ping.communicate()
     assert ping.returncode == 8
-    assert f"{'without' if secured == 'ping' else 'with'} --security" in said
-    assert "same --security" in said
+    assert f"{'without' if secured == 'ping' else 'with'} -o security" in said
+    assert "same -o security" in said
 
 
 def test_a_reader_without_security_gets_nothing_of_a_secured_pair(domain_id, tmp_path, environment):

@@ -52,7 +52,7 @@ def test_one_side_without_security_is_named(domain_id, tmp_path, keys, backend, 
         command.stop()
     assert done.status == 8
     assert ("without TLS" if secured == "ping" else "with TLS") in done.stderr
-    assert "--security" in done.stderr.partition("try:")[2]
+    assert "-o security" in done.stderr.partition("try:")[2]
 
 
 @pytest.mark.skipif(not (find_spec("rclpy") and find_spec("zenoh")), reason="no rclpy or zenoh here")

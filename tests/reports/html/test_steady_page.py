@@ -89,7 +89,7 @@ def command_for(tab, **fields):
 
 def job_of(command):
     options = command[3:]
-    return make_job({name.lstrip("-"): value for name, value in zip(options[::2], options[1::2], strict=True)})
+    return make_job(**{name.lstrip("-"): value for name, value in zip(options[::2], options[1::2], strict=True)})
 
 
 def test_every_choice_of_the_form_is_a_job_that_the_command_reads(reader, pages):

@@ -238,9 +238,7 @@ def report_schema() -> Schema:
         "answer": of_record(Conclusion, "answer"),
         "findings": a_list(of_record(Finding, "findings"), "worst first: by severity, then by effect"),
         "sources": a_list(of_record(Source, "sources"), "the files that were looked at"),
-        "sessions": a_list(
-            of_record(Session, "sessions", SESSION_FIELDS), "as docs/trace-format.md has them"
-        ),
+        "sessions": a_list(of_record(Session, "sessions", SESSION_FIELDS), "as docs/trace-format.md has them"),
         "runs": a_list(of_record(Run, "runs", RUN_FIELDS), "as docs/trace-format.md has them"),
         "groups": of_groups(),
         "topics": of_topics(TOPIC_SCHEMA, "topics that taps heard, one for each pair of devices"),

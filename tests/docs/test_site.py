@@ -74,7 +74,7 @@ def test_the_reference_has_every_name_of_the_code(site):
     assert {f"dds_trace.{name}" for name in names} - reference["python"].anchors == set()
     for column in (*ROUNDTRIP_COLUMNS, *SUMMARY_COLUMNS):
         assert column.name in reference["columns"].text
-    for option in ("--bridge-peer", "--print-config", "--deadline", "--fail-if", "--host"):
+    for option in ("bridge_peer", "--print-config", "--deadline", "--fail-if", "--host"):
         assert option in reference["commands"].text
     assert errors.LossesError.__name__ in reference["exit-codes"].text
 

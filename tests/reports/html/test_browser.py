@@ -478,7 +478,8 @@ def test_a_watched_page_is_renewed_in_place(reader, tmp_path):
         assert tab.locator("#groups-search").input_value() == "binary"
         assert tab.locator("#choose-metric").input_value() == "rtt"
         done, ago, left = tab.locator("#progress").inner_text().split(", ")
-        assert (done, left) == ("1 of 3", "about 06:00 left")
+        assert done == "1 of 3"
+        assert re.fullmatch(r"about 0[56]:\d\d left", left)
         assert re.fullmatch(r"\d\d:\d\d ago", ago)
         tab.locator("#choose-statistic").select_option("p90")
         assert "statistic=p90" in tab.evaluate("location.hash"), "the renewed page answers"

@@ -53,7 +53,7 @@ class CommandOptions:
     reliability: Reliability = option(
         Reliability.RELIABLE,
         "--reliability QOS",
-        "Delivery: Default: reliable; of a tap best_effort",
+        "Delivery (of a tap best_effort unless given):",
         axis=Axis(meaning="QoS reliability of both sides"),
     )
     durability: Durability = option(
@@ -72,7 +72,7 @@ class CommandOptions:
     depth: int = option(
         10,
         "--depth N",
-        "Length of the queue with keep_last. Default: 10; of a tap 32",
+        "Length of the queue with keep_last; of a tap 32 unless given.",
         limit=limits.DEPTH,
         axis=Axis(meaning="messages that `keep_last` keeps, of both sides"),
     )

@@ -276,7 +276,7 @@ NEEDS = (
         "hard real time across, air",
         "nothing",
         (),
-        {"data": "imu", "rate": "100", "deadline": "10ms", "reliability": "0.999", **TWO},
+        {"data": "imu", "size": "296", "rate": "100", "deadline": "10ms", "reliability": "0.999", **TWO},
         (AIR,),
     ),
 )

@@ -15,6 +15,7 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
+from dds_trace.reports.book.groups import joined
 from dds_trace.reports.card import topics_card, write_picture
 from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.reports.topics.words import JudgedTopic
@@ -33,6 +34,7 @@ _FILES = {
     "md": ("topics.md", render_markdown),
     "json": ("topics.json", render_json),
 }
+_EXPORTS = (*EXPORTERS, "perfetto")
 
 
 def report_topics(
@@ -46,10 +48,8 @@ def report_topics(
     *,
     card: bool = False,
 ) -> tuple[int, list[Path]]:
-    if others := sorted({*exports} - {*EXPORTERS, "perfetto"}):
-        raise OptionError(
-            f"a bag has no round trips: it exports csv, arrow and perfetto; leave out --export {others[0]}"
-        )
+    if others := sorted({*exports} - {*_EXPORTS}):
+        raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report.topics, report.holes, gates))
     print_topics(report, judged)

@@ -83,7 +83,7 @@ def follow_moved(words: Sequence[str]) -> list[str]:
 
 
 def run_alias(name: str, app: typer.Typer, words: Sequence[str]) -> None:
-    """Run the app of `dds-record` or `dds-analyze`; words that moved are those of `dds-trace`."""
+    """Run the app of `dds-record` or `dds-analyze`, or `dds-trace` where a word moved to another command."""
     now = follow_moved(words)
     if now[0] == words[0]:
         app(now[1:], prog_name=name)

@@ -108,14 +108,20 @@ def test_four_fifths_of_the_relays_processor_are_taken_from_the_first_echo_on():
             (child,) = children() - before
             load.begin()
             wait_until(lambda: load()["load"]["cpu_s"] > 0.3)
-            first = load()["load"]
-            wait_until(lambda: load()["load"]["cpu_s"] > 1)
-            second = load()["load"]
             assert os.sched_getscheduler(child) == os.SCHED_FIFO
             assert resource.prlimit(child, resource.RLIMIT_RTTIME) == (100_000, 200_000)
             assert os.sched_getaffinity(child) == {max(free)}
-            taken = (second["cpu_s"] - first["cpu_s"]) / (second["elapsed_s"] - first["elapsed_s"])
-            assert 0.6 < taken < 0.9
+            os.sched_setaffinity(
+                0, free - {max(free)}
+            )  # on the relay's processor it would be kept from reading both at once
+
+            def is_taken() -> bool:
+                first = load()["load"]
+                wait_until(lambda: load()["load"]["cpu_s"] > first["cpu_s"] + 0.5)
+                second = load()["load"]
+                return 0.6 < (second["cpu_s"] - first["cpu_s"]) / (second["elapsed_s"] - first["elapsed_s"]) < 0.9
+
+            wait_until(is_taken)  # another real-time program or the host may keep it waiting for a while
         os.sched_setaffinity(0, {max(free)})
         with pytest.raises(OptionError, match="two processors"), loaded("emulated-pi3", is_relay=True):
             pass

@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -14,8 +14,10 @@ from dds_trace.base.streams import say
 from .program import argument, command, make_app, option
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dds_trace.analyzer.verdicts.compare import Comparison
-    from dds_trace.analyzer.verdicts.gate import Gate
+    from dds_trace.analyzer.verdicts.gate import Gate, GateOutcome
     from dds_trace.reports.comparison.info import ComparisonInfo
 
 
@@ -31,6 +33,26 @@ class ComparisonReport(str, Enum):
 
 app = make_app()
 
+FailIf = Annotated[
+    list[str] | None,
+    option(
+        "--fail-if GATE",
+        "Condition that fails the comparison: 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', "
+        "'received_ratio < 99%', 'received_ratio < -0.5 points'; repeatable. 'default': p50 > +10%, p99 > +20%, "
+        "received < -0.5 points.",
+    ),
+]
+Strict = Annotated[bool, option("--strict", "Fail where a gate is inconclusive (21), in place of a warning (0).")]
+Looks = Annotated[
+    int,
+    option(
+        "--looks N",
+        "How often growing recordings are compared until a gate decides, at most: each look is stricter, so that all of "
+        "them together err as often as one.",
+        show_default=True,
+    ),
+]
+
 
 @command(app, "compare", table="compare", often=("fail_if", "limits_file", "report", "paired", "out"))
 def compare_command(
@@ -38,15 +60,7 @@ def compare_command(
     new: Annotated[
         Path | None, argument("[NEW]", "Traces after the change. Without it, BASE is judged by limits of its own.")
     ] = None,
-    fail_if: Annotated[
-        list[str] | None,
-        option(
-            "--fail-if GATE",
-            "Condition that fails the comparison: 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', "
-            "'received_ratio < 99%', 'received_ratio < -0.5 points'; repeatable. 'default': p50 > +10%, p99 > +20%, "
-            "received < -0.5 points.",
-        ),
-    ] = None,
+    fail_if: FailIf = None,
     limits_file: Annotated[
         Path | None, option("--limits FILE", "A limits.toml: limits by result, and accepted changes.")
     ] = None,
@@ -56,31 +70,19 @@ def compare_command(
     allow_missing: Annotated[
         bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")
     ] = False,
-    strict: Annotated[
-        bool, option("--strict", "Fail where a gate is inconclusive (21), in place of a warning (0).")
-    ] = False,
+    strict: Strict = False,
     paired: Annotated[
         bool, option("--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep.")
     ] = False,
-    looks: Annotated[
-        int,
-        option(
-            "--looks N",
-            "How often growing recordings are compared until a gate decides, at most: each look is stricter, so that all of "
-            "them together err as often as one.",
-            show_default=True,
-            min=1,
-            max=10,
-        ),
-    ] = 1,
+    looks: Looks = 1,
     report: Annotated[
-        ComparisonReport,
+        list[ComparisonReport] | None,
         option(
             "--report KIND",
-            "Report to write: terminal, md, json, junit, html, github (annotations of a job) or badge (shields.io).",
-            show_default=True,
+            "Report to write: terminal, md, json, junit, html, github (annotations of a job) or badge (shields.io); "
+            "repeatable, each with its --out. Default: terminal",
         ),
-    ] = ComparisonReport.TERMINAL,
+    ] = None,
     shows_all: Annotated[
         bool, option("--all", "Show every result and gate in terminal and md, not only the first.")
     ] = False,
@@ -92,7 +94,7 @@ def compare_command(
             "would become one.",
         ),
     ] = "",
-    out: Annotated[Path | None, option("--out FILE", "File for the report. Default: stdout")] = None,
+    out: Annotated[list[Path] | None, option("--out FILE", "File for the report. Default: stdout")] = None,
 ) -> None:
     """Compare two sets of traces: what became slower or loses more, and which changes are too small to detect.
 
@@ -104,31 +106,94 @@ def compare_command(
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
+    from dds_trace.analyzer.verdicts.ignoring import match_without
+    from dds_trace.base.errors import OptionError
+
+    from .limits_file import limits_text
+    from .limits_file import write_limits as write_limits_file
+
+    limits.check(limits.LOOKS, looks, "--looks")
+    reports = report or [ComparisonReport.TERMINAL]
+    files: list[Path | None] = [*out] if out else [None for _ in reports]
+    if len(files) != len(reports):
+        raise OptionError(f"{len(reports)} --report and {len(files)} --out: give one file for each report, or none")
+    inputs = {"BASE": base, "NEW": new}
+    outputs = [("--limits", limits_file), ("--write-limits", write_limits), *(("--out", file) for file in files)]
+    for bound, paths in ((limits.INPUT, inputs.items()), (limits.PATH, outputs)):
+        for name, path in paths:
+            limits.check(bound, None if path is None else str(path), name)
+    gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
+    match = match_without(filter(None, map(str.strip, ignore.split(","))))
+    judged = judge_sides(base, new, gates, looks=looks, allow_missing=allow_missing, match=match, paired=paired)
+    if write_limits is not None:
+        write_limits_file(limits_text(judged.comparison), write_limits)
+    title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
+    for kind, file in zip(reports, files, strict=True):
+        judged.write(kind, file, title, shows_all=shows_all)
+    raise typer.Exit(judged.end(strict=strict))
+
+
+class JudgedSides(NamedTuple):
+    comparison: "Comparison"
+    info: "ComparisonInfo"
+    outcome: "GateOutcome"
+
+    def write(self, report: ComparisonReport, file: Path | None, title: str, *, shows_all: bool) -> None:
+        from dds_trace.analyzer.exports.kinds import write_text_file
+        from dds_trace.reports.comparison import document, markdown, page, terminal
+
+        info = self.info
+        if report is ComparisonReport.TERMINAL and file is None:
+            terminal.write(info, shows_all=shows_all)
+            return
+        renders = {
+            ComparisonReport.TERMINAL: lambda: terminal.render(info, shows_all=shows_all),
+            ComparisonReport.MD: lambda: markdown.render(info, shows_all=shows_all),
+            ComparisonReport.JSON: lambda: document.render(info, self.comparison),
+            ComparisonReport.JUNIT: lambda: document.render_junit(info),
+            ComparisonReport.GITHUB: lambda: document.render_annotations(info),
+            ComparisonReport.BADGE: lambda: document.render_badge(info),
+            ComparisonReport.HTML: lambda: page.render(info, title),
+        }
+        if file is not None:
+            print(f"Wrote {write_text_file(file, renders[report]())}")
+        else:
+            method = "write_commands" if report is ComparisonReport.GITHUB else "write"
+            getattr(sys.stdout, method, sys.stdout.write)(renders[report]())
+
+    def end(self, *, strict: bool) -> int:
+        """Say the outcome, and return the exit code."""
+        from dds_trace.analyzer.verdicts.gate import GateOutcome
+
+        is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
+        if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
+            warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
+            print(f"dds-trace compare: {self.outcome.value}{warning}", file=sys.stderr)
+        return 0 if is_let_pass else self.outcome.exit_code
+
+
+def judge_sides(
+    base: Path,
+    new: Path | None,
+    gates: "Sequence[Gate]",
+    *,
+    looks: int = 1,
+    allow_missing: bool = False,
+    **options: Any,
+) -> JudgedSides:
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.statistics.power import confidence_at_each
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
     from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
-    from dds_trace.analyzer.verdicts.ignoring import match_without
     from dds_trace.base.units import counted
-    from dds_trace.reports.comparison import terminal
     from dds_trace.reports.comparison.info import comparison_info
 
-    from .limits_file import limits_text
-    from .limits_file import write_limits as write_limits_file
-
-    paths = {"BASE": base, "NEW": new, "--out": out, "--limits": limits_file, "--write-limits": write_limits}
-    for name, path in paths.items():
-        limits.check(limits.PATH if name.startswith("-") else limits.INPUT, None if path is None else str(path), name)
-    gates = _read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
-    match = match_without(filter(None, map(str.strip, ignore.split(","))))
     before = analyze(base, details=False)
     after = before if new is None else analyze(new, details=False)
-    options = CompareOptions(match=match, paired=paired, confidence=confidence_at_each(looks))
-    comparison = compare(before, after, options_for(gates, options))
+    at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
+    comparison = compare(before, after, options_for(gates, at_each))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
-    if write_limits is not None:
-        write_limits_file(limits_text(comparison), write_limits)
     for folder, side in ((base, before), *([] if new is None else [(new, after)])):
         for finding in side.findings:
             if finding.code == "not_applied":
@@ -139,23 +204,14 @@ def compare_command(
         outcome = overall_outcome(result.outcome for result in results) if results else GateOutcome.PASSED
     info = comparison_info(comparison, results)
     if new is None:
-        info = replace(
-            info, said=f"{counted(len(info.groups), 'result')} against limits.", seen="", groups=(), rules=()
-        )
-    if report is ComparisonReport.TERMINAL and out is None:
-        terminal.write(info, shows_all=shows_all)
-    else:
-        title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
-        has_commands = report is ComparisonReport.GITHUB
-        _print_or_write(_text(report, info, comparison, title, shows_all), out, has_commands=has_commands)
-    is_let_pass = outcome is GateOutcome.INCONCLUSIVE and not strict
-    if results or outcome is GateOutcome.NOTHING_TO_COMPARE:
-        warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-        print(f"dds-trace compare: {outcome.value}{warning}", file=sys.stderr)
-    raise typer.Exit(0 if is_let_pass else outcome.exit_code)
+        said = f"{counted(len(info.groups), 'result')} against limits."
+        info = replace(info, said=said, seen="", groups=(), rules=())
+    return JudgedSides(comparison, info, outcome)
 
 
-def _read_gates(texts: list[str], limits_file: Path | None, *, one_side: bool, needed: bool) -> "list[Gate]":
+def read_gates(
+    texts: list[str], limits_file: Path | None, *, one_side: bool = False, needed: bool = False
+) -> "list[Gate]":
     from dds_trace.analyzer.verdicts.gate import parse_gates
     from dds_trace.base.errors import OptionError
 
@@ -166,29 +222,3 @@ def _read_gates(texts: list[str], limits_file: Path | None, *, one_side: bool, n
         raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
     more = [] if limits_file is None else read_limits(limits_file)
     return [*gates, *(limits_of_one_side(more) if one_side else more)]
-
-
-def _text(
-    report: ComparisonReport, info: "ComparisonInfo", comparison: "Comparison", title: str, shows_all: bool
-) -> str:
-    from dds_trace.reports.comparison import document, markdown, page, terminal
-
-    renders = {
-        ComparisonReport.TERMINAL: lambda: terminal.render(info, shows_all=shows_all),
-        ComparisonReport.MD: lambda: markdown.render(info, shows_all=shows_all),
-        ComparisonReport.JSON: lambda: document.render(info, comparison),
-        ComparisonReport.JUNIT: lambda: document.render_junit(info),
-        ComparisonReport.GITHUB: lambda: document.render_annotations(info),
-        ComparisonReport.BADGE: lambda: document.render_badge(info),
-        ComparisonReport.HTML: lambda: page.render(info, title),
-    }
-    return renders[report]()
-
-
-def _print_or_write(text: str, out: Path | None, *, has_commands: bool) -> None:
-    from dds_trace.analyzer.exports.kinds import write_text_file
-
-    if out is None:
-        getattr(sys.stdout, "write_commands" if has_commands else "write", sys.stdout.write)(text)
-    else:
-        print(f"Wrote {write_text_file(out, text)}")

@@ -113,7 +113,8 @@ def card_marks(book: Book) -> list[Mark]:
     facts = {fact.label: fact.value for fact in book.overview.facts}
     kind, sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
-    compared = _compared(book, case, cases) if case else []
+    alike = [answer for answer in book.analysis.details.answers if case and _message(answer) == _message(case)]
+    compared = cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
     rows = [row for answer in compared for row in _measured(book, answer)]
     rows = sorted(rows, key=lambda row: (math.inf if row.median_ns is None else row.median_ns, row.setup))[:MOST_ROWS]
     when = facts.get("When", "")
@@ -124,12 +125,19 @@ def card_marks(book: Book) -> list[Mark]:
     ]
     losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")
     pitch = min(56, 230 / max(1, len(rows)))
-    bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
-    size, lines = _fitted(sentence, bottom - 84)
+    headline, by_how_much = sentence, list[str]()
+    if kind is PointKind.FASTEST and sentence.endswith(")."):
+        headline, _, ratios = sentence.removesuffix(").").rpartition(" (")
+        by_how_much = textwrap.wrap(f"{ratios[0].upper()}{ratios[1:]}.", int(wide / (18 * CHARACTER)))
+    bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0) - 26 * len(by_how_much)
+    size, lines = _fitted(headline, bottom - 84)
     y = 84.0
     for line in lines:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
+    for line in by_how_much:
+        y += 26
+        marks.append(Words(EDGE, y, 18, line, SOFT))
     if losses:
         whole = _line(EDGE, y + 42, 22, losses, wide, BAD)
         shortest = f"{losses.partition(', all of them')[0]}."
@@ -171,11 +179,6 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     fastest = next((sentence for sentence in sentences if sentence[0] is PointKind.FASTEST), sentences[0])
     shown = sentences[0] if PointKind.FORGED in answer.kinds else fastest
     return *shown, book.fastest[0].cases if book.fastest else ()
-
-
-def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
-    alike = [answer for answer in book.analysis.details.answers if _message(answer) == _message(case)]
-    return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
 
 
 def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:

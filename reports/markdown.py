@@ -21,7 +21,7 @@ from .book.groups import (
     format_ratio,
     markdown,
 )
-from .book.numbers import Intervals, Values
+from .book.numbers import Values
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ, SizeCell
 from .figures.costs import Cost, bridge_cost_info
@@ -151,8 +151,9 @@ def _groups(book: Book) -> str:
             _runs(book, group.index),
             *(
                 _with_interval(values.times_ns[metric][name][group.index], intervals.ends(metric, name, group.index))
-                + _bursts(intervals, metric, name, group.index)
+                + (f" (rests on {counted(bursts, 'burst')})" if bursts is not None else "")
                 for name in SHOWN_STATISTICS
+                for bursts in [intervals.tail_episodes(metric, name, group.index)]
             ),
         )
         for group in groups[:MOST_GROUPS]
@@ -179,11 +180,6 @@ def _runs(book: Book, group: int) -> str:
     basis = book.intervals.basis(book.values.default_metric, "p50", group)
     runs = book.values.plain["runs"][group]
     return basis if basis != MISSING or runs is None else f"{runs:.0f}"
-
-
-def _bursts(intervals: Intervals, metric: str, name: str, group: int) -> str:
-    bursts = intervals.tail_episodes(metric, name, group)
-    return "" if bursts is None else f" (rests on {counted(bursts, 'burst')})"
 
 
 def _with_interval(value_ns: int | None, ends: tuple[int | None, int | None]) -> str:

@@ -126,7 +126,8 @@ def find_answers(
     """
     if not rows.has_rows:
         return ()
-    groups = without_sockets(rows.groups)
+    middlewares = rows.groups.filter(pl.col("backend") != "socket")
+    groups = rows.groups if middlewares.is_empty() else middlewares
     names = contender_names(groups)
     parts = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
     measure = partial(
@@ -150,12 +151,6 @@ def find_answers(
         _answer(case, ranking, confidence, [*rows, *_judged_losses(case, excesses)])
         for case, ranking, rows in zip(cases, rankings, losers, strict=True)
     )
-
-
-def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
-    """Leave out plain sockets, unless there is nothing else."""
-    middlewares = groups.filter(pl.col("backend") != "socket")
-    return groups if middlewares.is_empty() else middlewares
 
 
 _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
@@ -190,10 +185,16 @@ def _measure_case(
         setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
         group = MatchedGroup(rows.frame(part, _ROW_COLUMNS))
         estimates = group.estimates("latency", list(_STATISTICS.values()), confidence)
+        repeats = [passes[run.run_id] for run in group.runs if run.run_id in passes]
+        starts_ns = [
+            wall_offsets_ns[run.run_id] + first
+            for run in group.runs
+            if run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
+        ]
         setups[names[tuple(setting.values())]] = SetupRuns(
             estimates=dict(zip(_STATISTICS, estimates, strict=True)),
-            repeats=_repeats(group.runs, passes),
-            starts_ns=_starts_ns(group.runs, wall_offsets_ns),
+            repeats=tuple(repeats) if len(set(repeats)) == len(group.runs) else (),
+            starts_ns=tuple(starts_ns) if len(starts_ns) == len(group.runs) else (),
             received=group.received,
             outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
             survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
@@ -217,20 +218,6 @@ def _outside(run: RunRows, outage_ns: Range | None) -> Bools:
     start_ns, end_ns = outage_ns
     is_within = (sent_ns >= (start_ns or 0)) & (sent_ns < (np.inf if end_ns is None else end_ns))
     return np.asarray(run.received[~is_within])
-
-
-def _repeats(runs: Sequence[RunRows], passes: Mapping[int, int]) -> tuple[int, ...]:
-    repeats = [passes[run.run_id] for run in runs if run.run_id in passes]
-    return tuple(repeats) if len(set(repeats)) == len(runs) else ()
-
-
-def _starts_ns(runs: Sequence[RunRows], wall_offsets_ns: Mapping[int, int]) -> tuple[int, ...]:
-    starts = [
-        wall_offsets_ns[run.run_id] + first
-        for run in runs
-        if run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
-    ]
-    return tuple(starts) if len(starts) == len(runs) else ()
 
 
 def _answer(case: Kind, rankings: Mapping[str, Ranking], confidence: float, losses: Sequence[Judgement]) -> CaseAnswer:

@@ -57,8 +57,10 @@ from .matching import (
 )
 from .sides import (
     UNKNOWN,
+    BusierRepeat,
     RunLoad,
     SideError,
+    busier_repeats,
     busier_side,
     difference_sentences,
     environment_differences,
@@ -108,22 +110,8 @@ class CompareOptions:
 class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
-    Attributes:
-        rows: one row per matched group, metric and statistic: the match columns, then `ChangeRow`.
-        delivery: likewise for each group, with `DeliveryRow`.
-        distributions: likewise for each group and metric, with `DistributionRow`.
-        only_base: groups (match columns) that the new side does not have; `only_new` likewise.
-        changes: of each row of `rows`.
-        deliveries: of each row of `delivery`.
-        environment: differences between the environments, a sentence each.
-        barred: groups of either side in which a setting was not applied; every gate is inconclusive there.
-        interleaved: how the parameters of interleaved groups differ, a sentence for each.
-        ignored: what each side has in the columns that were not matched, a sentence each.
-        order: a sentence if one side was recorded wholly before the other.
-        unfinished: match columns of a group -> its runs without an end; no gate passes there.
-        same_recordings: whether both sides are the same runs.
-        row_keys: group of either side -> the match columns of its rows.
-        busier: match columns of groups that are not judged, as the machine of one side was busier.
+    `rows` has the match columns and `ChangeRow` of each matched group, metric and statistic, `delivery` likewise `DeliveryRow`
+    of each group. Groups that are `busier` and repeats `left_out` are not judged, as the machine of one side was busier.
     """
 
     rows: pl.DataFrame
@@ -144,6 +132,7 @@ class Comparison:
     same_recordings: bool = False
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
     busier: frozenset[Key] = frozenset()
+    left_out: tuple[BusierRepeat, ...] = ()
 
     def __repr__(self) -> str:
         """Return the number of results of both sides and of only one."""
@@ -205,7 +194,9 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         OptionError: without the columns that are not matched, two groups of one side would be one.
     """
     options = options or CompareOptions()
-    options = with_topic_metrics(options, base, new)
+    if not all(side.topic_messages.is_empty() for side in (base, new)):
+        first = TOPIC_METRICS if all(side.summary.is_empty() for side in (base, new)) else ()
+        options = replace(options, metrics=tuple(dict.fromkeys([*first, *options.metrics, *TOPIC_METRICS])))
     match = options.match
     base_groups, new_groups = _groups_of(base), _groups_of(new)
     check_match(base_groups, "base", match)
@@ -213,6 +204,10 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     before, after = base.load_messages(), new.load_messages()
     if base is new:
         before = after = topics_in_blocks(before)
+    loads = run_loads(() if base is new else (base, new))
+    left_out = tuple(busier_repeats(base.runs, new.runs, loads))
+    is_judged = ~pl.col("run_id").is_in([run_id for repeat in left_out for run_id in repeat.runs])
+    before, after = (side.filter(is_judged) if left_out else side for side in (before, after))
     run_partners = interleaved_keys(before, after, base.runs, new.runs, match)
     partners = partner_groups(after, run_partners, match)
     names = replaced_devices(base_groups, new_groups)
@@ -229,15 +224,13 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         keys = [partners.get(group_key, key) for group_key, key in zip(side.select(match).rows(), renamed, strict=True)]
         return [comparison.row_keys.get(key, key) for key in keys]
 
-    def loads_of(side: ComparedSide, messages: pl.DataFrame, side_names: Mapping[str, str]) -> dict[Key, list[RunLoad]]:
-        loads = run_loads(side.sessions, side.runs, side.details.host_samples)
+    def loads_of(messages: pl.DataFrame, side_names: Mapping[str, str]) -> dict[Key, list[RunLoad]]:
         runs = messages.select(*match, "run_id").unique().filter(pl.col("run_id").is_in(list(loads)))
         pairs = list(zip(keys_of(runs, side_names), runs["run_id"], strict=True))
         return {key: [loads[run_id] for other, run_id in pairs if other == key] for key, _ in pairs}
 
     order = recorded_apart(base.sessions, new.sessions)
-    # In turns both sides meet the same machine, and what differs goes with a side.
-    base_loads, new_loads = (loads_of(base, before, {}), loads_of(new, after, names)) if order else ({}, {})
+    base_loads, new_loads = (loads_of(before, {}), loads_of(after, names)) if order else ({}, {})
     busier = {key: text for key in base_loads if (text := busier_side(base_loads[key], new_loads.get(key, ())))}
     verdicts = [
         "inconclusive" if tuple(key) in busier else verdict
@@ -256,20 +249,13 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         rows=comparison.rows.with_columns(pl.Series("verdict", verdicts, pl.String)),
         order=order,
         busier=frozenset(busier),
+        left_out=left_out,
         errors=(
-            *(SideError(text, frozenset({key})) for key, text in busier.items()),
+            *(SideError(f"{text}: record again", frozenset({key})) for key, text in busier.items()),
             *errors_of("base", base.findings, keys_of(base.summary, {})),
             *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),
     )
-
-
-def with_topic_metrics(options: CompareOptions, *sides: ComparedSide) -> CompareOptions:
-    """Add the metrics of topics if a side has any, first where there is nothing else."""
-    if all(side.topic_messages.is_empty() for side in sides):
-        return options
-    first = TOPIC_METRICS if all(side.summary.is_empty() for side in sides) else ()
-    return replace(options, metrics=tuple(dict.fromkeys([*first, *options.metrics, *TOPIC_METRICS])))
 
 
 def _groups_of(side: ComparedSide) -> pl.DataFrame:

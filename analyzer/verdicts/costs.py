@@ -75,12 +75,14 @@ def _without(setting: str, *keys: str) -> str:
 def _with_flows(groups: pl.DataFrame) -> pl.DataFrame:
     settings = groups["setting"].to_list()
     flows = [flows_of(setting) for setting in settings]
+    counts = [parse_setting(setting).get(FLOWS, "1") for setting in settings]
+    is_planned = [count == str(len(others) + 1) for count, (_, others) in zip(counts, flows, strict=True)]
     return groups.with_columns(
         pl.Series("flow", [flow for flow, _ in flows], pl.String),
         pl.Series("with_flows", ["+".join(others) for _, others in flows], pl.String),
         pl.Series("others", [_without(setting, FLOW, WITH, FLOWS) for setting in settings], pl.String),
         pl.Series("shared", [_without(setting, FLOW, WITH, FLOWS, *_OF_A_FLOW) for setting in settings], pl.String),
-        pl.Series("is_planned", [_ran_as_planned(setting) for setting in settings], pl.Boolean),
+        pl.Series("is_planned", is_planned, pl.Boolean),
     ).filter(pl.col("flow") != "", "is_planned")
 
 
@@ -92,11 +94,6 @@ def _with_loads(groups: pl.DataFrame) -> pl.DataFrame:
         pl.Series("with_flows", [f"{LOAD}={load}" if load else "" for load in loads], pl.String),
         pl.Series("others", [_without(setting, LOAD) for setting in settings], pl.String),
     )
-
-
-def _ran_as_planned(setting: str) -> bool:
-    _, others = flows_of(setting)
-    return parse_setting(setting).get(FLOWS, "1") == str(len(others) + 1)
 
 
 def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:

@@ -66,11 +66,10 @@ def half_widths(rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: s
 
 
 def _half_width_percent(interval: Interval) -> float:
-    if interval.basis is Basis.WITHIN_RUN or interval.lower is None or interval.upper is None:
+    value, lower, upper = interval.value, interval.lower, interval.upper
+    if interval.basis is Basis.WITHIN_RUN or value is None or value <= 0 or lower is None or upper is None:
         return math.inf
-    if interval.value is None or interval.value <= 0 or not math.isfinite(interval.upper):
-        return math.inf
-    return 100 * (interval.upper - interval.lower) / 2 / interval.value
+    return 100 * (upper - lower) / 2 / value
 
 
 MOST_DEALS = 64

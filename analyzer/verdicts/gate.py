@@ -81,14 +81,7 @@ def _fits(row: Mapping[str, object], patterns: Patterns) -> bool:
 class Gate:
     """A condition under which a comparison fails.
 
-    Attributes:
-        metric: a metric of time or `received_ratio`.
-        statistic: `mean` or a percentile; empty for `received_ratio`.
-        limit: a ratio new / base for `RATIO`, otherwise ns (for `received_ratio` a share).
-        topic: a topic that a tap heard, or a pattern of such; empty for all results that have the metric.
-        results: columns of the results that are judged, with the pattern of their values.
-        unless: of the results, the ones that another gate judges in its place.
-        accepted: why a change is accepted; empty if it is not.
+    The limit is a ratio new / base for `RATIO`, otherwise ns or a share; results that fit a pattern of `unless` are not judged.
     """
 
     text: str

@@ -173,7 +173,9 @@ def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str])
     measure = _received if first.metric == RECEIVED_RATIO else _times
     groups = [group for gate in family for group in measure(comparison, gate, names)]
     if first.topic and not groups:
-        yield GateResult(first, first.topic, GateOutcome.INCONCLUSIVE, None, None, None, _no_such_topic(comparison))
+        topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
+        reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
+        yield GateResult(first, first.topic, GateOutcome.INCONCLUSIVE, None, None, None, reason)
     beyond = [
         index
         for index, group in enumerate(groups)
@@ -201,11 +203,6 @@ def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str])
             found_from=group.found_from(len(groups), confidence),
             runs_needed=group.advice.runs if reason and group.advice.text in reason else None,
         )
-
-
-def _no_such_topic(comparison: Comparison) -> str:
-    topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
-    return f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
 
 
 def _reason(comparison: Comparison, group: _Measured, by_chance_of: int) -> str:

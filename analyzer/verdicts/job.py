@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -113,17 +113,14 @@ def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Gue
     """Interpolate a time from measured ones; None if these do not surround it, or too few can be held out."""
     logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
     log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
-    errors = [abs(error) for error in _held_out_errors(logs)]
+    errors = [
+        abs(predicted - value)
+        for point, value in logs.items()
+        if (predicted := _interpolate({other: v for other, v in logs.items() if other != point}, point)) is not None
+    ]
     if log_value is None or len(errors) < MIN_ERRORS:
         return None
     return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
-
-
-def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
-    for at, value in logs.items():
-        predicted = _interpolate({other: v for other, v in logs.items() if other != at}, at)
-        if predicted is not None:
-            yield predicted - value
 
 
 def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:

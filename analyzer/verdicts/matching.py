@@ -144,7 +144,7 @@ def match_groups(
         if not answered.is_empty():
             parts[key] = answered
 
-    ordered = sorted(parts, key=lambda key: [(value is not None, value) for value in key])
+    ordered = sorted(parts, key=lambda key: [(value is not None, value) for value in key])  # nulls first
     return {key: MatchedGroup(parts[key], unfinished) for key in ordered}
 
 

@@ -255,6 +255,7 @@ def _ranking(
     )
     if is_ahead:
         different |= {(pair.fast, pair.slow) for pair in lead}
+    in_sequence = [pair.means[0].against(pair.means[1]) for pair in pairs if pair.means and not pair.is_interleaved]
     return Ranking(
         leader=names[0] if is_ahead else "",
         letters=tier_letters(names, different),
@@ -262,7 +263,7 @@ def _ranking(
         if is_dependent
         else tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
-        drift_ratio=_drift_ratio(pairs, 1 - alpha),
+        drift_ratio=min((math.exp(test.reach(1 - alpha) * test.error) for test in in_sequence), default=None),
         tests=tuple(tests),
         lead_p=lead_p,
         reason=Reason.NONE
@@ -353,12 +354,3 @@ def _pair(
         means=tested,
         runs=0 if units is None else len(units),
     )
-
-
-def _drift_ratio(pairs: Sequence[SetupPair], confidence: float) -> float | None:
-    ratios = []
-    for pair in pairs:
-        if pair.means is not None and not pair.is_interleaved:
-            test = pair.means[0].against(pair.means[1])
-            ratios.append(math.exp(test.reach(confidence) * test.error))
-    return min(ratios, default=None)

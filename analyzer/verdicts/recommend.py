@@ -255,7 +255,9 @@ def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) 
     if fit is Fit.INCONCLUSIVE or late is None:
         return Fit.INCONCLUSIVE, _why_inconclusive(interval, request)
     if is_late or fit is Fit.MISSES or (late.upper or 0.0) > allowed:
-        return Fit.INCONCLUSIVE, _why_late(late, request)
+        limit = "" if late.upper is None else f", of further runs up to {100 * late.upper:.3g} %"
+        ends = f"the job allows {100 * (1 - request.job.reliability):.3g} %; record more runs"
+        return Fit.INCONCLUSIVE, f"{100 * late.observed:.3g} % of the messages were late{limit}, {ends}"
     if interval.basis is Basis.WITHIN_RUN:
         verb = "is" if interval.runs == 1 else "are"
         return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there {verb} {interval.runs}"
@@ -264,12 +266,6 @@ def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) 
 
 _ROUNDING = 1e-12
 """Error of `1 - reliability` in floats, and more."""
-
-
-def _why_late(late: LateShare, request: _Request) -> str:
-    allowed = 100 * (1 - request.job.reliability)
-    limit = "" if late.upper is None else f", of further runs up to {100 * late.upper:.3g} %"
-    return f"{100 * late.observed:.3g} % of the messages were late{limit}, the job allows {allowed:.3g} %; record more runs"
 
 
 def _why_inconclusive(interval: Interval, request: _Request) -> str:
@@ -292,10 +288,11 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
 
 def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, str]], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
+    sizes, rates = (_next_to({point[axis] for point in measured}, at[axis]) for axis in (0, 1))
     failing = [
         f"at {format_size(round(size))} and {format_rate(rate)}, {failure}"
-        for size, rate in _neighbours(measured, at)
-        if (failure := measured[size, rate][1])
+        for size, rate in measured
+        if size in sizes and rate in rates and (failure := measured[size, rate][1])
     ]
     if failing:
         reason = f"not measured, and no estimate: {'; '.join(failing)}"
@@ -327,12 +324,6 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
         ),
         latency_ns=guess.value_ns,
     )
-
-
-def _neighbours(measured: Iterable[SizeAndRate], at: SizeAndRate) -> list[SizeAndRate]:
-    points = list(measured)
-    sides = [_next_to({point[axis] for point in points}, at[axis]) for axis in (0, 1)]
-    return [point for point in points if point[0] in sides[0] and point[1] in sides[1]]
 
 
 def _next_to(values: set[float], at: float) -> set[float]:

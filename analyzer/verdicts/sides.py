@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
 
@@ -18,6 +18,8 @@ from dds_trace.tracefile.format.json_fields import number_of
 from ..model.environment import lasting_parts
 from ..model.finding import Finding, Severity
 from ..model.parameters import ParameterValue
+from ..model.runs import pass_numbers
+from .matching import AGAINST_LABEL, CELL_LABEL
 
 if TYPE_CHECKING:
     from .matching import Key
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 SAME, UNKNOWN = "same", "unknown"
 _MACHINE_COLUMNS = ("cpu_percent", "cpu_mhz", "temperature_c")
+LEAST_BUSIER, MORE_OF_OURS, SLOWER_CLOCK = 0.1, 1.25, 0.9
 
 
 class Recorder(NamedTuple):
@@ -134,32 +137,39 @@ class SideError:
         return not self.groups or group in self.groups
 
 
-LEAST_BUSIER, MORE_OF_OURS, SLOWER_CLOCK = 0.1, 1.25, 0.9
-
-
 RunLoad = tuple[float, float, float, float]
 """Of the busiest machine: shares of its processors that others (the hypervisor, too) and the recorded programs took; MHz, Celsius."""
 
 
-def run_loads(sessions: Iterable[Session], runs: Iterable[Run], samples: pl.DataFrame) -> dict[int, RunLoad]:
+def run_loads(sides: Iterable[Any]) -> dict[int, RunLoad]:
+    return {
+        run_id: load for side in sides for run_id, load in _loads(side.sessions, side.runs, side.details.host_samples)
+    }
+
+
+def _loads(sessions: Iterable[Session], runs: Iterable[Run], samples: pl.DataFrame) -> Iterator[tuple[int, RunLoad]]:
     cores = {session.session_id: number_of(session.host.get("cpu_cores")) or 1.0 for session in sessions}
     ours = pl.sum_horizontal("node_cpu_percent", "bridge_cpu_percent")
     processors = pl.col("session_id").replace_strict(cores, default=1.0, return_dtype=pl.Float64)
     shares = samples.drop_nulls("cpu_percent").with_columns(ours=ours / processors)
-    loads = {}
-    for run in runs:
-        ping_samples = shares.filter(session_id=int(str(run.extra.get("session_id", "0")), 16))
-        first, last = (ping_samples.select(end("wall_ns")).item() for end in (pl.min, pl.max))
-        if first is None:
-            continue
-        meanwhile = shares.filter(pl.col("wall_ns").is_between(first - SECOND_NS, last))
-        by_session = meanwhile.group_by("device", "session_id").agg(pl.col("ours", *_MACHINE_COLUMNS).mean())
-        machines = by_session.group_by("device").agg(pl.col("ours").sum(), pl.col(*_MACHINE_COLUMNS).mean())
-        loads[run.run_id] = max(
-            ((cpu_percent - ours_percent) / 100, ours_percent / 100, mhz or 0.0, celsius or 0.0)
-            for ours_percent, cpu_percent, mhz, celsius in machines.select("ours", *_MACHINE_COLUMNS).iter_rows()
-        )
-    return loads
+    wall_ns, share, mhz, celsius = map(pl.col, ("wall_ns", *_MACHINE_COLUMNS))
+    pings = [(run.run_id, int(str(run.extra.get("session_id", "0")), 16)) for run in runs]
+    spans = (
+        pl.DataFrame(pings, {"run_id": pl.UInt64, "session_id": pl.UInt64}, orient="row")
+        .join(shares.group_by("session_id").agg(first=wall_ns.min() - SECOND_NS, last=wall_ns.max()), on="session_id")
+        .drop("session_id")
+    )
+    machines = (
+        shares.join_where(spans, wall_ns >= pl.col("first"), wall_ns <= pl.col("last"))
+        .group_by("run_id", "device", "session_id")
+        .agg(pl.col("ours", *_MACHINE_COLUMNS).mean())
+        .group_by("run_id", "device")
+        .agg(pl.col("ours").sum() / 100, share.mean() / 100, pl.col("cpu_mhz", "temperature_c").mean().fill_null(0.0))
+        .select("run_id", share - pl.col("ours"), "ours", mhz, celsius)
+        .sort(pl.all())
+    )
+    for run_id, *load in machines.iter_rows():
+        yield run_id, (load[0], load[1], load[2], load[3])
 
 
 def busier_side(base: Sequence[RunLoad], new: Sequence[RunLoad]) -> str:
@@ -172,8 +182,30 @@ def busier_side(base: Sequence[RunLoad], new: Sequence[RunLoad]) -> str:
         if busy[1] <= MORE_OF_OURS * calm[1] + 0.01 and (busy[0] - calm[0] > LEAST_BUSIER or is_hot):
             others = f"other programs took {busy[0]:.0%} of the {side}'s processors, {calm[0]:.0%} on the other side"
             heat = f"the {side}'s processors were hotter, at {busy[2]:.0f} and not {calm[2]:.0f} MHz"
-            return f"{heat if is_hot else others}: record again"
+            return heat if is_hot else others
     return ""
+
+
+class BusierRepeat(NamedTuple):
+    cell: str
+    repeat: int
+    runs: tuple[int, int]
+    reason: str
+
+
+def busier_repeats(base: Sequence[Run], new: Sequence[Run], loads: Mapping[int, RunLoad]) -> list[BusierRepeat]:
+    """Return interleaved repeats in which one side's machine was busier; of a cell none or fewer than half, which goes with a side."""
+    passes = pass_numbers([*base, *new])
+    partners = {(run.labels.get(CELL_LABEL), passes.get(run.run_id)): run.run_id for run in base if run.run_id in loads}
+    by_cell: dict[str, list[BusierRepeat]] = defaultdict(list)
+    for run in new:
+        cell, repeat = run.labels.get(AGAINST_LABEL), passes.get(run.run_id)
+        partner = partners.get((cell, repeat))
+        if cell and repeat and partner is not None and run.run_id in loads:
+            reason = busier_side([loads[partner]], [loads[run.run_id]])
+            by_cell[cell].append(BusierRepeat(cell, repeat, (partner, run.run_id), reason))
+    busier = [([item for item in repeats if item.reason], len(repeats)) for repeats in by_cell.values()]
+    return [item for items, count in busier if 2 * len(items) < count for item in items]
 
 
 WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_failed", "ended_by_error"})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -12,13 +13,18 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
+from ..compare import ComparisonReport, judge_sides
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.verdicts.false_alarms import FalseAlarms
+    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.sweep.against import AgainstOutcome
     from dds_trace.recorder.sweep.plan.plan import Plan
+
+    from ..compare import JudgedSides
 
 SAME = "SAME"
 
@@ -29,6 +35,7 @@ class NewSide:
     plan: Plan
     command: tuple[str, ...] | None = None
     is_same: bool = False
+    looks: int = 1
 
 
 def new_side(
@@ -62,13 +69,20 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
     seconds = against_seconds(base, other.plan)
+    repeats = base.run.repeats + (base.run.repeats - 1) // 2
+    most = against_seconds(replace(base, run=replace(base.run, repeats=repeats)), other.plan)
     described: dict[str, object] = {
         "plan": _name(base, other),
         "seconds": seconds.seconds,
+        "most_seconds": other.looks * most.seconds,
         "cells": [{"side": side, "name": name} for side, name in turns],
     }
     lines = [f"{side:4}  {name}" for side, name in turns]
-    lines.append(f"plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}")
+    up_to = f"up to {other.looks} looks, each: " if other.looks > 1 else ""
+    more = f" ({most} where the machine is busier on one side)" if repeats > base.run.repeats else ""
+    lines.append(
+        f"{up_to}plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}{more}"
+    )
     return described, lines
 
 
@@ -80,40 +94,69 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
     return [(plan, folder / side, command) for side, plan, command in sides]
 
 
-def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
+def busier(base: Path, new: Path) -> list[tuple[str, int]]:
+    if find_spec("polars") is None:  # recording needs no analyzer
+        return []
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.sides import busier_repeats, run_loads
+
+    sides = [analyze(folder, details=False) for folder in (base, new)]
+    return [one[:2] for one in busier_repeats(sides[0].runs, sides[1].runs, run_loads(sides))]
+
+
+def run_sides(
+    base: Plan, other: NewSide, out: Path, gates: Sequence[Gate] = (), *, as_json: bool, strict: bool = False
+) -> int:
     from dds_trace.recorder.sweep.against import run_against
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
-    sides_outcome = run_against(
-        replace(base, name=f"{_name(base, other)}-base"),
-        replace(other.plan, name=f"{_name(base, other)}-new"),
-        out / _name(base, other),
-        make_progress(plain_console(stderr=True)),
-        commands=(None, other.command),
-    )
-    sides = {"base": sides_outcome.base, "new": sides_outcome.new}
+    if gates:
+        say(shown_sides(base, other)[1][-1])
+    for look in range(1, other.looks + 1):
+        run = replace(base.run, repeats=look * base.run.repeats)
+        sides_outcome = run_against(
+            replace(base, name=f"{_name(base, other)}-base", run=run),
+            replace(other.plan, name=f"{_name(base, other)}-new"),
+            out / _name(base, other),
+            make_progress(plain_console(stderr=True)),
+            commands=(None, other.command),
+            busier=busier,
+        )
+        sides = {"base": sides_outcome.base, "new": sides_outcome.new}
+        is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
+        judged = None
+        if gates and is_recorded:
+            judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
+        if judged is None or judged.outcome.value != "inconclusive":
+            break
     missing = {side: outcome.missing for side, outcome in sides.items()}
-    is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
     alarms = _false_alarms(sides_outcome) if other.is_same and is_recorded else None
     if as_json:
         result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
         result |= {"cells": sides_outcome.base.cells + sides_outcome.new.cells, "missing": missing}
-        if alarms is not None:
-            result["false_alarms"] = asdict(alarms)
+        result |= {} if alarms is None else {"false_alarms": asdict(alarms)}
+        result |= {} if judged is None else {"outcome": judged.outcome.value}
         print(json.dumps(result))
     else:
-        for side, outcome in sides.items():
-            complete = outcome.cells - len(outcome.missing)
-            print(f"Wrote {outcome.folder}")
-            print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
-        folders = shlex.join([str(sides_outcome.base.folder), str(sides_outcome.new.folder)])
-        print(f"Compare: dds-trace compare {folders} --paired")
-        if alarms is not None:
-            print(_in_words(alarms))
+        _print_sides(sides_outcome, alarms, judged)
     for side, reasons in missing.items():
         say_missing(reasons, f"{side} ")
+    if judged is not None:
+        return judged.end(strict=strict)
     return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0
+
+
+def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: JudgedSides | None) -> None:
+    for side, outcome in (("base", sides.base), ("new", sides.new)):
+        complete = outcome.cells - len(outcome.missing)
+        print(f"Wrote {outcome.folder}")
+        print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
+    print(f"Compare: dds-trace compare {shlex.join([str(sides.base.folder), str(sides.new.folder)])} --paired")
+    if alarms is not None:
+        print(_in_words(alarms))
+    if judged is not None:
+        judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
 
 
 def say_missing(missing: Mapping[str, str], side: str = "") -> None:

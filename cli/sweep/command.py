@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
+from ..compare import ComparisonReport, FailIf, Looks, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
@@ -33,7 +35,12 @@ class Printed(str, Enum):
     RELAY = "relay"
 
 
-@command(app, "sweep", table="sweep")
+@command(
+    app,
+    "sweep",
+    table="sweep",
+    often=("out", "dry_run", "rehearse", "limits_file", "until", "against", "fail_if", "looks"),
+)
 def sweep_command(
     plan: PlanPath,
     out: Out = Path("runs"),
@@ -53,7 +60,10 @@ def sweep_command(
         ),
     ] = None,
     limits_file: Annotated[
-        Path | None, option("--limits FILE", "A limits.toml, whose limits of one side the results have to meet.")
+        Path | None,
+        option(
+            "--limits FILE", "A limits.toml that the results have to meet; without --against, its limits of one side."
+        ),
     ] = None,
     until: Annotated[
         str | None,
@@ -74,6 +84,9 @@ def sweep_command(
             "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
         ),
     ] = None,
+    fail_if: FailIf = None,
+    looks: Looks = 1,
+    strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
     """Record every run of a plan: one closed trace for each device and run.
@@ -86,6 +99,7 @@ def sweep_command(
         dds-trace sweep new mine.toml
     """
     from dds_trace.recorder.backends import installed_middlewares
+    from dds_trace.recorder.sweep.plan.plan_file import check_runs
 
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
@@ -95,16 +109,25 @@ def sweep_command(
     if max_passes is not None and until is None:
         raise OptionError("--max-passes needs --until; give both or remove it")
     limits.check(limits.REPEATS, max_passes, "--max-passes")
+    limits.check(limits.LOOKS, looks, "--looks")
     requested = plan_of(plan, out, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
-    if other is not None:
+    if other is None:
+        if fail_if or looks > 1 or strict:
+            raise OptionError("--fail-if, --looks and --strict judge two sides; add --against")
+        gates = read_thresholds(requested, target, limits_file)
+    else:
         _refuse_crowded(requested, "--against")
-    gates = read_thresholds(requested, target, limits_file, is_judged=other is None)
+        read_thresholds(requested, None, None, is_judged=False)
+        check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
+        other, gates = replace(other, looks=looks), read_gates(fail_if or [], limits_file)
+        if looks > 1 and not gates:
+            raise OptionError("--looks end where gates decide; add --fail-if or --limits")
     if dry_run or rehearse:
         raise typer.Exit(dry_run_of(requested, out, other, target, as_json=as_json, rehearses=rehearse))
     if other is not None:
-        run_until_interrupted(lambda: run_sides(requested, other, out, as_json=as_json))
+        run_until_interrupted(lambda: run_sides(requested, other, out, gates, as_json=as_json, strict=strict))
     run_until_interrupted(lambda: _sweep(requested, out, as_json, target, gates))
 
 
@@ -151,7 +174,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
 
     from .against import say_missing
     from .dry_run import relay_commands
-    from .thresholds import exit_code_of, judge, shown
+    from .thresholds import thresholds_json
 
     console = plain_console(stderr=True)
     progress = make_progress(console)
@@ -160,7 +183,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
             progress.note(line)
     outcome = run_sweep(plan, out, progress, until=until)
     complete = outcome.cells - len(outcome.missing)
-    judged = judge(outcome.folder, gates) if gates and complete else []
+    judged = judge_sides(outcome.folder, None, gates) if gates and complete else None
     if as_json:
         result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         if until is not None:  # JSON has no infinity
@@ -168,12 +191,13 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
                 name: width if math.isfinite(width) else None for name, width in outcome.too_wide.items()
             }
         if gates:
-            result["thresholds"] = [judgement.to_json() for judgement in judged]
+            result["thresholds"] = thresholds_json(judged.info.gates if judged else ())
         print(json.dumps(result))
     else:
         print(f"Wrote {outcome.folder}")
         print(f"{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
-        print("".join(f"{line}\n" for line in shown(judged)), end="")
+        if judged is not None:
+            judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None
@@ -181,7 +205,8 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
         print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
     if outcome.missing:
         return INCOMPLETE_EXIT_CODE
-    return exit_code_of(judged) or (TOO_WIDE_EXIT_CODE if outcome.too_wide else 0)
+    code = 0 if judged is None else judged.outcome.exit_code
+    return code or (TOO_WIDE_EXIT_CODE if outcome.too_wide else 0)
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:

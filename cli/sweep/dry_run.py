@@ -49,7 +49,12 @@ def dry_run(
         print("\n".join(lines))
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
-    _print_reasons(refused)
+    names = defaultdict(list)
+    for name, reason in refused.items():
+        names[reason].append(name)
+    for reason, cells in names.items():
+        more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
+        say(f"{cells[0]}{more} cannot start: {reason}")
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
@@ -82,15 +87,6 @@ def check_arguments(arguments: Sequence[str]) -> None:
         if message is None:
             raise
         raise OptionError(str(message())) from err
-
-
-def _print_reasons(refused: Mapping[str, str]) -> None:
-    names = defaultdict(list)
-    for name, reason in refused.items():
-        names[reason].append(name)
-    for reason, cells in names.items():
-        more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
-        say(f"{cells[0]}{more} cannot start: {reason}")
 
 
 def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:

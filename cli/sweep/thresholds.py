@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.verdicts.gate import Gate
-    from dds_trace.analyzer.verdicts.gates import GateResult
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
+    from dds_trace.reports.comparison.words import Gated
 
 
 _OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecided"}
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    result: GateResult
+def thresholds_json(gates: Sequence[Gated]) -> object:
+    from dds_trace.analyzer.saving.records import to_json
 
-    @property
-    def outcome(self) -> str:
-        return _OUTCOMES[self.result.outcome.value]
-
-    def to_json(self) -> dict[str, object]:
-        numbers = {name: getattr(self.result, name) for name in ("measured", "low", "high")}
-        return {
-            "threshold": self.result.gate.text,
-            "result": self.result.where,
-            "outcome": self.outcome,
-            **{name: value if value is not None and math.isfinite(value) else None for name, value in numbers.items()},
-            "reason": self.result.reason,
+    judged = [
+        {
+            "threshold": result.gate.text,
+            "result": result.where,
+            "outcome": _OUTCOMES[result.outcome.value],
+            **{name: getattr(result, name) for name in ("measured", "low", "high")},
+            "reason": result.reason,
         }
-
-    def __str__(self) -> str:
-        from dds_trace.reports.comparison.words import gate_interval_words, measured_words
-
-        measured = f"{measured_words(self.result, self.result.measured)} ({gate_interval_words(self.result)})"
-        reason = f"; {self.result.reason}" if self.result.reason else ""
-        return f"{self.outcome}: {self.result.gate.text}: {self.result.where}: {measured}{reason}"
+        for result in (gated.result for gated in gates)
+    ]
+    return to_json(judged, not_finite=lambda _: None)
 
 
-def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool) -> list[Gate]:
+def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_judged: bool = True) -> list[Gate]:
     if not plan.thresholds and limits is None:
         return []
     from dds_trace.analyzer.statistics.intervals import MIN_RUNS
@@ -64,29 +51,6 @@ def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_
     if (plan.run.repeats if until is None else until.max_passes) < MIN_RUNS:
         raise OptionError(f"[thresholds] need {MIN_RUNS} runs of each result; give [run] repeats = {MIN_RUNS} or more")
     return gates
-
-
-def judge(folder: Path, gates: Sequence[Gate]) -> list[Judged]:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
-
-    analysis = analyze(folder, details=False)
-    comparison = compare(analysis, analysis, options_for(gates, CompareOptions()))
-    return [Judged(result) for result in judge_gates(comparison, gates)]
-
-
-def shown(judged: Sequence[Judged]) -> list[str]:
-    if not judged:
-        return []
-    failing = [str(judgement) for judgement in judged if judgement.outcome != "passed"]
-    return [*failing, f"{len(judged) - len(failing)} of {counted(len(judged), 'threshold')} passed"]
-
-
-def exit_code_of(judged: Sequence[Judged]) -> int:
-    from dds_trace.analyzer.verdicts.gates import overall_outcome
-
-    return overall_outcome(judgement.result.outcome for judgement in judged).exit_code if judged else 0
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:

@@ -5,7 +5,8 @@ Folders recorded one after the other differ first of all by time; interleaved ru
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
 from .folder import locked_folder
+from .plan.cells import Cell
 from .plan.plan import Plan, depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
 from .run.progress import SweepProgress
@@ -37,7 +39,7 @@ class AgainstOutcome:
     new: SweepOutcome
 
 
-def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
+def interleave(base: Plan, new: Plan, repeats: Mapping[int, Sequence[Cell]] | None = None) -> list[InterleavedRun]:
     """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
 
     A linear drift, and an effect of the first run on the second, cancel over two repeats.
@@ -49,8 +51,8 @@ def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
         )
     indices = {cell.name: index for index, cell in enumerate(base.cells)}
     runs = []
-    for number in range(1, base.run.repeats + 1):
-        for group in schedule_pass(base, base.cells, number):
+    for number, cells in (repeats or dict.fromkeys(range(1, base.run.repeats + 1), base.cells)).items():
+        for group in schedule_pass(base, cells, number):
             for cell in group.cells:
                 index = indices[replace(cell, repeat=1).name]
                 pair = [(BASE, base, cell), (NEW, new, replace(new.cells[index], repeat=number))]
@@ -73,15 +75,18 @@ def run_against(
     progress: SweepProgress,
     *,
     commands: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
+    busier: Callable[[Path, Path], Iterable[tuple[str, int]]] = lambda _, __: (),
 ) -> AgainstOutcome:
     """Record every cell of both sides, interleaved, in the folders `base` and `new`; order and repeats are the base's.
 
-    `commands` are the `dds-record` of each side, None for the installed one.
+    `busier` returns, by cell of the base, repeats in which the machine was busier on one side: they are recorded again, once.
+    `commands` are the `dds-record` of each
+    side, None for the installed one.
     """
     runs = interleave(base, new)
     partners = {new_cell.name: base_cell.name for new_cell, base_cell in zip(new.cells, base.cells, strict=True)}
     plans = {BASE: base, NEW: replace(new, partners=partners)}
-    cells = {side: [run.group.cells[0] for run in runs if run.side == side] for side in plans}
+    cells: dict[str, list[Cell]] = {BASE: [], NEW: []}
     with ExitStack() as stack:
         runners = {}
         for (side, plan), command in zip(plans.items(), commands, strict=True):
@@ -91,15 +96,30 @@ def run_against(
             runners[side] = Runner(plan, folder / side, station, side_progress, is_installed_here=command is None)
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
-        for side, runner in runners.items():
-            runner.prepare(cells[side])
-        recorded = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])
-        progress.begin(len(runs), recorded)
-        try:
-            for run in runs:
-                runners[run.side].run_group(run.group, cells[run.side])
-        finally:
-            progress.end()
+
+        def record(turns: Sequence[InterleavedRun]) -> None:
+            for turn in turns:
+                cells[turn.side].append(turn.group.cells[0])
+            complete = sum(runner.prepare(cells[side]) for side, runner in runners.items())
+            progress.begin(sum(map(len, cells.values())), complete)
+            try:
+                for turn in turns:
+                    runners[turn.side].run_group(turn.group, cells[turn.side])
+            finally:
+                progress.end()
+
+        record(runs)
+        is_recorded = all(len(runner.reasons(cells[side])) < len(cells[side]) for side, runner in runners.items())
+        repeated = busier(folder / BASE, folder / NEW) if is_recorded else ()
+        counts = Counter(name for name, number in repeated if number <= base.run.repeats)
+        if counts:
+            again = counted(counts.total(), "repeat is", "repeats are")
+            progress.note(f"the machine was busier on one side: {again} recorded again, and these not judged")
+            further = {
+                base.run.repeats + number: [cell for cell in base.cells if counts[cell.name] >= number]
+                for number in range(1, max(counts.values()) + 1)
+            }
+            record(interleave(base, new, further))
         outcomes = [SweepOutcome(folder / side, len(cells[side]), runners[side].reasons(cells[side])) for side in plans]
     return AgainstOutcome(folder, *outcomes)
 

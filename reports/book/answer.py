@@ -118,7 +118,11 @@ def answer_info(
     losses = loss_sentence(usable, values)
     remarks = (
         *_deadline_remarks(analysis.details, groups),
-        *([] if has_latency else [_without_latency(metric)]),
+        *(
+            []
+            if has_latency
+            else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
+        ),
         *_level_remarks(usable, values, metric),
         *([] if losses or forged else ["Every message was received."]),
     )
@@ -329,9 +333,7 @@ def _missed_ratio(row: Mapping[str, int]) -> float:
     return row["missed"] / max(1, row["judged"] + row["unsure"])
 
 
-def _without_latency(metric: str) -> str:
-    what = METRIC_LABELS[metric].lower()
-    return f"No relay's trace was found: the latency is unknown, and the {what} below includes the time in the relay."
+_WITHOUT_LATENCY = "No relay's trace was found: the latency is unknown"
 
 
 MOST_COMPARED = 3

@@ -43,11 +43,17 @@ class Overview:
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
     conditions = {conditions_label(condition_of(member.setting)) for member in groups.series}
+    devices = dict.fromkeys(device_label(member) for member in groups.series) or sorted(
+        {f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}
+    )
+    vendors = [member.vendor_label for member in groups.series] or [
+        groups.vendors.of(member) for member in in_order_of({member.vendor for member in analysis.sessions}, VENDORS)
+    ]
     facts = (
-        Fact("Devices", _devices(analysis, groups)),
+        Fact("Devices", _listed(devices)),
         Fact("Link", _listed(sorted({printable(member.connectivity) for member in groups.series}))),
         Fact("Conditions", "; ".join(sorted(conditions - {""}))),
-        Fact("Middleware", _listed(_vendors(analysis, groups))),
+        Fact("Middleware", _listed(dict.fromkeys(vendors))),
         Fact("Domains", _listed(list(dict.fromkeys(domain_label(member) for member in groups.series)))),
         Fact("Messages", _messages(analysis)),
         Fact("Sent", _sent(groups)),
@@ -67,20 +73,6 @@ def _listed(values: Iterable[str]) -> str:
     if len(shown) > MOST_LISTED:
         shown = [*shown[: MOST_LISTED - 1], f"and {len(shown) - MOST_LISTED + 1} more"]
     return ", ".join(shown)
-
-
-def _devices(analysis: Analysis, groups: Groups) -> str:
-    if groups.series:
-        return _listed(dict.fromkeys(device_label(member) for member in groups.series))
-    return _listed(sorted({f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}))
-
-
-def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
-    if groups.series:
-        return list(dict.fromkeys(member.vendor_label for member in groups.series))
-    return [
-        groups.vendors.of(member) for member in in_order_of({member.vendor for member in analysis.sessions}, VENDORS)
-    ]
 
 
 def _messages(analysis: Analysis) -> str:

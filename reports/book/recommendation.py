@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from dds_trace.analyzer.model.parameters import SITE_COLUMNS
@@ -68,9 +68,13 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         f"{f'On {pair}: ' if several else ''}{_sentence(candidates_there, deadline, opens=not several)}"
         for pair, candidates_there in by_pair.items()
     ]
+    for runs, ratio in sorted((c.runs, c.unseen_ratio) for c in recommendation.best if c.unseen_ratio is not None)[:1]:
+        sentences.append(
+            f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
+        )
     return Advice(
         job=_job_words(recommendation.job),
-        sentence=" ".join([*sentences, *_unseen(recommendation.best)]) or _NOTHING,
+        sentence=" ".join(sentences) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
         missing=_missing_words(recommendation, full_names),
         commands=_commands(recommendation),
@@ -149,13 +153,6 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
     else:
         words = f"nothing is shown to meet {deadline}, and nothing to miss it for sure."
     return words[0].upper() + words[1:] if opens else words
-
-
-def _unseen(candidates: Iterable[Candidate]) -> Iterator[str]:
-    chances = [(c.runs, c.unseen_ratio) for c in candidates if c.unseen_ratio is not None]
-    if chances:
-        runs, ratio = min(chances)
-        yield f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
 
 
 def _row(candidate: Candidate, name: str) -> tuple[str, ...]:

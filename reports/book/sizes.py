@@ -114,7 +114,9 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         modes=tuple((MODES.get(mode, printable(mode)), count) for mode, count in modes.items()),
         choices=tuple(labels[name] for _, name in columns),
         deadline=_deadline_words(analysis.details),
-        rates=_rates_words(rates),
+        rates=f"at {format_rate(next(iter(rates.values())))}"
+        if len(set(rates.values())) == 1
+        else ", ".join(f"{data_type_label(data_type)} at {format_rate(rate)}" for data_type, rate in rates.items()),
         places=tuple(_place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()),
         whose=TYPICAL_RUN if any(answer.fewest_runs >= MIN_RUNS for answer in answers) else ALL_MESSAGES,
     )
@@ -134,12 +136,6 @@ def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
         rates = sorted(rate for rate, count in counts.items() if count == max(counts.values()))
         chosen[data_type] = rates[(len(rates) - 1) // 2]
     return chosen
-
-
-def _rates_words(rates: Mapping[str, float]) -> str:
-    if len(set(rates.values())) == 1:
-        return f"at {format_rate(next(iter(rates.values())))}"
-    return ", ".join(f"{data_type_label(data_type)} at {format_rate(rate)}" for data_type, rate in rates.items())
 
 
 def _place_rows(

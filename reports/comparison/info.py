@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
@@ -124,7 +125,8 @@ class ComparisonInfo:
 def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
     frames = (comparison.delivery, comparison.only_base, comparison.only_new)
     labels = _labels(frames)
-    shared, only_base, only_new = (tuple(labels[start : start + len(frame)]) for start, frame in _starts(frames))
+    ends = [sum(map(len, frames[:count])) for count in range(4)]
+    shared, only_base, only_new = (tuple(labels[start:end]) for start, end in pairwise(ends))
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
@@ -166,10 +168,6 @@ def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
     for row in rows:
         row["domain_mode"] = row["domain_mode"] or ("same" if row["bridge"] == "none" else "different")
     return group_labels(groups_of(rows, VendorLabels(VENDORS)))
-
-
-def _starts(frames: Sequence[pl.DataFrame]) -> list[tuple[int, pl.DataFrame]]:
-    return [(sum(map(len, frames[:index])), frame) for index, frame in enumerate(frames)]
 
 
 def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGroup, ...]:
@@ -343,6 +341,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Order", [comparison.order] if comparison.order else []),
         ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
         ("Not judged", dict.fromkeys(error.text for error in comparison.errors)),
+        ("Not judged", [f"repeat {one.repeat} of {one.cell}: {one.reason}" for one in comparison.left_out]),
     )
     return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
 

@@ -14,12 +14,10 @@ from ..book.verdicts import VERDICTS, received_words, runs_words
 from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
-    MOST_RATIO,
     MOST_ROWS,
-    WIDE,
     both_words,
     change_with_interval,
-    change_words,
+    found_from_words,
     gate_notes,
     gate_rows,
     statistic_cells,
@@ -33,11 +31,14 @@ _MARKS = {
     GateOutcome.NOTHING_TO_COMPARE: "❔",
 }
 
+SIGNATURE = "<!-- dds-trace compare -->"
+"""By which CI finds the comment that it updates."""
+
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
     most = None if shows_all else MOST_ROWS
     mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
-    lines = ["# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
+    lines = [SIGNATURE, "", "# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
     lines += [markdown(info.seen), ""] if info.seen and not info.gates else []
     hidden: Counter[str] = Counter()
     if info.gates:
@@ -88,7 +89,7 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
             *statistic_cells(row),
             "" if row["superiority"] is None else f"{row['superiority']:.0%}",
             runs_words(row),
-            _found_from(row["smallest_ratio"]),
+            "" if row["smallest_ratio"] is None else found_from_words(row["smallest_ratio"]),
             VERDICTS[row["verdict"]],
         )
         for group in groups
@@ -105,10 +106,6 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
         "</details>",
         "",
     ]
-
-
-def _found_from(ratio: float | None) -> str:
-    return "" if ratio is None else change_words(ratio) if ratio <= MOST_RATIO else WIDE
 
 
 def _table(names: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[int] = ()) -> list[str]:

@@ -27,7 +27,7 @@ from .words import (
     tone_of,
 )
 
-COLUMN_WIDTHS = 23, 17, 9, 18
+COLUMNS, COLUMN_WIDTHS = 80, (23, 17, 9, 18)
 """Message, times, each change, verdict."""
 JUDGED = ("worse", "better", "same")
 
@@ -76,10 +76,14 @@ def _tables(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[Rende
 
 
 def _rows(rows: Sequence[Sequence[Text]]) -> Table:
-    table = Table.grid(padding=(0, 1, 0, 0))
     message, times, change, verdict = COLUMN_WIDTHS
-    for width in (message, times, *[change] * (len(rows[0]) - 3), verdict):
-        table.add_column(width=width, justify="right" if width == change else "left")
+    return _grid(rows, (message, times, *[change] * (len(rows[0]) - 3), verdict), right=change)
+
+
+def _grid(rows: Sequence[Sequence[Text]], widths: Sequence[int], *, gap: int = 1, right: int = 0) -> Table:
+    table = Table.grid(padding=(0, gap, 0, 0))
+    for width in widths:
+        table.add_column(width=width, justify="right" if width == right else "left")
     for row in rows:
         table.add_row(*row)
     return table
@@ -113,18 +117,18 @@ def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
     rows, notes = gate_rows(gates, shows_all=shows_all), gate_notes(gates)
     most = None if shows_all else MOST_ROWS
     parts: list[RenderableType] = []
-    shown = [
-        (("", *(title.lower() for title in GATE_COLUMNS[1:4]), ""), "dim"),
-        *((cells, _OUTCOME_COLORS.get(outcome, "yellow")) for outcome, cells in rows[:most]),
+    titles = GATE_COLUMNS[0], *(title.lower() for title in GATE_COLUMNS[1:4])
+    widths = [
+        max(len(cells[column]) for cells in (titles, *(cells for _, cells in rows[:most]))) for column in range(4)
     ]
-    widths = [max(len(cells[column]) for cells, _ in shown) for column in range(4)]
+    widths[1] = min(widths[1], COLUMNS - sum(widths) + widths[1] - 2 * 3)  # a long gate has several lines
+    parts.append(_grid([[Text(title, style="dim") for title in titles]], widths, gap=2))
     previous = ""
-    for cells, color in shown:
-        parts += [Text(cells[4], style="bold")] if cells[4] != previous else []
-        previous = cells[4]
-        line = Text("  ".join(cell.ljust(width) for cell, width in zip(cells[:4], widths, strict=True)).rstrip())
-        line.stylize(color, 0, None if color == "dim" else 1)
-        parts.append(line)
+    for outcome, (mark, *cells, where) in rows[:most]:
+        parts += [Text(where, style="bold")] if where != previous else []
+        previous = where
+        colored = Text(mark, style=_OUTCOME_COLORS.get(outcome, "yellow"))
+        parts.append(_grid([[colored, *map(Text, cells)]], widths, gap=2))
     hidden = len(rows[most:]) + len(notes[most:]) if most else 0
     more = [Text(f"and {hidden} more: --all", style="dim")] if hidden else []
     return [*parts, *map(Text, notes[:most]), *more, Text()]

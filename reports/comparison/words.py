@@ -81,7 +81,8 @@ def change_words(ratio: float | None) -> str:
     percent = 100 * (ratio - 1)
     if abs(percent) < 0.005:
         return "0 %"
-    return f"{percent:+.3g} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
+    digits = ".3g" if abs(percent) >= 1 else ".2f"
+    return f"{percent:+{digits}} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
@@ -177,7 +178,8 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     measured = [gated for gated in alike if gated.result.measured is not None] or alike
     worst = max(measured, key=lambda gated: (gated.result.measured or 0.0) * (1 if is_above else -1))
     limits = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
-    limit_words = [found_from_words(worst.result, end) for end in limits]
+    is_ratio = worst.result.gate.against is Against.RATIO
+    limit_words = [found_from_words(end) if is_ratio else measured_words(worst.result, end) for end in limits]
     words = measured_words(worst.result, worst.result.measured)
     interval = gate_interval_words(worst.result)
     _, space, unit = words.rpartition(" ")
@@ -191,9 +193,8 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     )
 
 
-def found_from_words(result: GateResult, limit: float) -> str:
-    is_ratio = result.gate.against is Against.RATIO
-    return WIDE if is_ratio and limit > MOST_RATIO else measured_words(result, limit)
+def found_from_words(ratio: float) -> str:
+    return WIDE if ratio > MOST_RATIO else change_words(ratio)
 
 
 def gate_notes(gates: Sequence[Gated]) -> list[str]:

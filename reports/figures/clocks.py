@@ -66,11 +66,7 @@ KNOTS_IN_PAGE = 4000
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """Clocks of one device pair; the title has the drift of the longest segment.
-
-    Attributes:
-        elapsed_s: of each mark since the first.
-    """
+    """Clocks of one device pair, `elapsed_s` since the first mark; the title has the drift of the longest segment."""
 
     title: str
     first_offset_ns: int

@@ -17,11 +17,7 @@ from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, 
 
 @dataclass(frozen=True, slots=True)
 class Spread(Faceted):
-    """How far the runs of each group differ.
-
-    Attributes:
-        reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side (0.05 is 5 %).
-    """
+    """How far the 95 % interval of a typical run `reaches` to either side: percentile -> group -> share (0.05 is 5 %)."""
 
     reaches: Mapping[str, Mapping[int, float]]
     metric: str

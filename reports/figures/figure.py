@@ -72,15 +72,10 @@ ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """How groups are spread along the axis, over lines and over panels.
+    """How groups are spread along the axis, over lines and over panels; what is on neither separates panels, as in `facets.js`.
 
-    What is neither on the axis nor a line separates panels. The page spreads by the same rule and tables (`facets.js`).
-
-    Attributes:
-        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, with panels by data type), `cell`
-            (without) or another dimension of `book.facets`.
-        panels: dimension with its values side by side; the others follow below.
-        lines: dimension with a line for each value; empty for one line a panel.
+    `x` is `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message), `cell` (without) or another
+    dimension of `book.facets`, as `lines` (empty: one a panel) and `panels`, whose values are side by side.
     """
 
     x: str
@@ -176,12 +171,7 @@ def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> d
 
 @dataclass(frozen=True, slots=True)
 class LineFigure:
-    """A row of the table of figures with marks or lines of one value of each group; fields as in `Figure` and `FigureMaker`.
-
-    Attributes:
-        value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
-        shows: of a book, whether a group shows something; a panel needs one.
-    """
+    """A row of the table of figures whose marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
 
     name: str
     title: str

@@ -15,11 +15,7 @@ SAMPLES_IN_PAGE = 30_000
 
 @dataclass(frozen=True, slots=True)
 class DeviceLoad:
-    """Samples of one device during the runs of one group.
-
-    Attributes:
-        elapsed_s: time since the planned first message of the run, rounded to 0.1 s.
-    """
+    """Samples of one device during the runs of one group; `elapsed_s` since the planned first message, rounded to 0.1 s."""
 
     role: str
     elapsed_s: tuple[float, ...]

@@ -23,11 +23,6 @@ def _below(column: str, share: float) -> Callable[[Book], Callable[[int], bool]]
     return lambda book: lambda group: (book.values.plain[column][group] or 0) < share
 
 
-def _in_relay(book: Book) -> Callable[[int], bool]:
-    times = book.values.times_ns["intermediate"]["p50"]
-    return lambda group: times[group] is not None
-
-
 LATENCY_BY_RATE = LineFigure(
     name="latency_by_rate",
     title="Latency against frequency",
@@ -73,7 +68,7 @@ RELAY_TIME = LineFigure(
     x="size",
     panels="rate",
     value="statistic",
-    drawn=_in_relay,
+    drawn=lambda book: lambda group: book.values.times_ns["intermediate"]["p50"][group] is not None,
     least=2,
     settings={"metric": "intermediate", "x_title": "Message size"},
 )

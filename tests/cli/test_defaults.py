@@ -159,7 +159,7 @@ DESCRIBING_TEXTS = {
     "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
     "rotate setting size topics expect flow response-size segment buffer rate fragment",
     "bridge": "deadline lifespan",
-    "sweep": "until",
+    "sweep": "until fail-if",
     "analyze": "deadline fail-if margin export report",
     "compare": "fail-if ignore",
     "watch": "",

@@ -30,12 +30,22 @@ def test_no_output_is_written_through_a_link(runs, tmp_path, targets):
     assert not any(path.is_symlink() for path in out.iterdir())
 
 
-def test_the_report_of_a_comparison_is_not_written_through_a_link(runs, tmp_path, targets):
-    (tmp_path / "report.xml").symlink_to(targets / "report.xml")
+def test_the_report_of_a_comparison_is_not_written_through_a_link_nor_half(runs, tmp_path, targets, capsys):
     report = tmp_path / "report.xml"
-    assert run_main("compare", runs, runs, "--report", "junit", "--out", report) == 0
+    report.symlink_to(targets / "report.xml")
+    both = ("compare", runs, runs, "--report", "junit", "--report", "md", "--out", report, "--out")
+    assert run_main(*both, tmp_path / "report.md") == 0
     assert (targets / "report.xml").read_text() == "mine"
-    assert "<testsuite" in (tmp_path / "report.xml").read_text()
+    assert "<testsuite" in report.read_text()
+    capsys.readouterr()
+    files = sorted(tmp_path.iterdir())
+    for path in ("/proc/gone/report.md", targets / "report.xml/report.md", targets):
+        assert run_main(*both, path) == 6
+        said = capsys.readouterr().err
+        assert (str(path) in said, said.count("\n")) == (True, 1)
+    assert sorted(tmp_path.iterdir()) == files, "no drafts"
+    assert run_main(*both[:-1]) == 2
+    assert "one file for each" in capsys.readouterr().err
 
 
 def test_a_link_in_the_place_of_the_default_folder_is_refused(runs, targets, capsys):

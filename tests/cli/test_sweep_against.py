@@ -58,7 +58,8 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
     done = run("dds-trace", "sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
     assert done.status == 0, done.stderr
     folder = tmp_path / "runs/p-against-q"
-    assert starts_of(folder) == [("base", 1), ("new", 1), ("new", 2), ("base", 2), ("base", 3), ("new", 3)]
+    planned = [("base", 1), ("new", 1), ("new", 2), ("base", 2), ("base", 3), ("new", 3)]
+    assert starts_of(folder)[:6] == planned  # then what met a busier machine, again
     printed = next(line for line in done.stdout.splitlines() if line.startswith("Compare: "))
     words = printed.removeprefix("Compare: dds-trace ").split()
     assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]
@@ -67,7 +68,7 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
         assert compared.status == 0, compared.stderr
         shown = html.unescape(compared.stdout)
         row = next(line for line in shown.splitlines() if "| Round trip median |" in line)
-        assert "| 3 pairs |" in row
+        assert "| 3 pairs |" in row or "| 4 pairs |" in row
         (asked,) = [line for line in shown.splitlines() if line.startswith("- Measured in turns: ")]
         sentences(row.split("|")[1], asked)
 

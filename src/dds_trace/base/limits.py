@@ -204,6 +204,7 @@ FILE_BYTES = Whole(1000, 1 << 50, "the size of a file in bytes")
 RETAINED_FILES = Whole(1, 1_000_000, "the number of files to keep")
 REPEATS = Whole(1, 10_000, "the number of repeats")
 PASSES_OR_ALL = Whole(0, 10_000, "the number of repeats")
+LOOKS = Whole(1, 10, "the number of looks")
 ATTEMPTS = Whole(1, 1000, "the number of attempts")
 KNEE_REPEATS = Whole(1, 1000, "the number of runs at the knee")
 

@@ -124,11 +124,11 @@ def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):
 CALM = {"busy": 40.0, "ours": 60.0}
 
 
-def record_on(folder, first, way_ns, *, busy, ours, mhz=2000.0, temperature_c=50.0):
-    """Three runs of a machine with two processors; `busy` is percent of both, `ours` of one for each process."""
+def record_on(folder, numbers, way_ns, *, busy, ours, mhz=2000.0, temperature_c=50.0, **labels):
+    """Runs of a machine with two processors; `busy` is percent of both, `ours` of one for each process."""
     host = {"cpu_percent": busy, "cpu_mhz": mhz, "temperature_c": temperature_c}
     sample = {"host": host, "processes": {"self": {"cpu_percent": ours}}}
-    for number in range(first, first + 3):
+    for number in numbers:
         messages = evenly((way_ns + s for s in range(200)), start_ns=number * 10**9)
         start = {"device": "pc", "host": {"cpu_cores": 2}, "wall_anchor_ns": number * 10**12}
         described = {
@@ -136,6 +136,7 @@ def record_on(folder, first, way_ns, *, busy, ours, mhz=2000.0, temperature_c=50
             "planned_messages": 200,
             "published": 200,
             "extra": {"session_id": f"{number:x}"},
+            "labels": labels,
         }
         ping, relay = ping_session(session_id=number, **start), relay_session(session_id=1000 + number, **start)
         write_pair(folder / str(number), messages, ping=ping, relay=relay, runs=[run(**described)], host=[sample] * 4)
@@ -157,8 +158,8 @@ def record_on(folder, first, way_ns, *, busy, ours, mhz=2000.0, temperature_c=50
 def test_a_side_on_a_busier_machine_is_not_judged_and_a_slower_change_never_excused(
     tmp_path, base, new, slower, outcome
 ):
-    record_on(tmp_path / "base", 1, 400_000, **base)
-    record_on(tmp_path / "new", 11, int(400_000 * slower), **new)
+    record_on(tmp_path / "base", (1, 2, 3), 400_000, **base)
+    record_on(tmp_path / "new", (11, 12, 13), int(400_000 * slower), **new)
     found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
     results = judge_gates(found, [parse_gate("latency_p50 > +10%")])
     assert [result.outcome.value for result in results] == [outcome]
@@ -167,3 +168,17 @@ def test_a_side_on_a_busier_machine_is_not_judged_and_a_slower_change_never_excu
     assert [group.verdict for group in info.groups] == [words[outcome]]
     assert any("record again" in note for note in info.notes) == (outcome == "inconclusive")
     assert info.said.startswith("Slower") == (outcome == "regressed")
+
+
+@pytest.mark.parametrize(("busy", "left_out"), [((80, 40, 40), [1]), ((80, 80, 40), []), ((40, 40, 40), [])])
+def test_an_interleaved_repeat_on_a_busier_machine_is_not_judged_where_most_are_on_equal_ones(tmp_path, busy, left_out):
+    for repeat, percent in enumerate(busy, 1):
+        label = {"pass": str(repeat)}
+        record_on(tmp_path / "base", [2 * repeat], 400_000, **CALM, cell="a", **label)
+        new = {**CALM, "busy": float(percent)}
+        record_on(tmp_path / "new", [2 * repeat + 1], 400_000, **new, cell="b", against="a", **label)
+    found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
+    assert [(one.cell, one.repeat) for one in found.left_out] == [("a", repeat) for repeat in left_out]
+    assert found.delivery["base_runs"].to_list() == found.delivery["new_runs"].to_list() == [3 - len(left_out)]
+    notes = [note for note in comparison_info(found).notes if note.startswith("Not judged: repeat 1 of a: ")]
+    assert len(notes) == len(left_out)

@@ -75,6 +75,12 @@ def test_two_folders_are_recorded_interleaved_and_again_only_what_is_missing(des
     run_against(base, new, folder, again, commands=(COMMAND, COMMAND))
     assert desk.started == starts
     assert again.begun == (4, 4)
+    busy = [(FIRST, 2), (FIRST, 3)]  # of a repeat that was recorded again it is not asked
+    outcome = run_against(base, new, folder, again, commands=(COMMAND, COMMAND), busier=lambda *_: busy)
+    assert (outcome.base.cells, outcome.new.cells) == (3, 3)
+    assert desk.started - starts == {FIRST: 1, f"{FIRST}_best_effort": 1, "relay": 2}
+    assert "busier" in again.notes[-1]
+    assert len(list(folder.glob("*/*.ping.mcap"))) == 6, "nothing recorded is lost"
 
 
 def test_failure_of_one_side_is_that_sides_and_the_other_goes_on(desk):

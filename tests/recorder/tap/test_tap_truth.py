@@ -24,14 +24,16 @@ SAME_INSTANT_NS = 50_000
 
 @pytest.fixture
 def traces(tmp_path, domain_id):
-    """A ping with its capture, and two taps on its topic, all over UDP."""
+    """A ping with its capture, and two taps on its topic, all over UDP; the second one misses its limits."""
     both = ("--transport", "udp", "--no-own-cost")
+    (tmp_path / "limits.toml").write_text('[thresholds."/binary_*"]\nrate = "> 1000 Hz"\n')
+    limits = ((), ("--limits", tmp_path / "limits.toml"))
     with ExitStack() as stack:
         echo = stack.enter_context(relay(domain_id, tmp_path / "relay.mcap", *both))
         words = ("--role", "tap", "--topics", "/binary_*", "--domain", domain_id, *both)
         taps = [
-            stack.enter_context(running("dds-record", *words, "--out", tmp_path / f"tap{number}.mcap"))
-            for number in range(2)
+            stack.enter_context(running("dds-record", *words, *judged, "--out", tmp_path / f"tap{number}.mcap"))
+            for number, judged in enumerate(limits)
         ]
         for tap in taps:
             tap.wait_for_line("joined /binary_image_relay")
@@ -43,8 +45,7 @@ def traces(tmp_path, domain_id):
         )
         done = ping.finish()
         assert done.status == 0, done.stderr
-        for one in (*taps, echo):
-            assert one.stop().status == 0
+        assert [one.stop().status for one in (*taps, echo)] == [0, 20, 0]
     names = ("ping", "relay", "tap0", "tap1")
     return {name: read_trace(tmp_path / f"{name}.mcap") for name in names}
 

@@ -59,8 +59,13 @@ def many():
 def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentences):
     _, info = many()
     short, whole = terminal.render(info), terminal.render(info, shows_all=True)
-    for text in (short, whole):
+    topic = replace(GATES[0], text="one_way_p99(/camera/front/left/image_raw/compressed) > +20%")
+    gates = tuple(replace(gated, result=replace(gated.result, gate=topic)) for gated in info.gates)
+    long = terminal.render(replace(info, gates=gates))
+    assert long.count("found (80 %) from\n") == 1
+    for text in (short, whole, long):
         assert max(map(len, text.splitlines())) <= 80
+    for text in (short, whole):
         assert " ".join(text.split()).startswith(info.said)
         assert text.index("✗  latency_p50 > +10%") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
         assert "+100 %" in text
@@ -77,8 +82,8 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
 
 def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
     text = markdown.render(compared()[1], shows_all=True)
-    title, answer, gates, notes, *_ = text.split("\n\n")
-    assert title == "# Comparison of latency"
+    signature, title, answer, gates, notes, *_ = text.split("\n\n")
+    assert (signature, title) == (markdown.SIGNATURE, "# Comparison of latency")
     assert answer.startswith("**❌ Regressed: Slower in 1 of")
     assert [line[:3] for line in gates.splitlines()[2:]] == ["| &", "| ?", "| &", "| &"]
     assert notes.startswith("- Undecided: 1 gate")

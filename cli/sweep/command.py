@@ -101,6 +101,7 @@ def sweep_command(
     from dds_trace.recorder.backends import installed_middlewares
     from dds_trace.recorder.sweep.plan.plan_file import check_runs
 
+    from ..limits_file import gates_of
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
     from .thresholds import precision, read_thresholds
@@ -119,11 +120,11 @@ def sweep_command(
         gates = read_thresholds(requested, target, limits_file)
     else:
         _refuse_crowded(requested, "--against")
-        read_thresholds(requested, None, None, is_judged=False)
         check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
-        other, gates = replace(other, looks=looks), read_gates(fail_if or [], limits_file)
+        gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
+        other = replace(other, looks=looks)
         if looks > 1 and not gates:
-            raise OptionError("--looks end where gates decide; add --fail-if or --limits")
+            raise OptionError("--looks end where gates decide; add --fail-if, --limits or [thresholds]")
     if dry_run or rehearse:
         raise typer.Exit(dry_run_of(requested, out, other, target, as_json=as_json, rehearses=rehearse))
     if other is not None:

@@ -47,7 +47,7 @@ def read_thresholds(plan: Plan, until: Until | None, limits: Path | None, *, is_
         raise OptionError("[thresholds]: a plan has one side; write a value such as 20 ms or 99 %, not a change")
     gates += limits_of_one_side(read_limits(limits)) if limits else []
     if not is_judged:
-        raise OptionError("[thresholds] judge a sweep of the plan itself; remove the table, or --against")
+        raise OptionError("[thresholds] judge a sweep of the plan itself; remove the table")
     if (plan.run.repeats if until is None else until.max_passes) < MIN_RUNS:
         raise OptionError(f"[thresholds] need {MIN_RUNS} runs of each result; give [run] repeats = {MIN_RUNS} or more")
     return gates

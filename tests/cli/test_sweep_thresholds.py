@@ -71,7 +71,7 @@ def test_what_is_no_threshold_is_one_line(metric, condition, word):
         ("latency_p50 = '< +10%'", (), 3, "one side"),
         ("['payload=3']\nlatency_p50 = '< 20 ms'".replace("[", "[thresholds."), (), 3, "COLUMN=PATTERN"),
         ("", ("--limits", "missing.toml"), 3, "missing.toml"),
-        ("latency_p50 = '< 20 ms'", ("--against", "SAME"), 3, "--against"),
+        ("latency_p98 = '< +20 %'", ("--against", "SAME"), 3, "latency_p98"),
     ],
 )
 def test_bad_thresholds_end_the_sweep_before_its_first_recording(sweep, tmp_path, thresholds, options, repeats, word):
@@ -97,3 +97,7 @@ def test_a_sweep_ends_with_pass_or_fail(sweep):
     failed = sweep("rtt_p50 = '< 1 s'\n[thresholds.'payload_bytes=1*']\nrtt_p50 = '< 1 ns'")
     assert failed.status == 20, failed.stderr
     assert "\n✗  rtt_p50 < 1 ns" in failed.stdout
+    # Of two sides the new one is judged, by changes too.
+    changed = sweep("latency_p50 = ['< 10 s', '< +99900 %']\nrtt_p50 = '< 1 ns'", "--against", "SAME", "--json")
+    assert changed.status == 20, changed.stderr
+    assert json.loads(changed.stdout)["outcome"] == "regressed"

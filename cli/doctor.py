@@ -95,7 +95,8 @@ def _security() -> Iterator[Check]:
 
     for backend in _installed():
         for level in backend.security[-1:]:
-            name, environment = f"--backend {backend.name} -o security={level.value}", dict(os.environ)
+            asked, environment = f"-o security={level.value}", dict(os.environ)
+            name = f"--backend {backend.name} {asked}"
             try:
                 with tempfile.TemporaryDirectory() as folder, opened_keys(level, f"{folder}/keys") as keys:
                     options = NodeOptions(
@@ -104,7 +105,7 @@ def _security() -> Iterator[Check]:
                     backend.open_node(options).close()
                 yield Check("security", name, True, "a node opens with it")
             except TraceError as err:
-                yield Check("security", name, False, str(err))
+                yield Check("security", name, False, str(err).removeprefix(f"{asked}: "))
             finally:
                 os.environ.clear()
                 os.environ |= environment  # without what a node of ROS 2 sets for its keys

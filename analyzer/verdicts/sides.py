@@ -213,8 +213,12 @@ WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_fail
 
 
 def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> Iterator[SideError]:
+    alike: dict[tuple[str, frozenset[Key]], list[Finding]] = defaultdict(list)
     for finding in findings:
         if finding.severity is Severity.ERROR:
             is_whole = finding.code in WHOLE_RECORDING
             about = frozenset() if is_whole else frozenset(groups[number] for number in finding.groups)
-            yield SideError(f"{side}: {finding.code} ({finding.where}): {finding.what}", about)
+            alike[finding.code, about].append(finding)
+    for (code, about), (first, *more) in alike.items():
+        where = f"{first.where} and {len(more)} more" if more else first.where
+        yield SideError(f"{side}: {code} ({where}): {first.what}", about)

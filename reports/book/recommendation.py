@@ -46,7 +46,8 @@ def _brief(
 ) -> tuple[str, str, str]:
     numbers = [] if time == UNKNOWN else [time if UNKNOWN in interval else f"{time} (95 %: {interval})"]
     if share != MISSING:
-        numbers.append(f"received {share}" + (f" (those in {received_time})" if time == "lost" else ""))
+        is_known = time == "lost" and received_time != UNKNOWN
+        numbers.append(f"received {share}" + (f" (those in {received_time})" if is_known else ""))
     return setting, fit, "; ".join([", ".join(numbers), basis, why]).removeprefix("; ").removesuffix("; ")
 
 

@@ -205,7 +205,8 @@ def test_an_error_of_a_recording_is_about_the_whole_side_though_it_names_its_gro
         Finding(Severity.ERROR, code, "where", "What.", "Do.", groups=(1,))
         for code in ("recorder_drops", "not_applied")
     )
-    told = list(errors_of("new", [of_recording, of_group], keys))
+    told = list(errors_of("new", [of_recording, of_group, of_recording], keys))
+    assert "(where and 1 more)" in told[0].text
     assert [[one.is_about(key) for key in keys] for one in told] == [[True, True], [False, True]]
 
 

@@ -25,6 +25,7 @@ from .saving.records import Content, from_json, to_json
 from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .topics.hops import HOP_SCHEMA
 from .verdicts.judgements import judgement_frame
+from .verdicts.places import judge_own_nodes, judge_places
 
 if TYPE_CHECKING:
     import os
@@ -90,12 +91,6 @@ class Details:
     recommendation: Recommendation | None = None
     requested: bool = True
     deadline_metric: str = "response"
-
-    @property
-    def judgements(self) -> pl.DataFrame:
-        """What is said of the setups of each answer, a row each (`judgements.JUDGEMENT_SCHEMA`)."""
-        rows = ((answer.words, row) for answer in self.answers for row in answer.judgements)
-        return judgement_frame(replace(row, subject=f"{row.subject}; {words}") for words, row in rows)
 
     def __repr__(self) -> str:
         """Return the frames with their heights."""
@@ -167,6 +162,18 @@ class Analysis:
         """The rows of `summary` in which a requested setting was not applied (finding `not_applied`)."""
         barred = {group for finding in self.findings if finding.code == "not_applied" for group in finding.groups}
         return self.summary[sorted(barred)]
+
+    @property
+    def judgements(self) -> pl.DataFrame:
+        """What is said of setups, links and devices, a row each (`judgements.JUDGEMENT_SCHEMA`); empty without details."""
+        details = self.details
+        forged = {group for finding in self.findings if finding.code == "forged_or_foreign" for group in finding.groups}
+        rows = [
+            *(replace(row, subject=f"{row.subject}; {a.words}") for a in details.answers for row in a.judgements),
+            *judge_own_nodes(details.answers, self.summary),
+            *judge_places(self.summary, details.intervals, forged),
+        ]
+        return judgement_frame(rows)
 
     def scan_roundtrips(self) -> pl.LazyFrame:
         """Return the round trips as a lazy frame, which reads only what a query needs."""

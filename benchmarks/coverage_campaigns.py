@@ -18,7 +18,8 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.false_alarms import until_confidence
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.judgements import PROVEN
-from dds_trace.analyzer.verdicts.ranking import Kind, SetupRuns, judge_losers, rank_setups
+from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.ranking import Kind, judge_losers, rank_setups
 from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
 
 if TYPE_CHECKING:
@@ -144,10 +145,7 @@ def message_leaders_table(samples: int) -> Table:
             received = np.isfinite(values)
             pool.append(
                 SetupRuns(
-                    dict(zip(PERCENTILES, estimates, strict=True)),
-                    repeats=tuple(range(5)),
-                    may_lead=bool(received.mean() >= 0.99),
-                    received=tuple(received),
+                    dict(zip(PERCENTILES, estimates, strict=True)), repeats=tuple(range(5)), received=tuple(received)
                 )
             )
         cells = []
@@ -165,7 +163,8 @@ def message_leaders_table(samples: int) -> Table:
 
 def _kind_of(setups: Mapping[str, SetupRuns]) -> Kind:
     has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
-    return Kind("", setups, ("p50", "p99") if has_tails else ("p50",))
+    lossy = frozenset(name for name, setup in setups.items() if setup.received_share < 0.99)
+    return Kind("", setups, ("p50", "p99") if has_tails else ("p50",), barred=lossy)
 
 
 LEADS = ((3, 3, 2.0, 0.60), (5, 6, 1.5, 0.45), (5, 6, 2.0, 0.95), (5, 3, 1.5, 0.0), (5, 2, 1.3, 0.0))

@@ -28,7 +28,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_groups
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
 from dds_trace.analyzer.verdicts.gates import judge_gates
-from dds_trace.analyzer.verdicts.matching import MatchedGroup
+from dds_trace.analyzer.verdicts.matching import SetupRuns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -86,7 +86,7 @@ def count(rows: pl.DataFrame, sides: Iterator[tuple[list[int], list[int]]], gate
     counts = Counts(gates=dict.fromkeys((gate.text for gate in gates), 0))
     key = rows.select(options.match).row(0)
     for base, new in sides:
-        groups = [{key: MatchedGroup(rows.filter(pl.col("run_id").is_in(side)))} for side in (base, new)]
+        groups = [{key: SetupRuns.of(rows.filter(pl.col("run_id").is_in(side)))} for side in (base, new)]
         comparison = compare_groups(*groups, rows.schema, options)
         counts.pairs += 1
         for metric, statistic, verdict in comparison.rows.select("metric", "statistic", "verdict").iter_rows():

@@ -29,7 +29,8 @@ LEAST_LOSS = 0.005
 
 
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
-    from dds_trace.analyzer.verdicts.gate import RECEIVED_RATIO, VALUES_OF_TOPICS
+    from dds_trace.analyzer.verdicts.compare import RECEIVED_RATIO
+    from dds_trace.analyzer.verdicts.gate import VALUES_OF_TOPICS
     from dds_trace.base.files import read_regular
     from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable

@@ -48,7 +48,7 @@ def _document(book: Book) -> dict[str, object]:
         "topics": analysis.topics,
         "topic_hops": analysis.topic_hops,
         **{name: getattr(details, name) if details.requested else None for name in DETAIL_FRAMES},
-        "judgements": details.judgements if details.requested else None,
+        "judgements": analysis.judgements if details.requested else None,
         "answers": details.answers if details.requested else None,
         "deadline_ns": details.deadline_ns,
         "deadline_metric": details.deadline_metric,

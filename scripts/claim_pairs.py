@@ -13,7 +13,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import LOAD, parse_setting
 from dds_trace.analyzer.run_statistics.late_share import late_share
-from dds_trace.analyzer.verdicts.matching import MatchedGroup
+from dds_trace.analyzer.verdicts.matching import SetupRuns
 from dds_trace.base.units import format_duration, format_rate, format_size
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def run_rows(analysis: Analysis) -> list[dict[str, object]]:
     group = ("vendor", "bridge", "connectivity", "setting", "data_type", "payload_bytes", "rate_hz")
     for result in analysis.load_messages().partition_by(group, maintain_order=True):
         first = result.row(0, named=True)
-        delivered = MatchedGroup(result).delivered("latency")
+        delivered = SetupRuns.of(result).delivered("latency")
         late = [late_share(delivered, ms * 1e6) for ms in LATE_MS]
         own = {f"upper_{ms}_ms": share and share.upper for ms, share in zip(LATE_MS, late, strict=True)}
         for run in result.partition_by("run_id", maintain_order=True):

@@ -31,12 +31,12 @@ from dds_trace.analyzer.topics.hops import HOP_SCHEMA
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.analyzer.verdicts.comparison_rows import ChangeRow, DeliveryRow
+from dds_trace.analyzer.verdicts.comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, MEANINGS
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.analyzer.verdicts.ignoring import IGNORABLE_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
+from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Claim, Judgement, judgement_frame
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import Conclusion
@@ -44,7 +44,7 @@ from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.recording import OwnCost
 from dds_trace.reports.book.verdicts import DataVerdict
 from dds_trace.reports.comparison import document as comparison_document
-from dds_trace.reports.comparison.info import WORST_FIRST, ComparisonInfo, Unlike
+from dds_trace.reports.comparison.info import ComparisonInfo, Unlike
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 Schema = dict[str, Any]
@@ -77,7 +77,6 @@ ADDED = {
     DataVerdict: {"place", "within_one_run"},
     CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio", "judgements"},
     Finding: {"subject", "cure"},
-    ChangeRow: {"base_typical_ns", "new_typical_ns"},
     Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""
@@ -190,6 +189,17 @@ def of_frame(name: str, frame: pl.DataFrame, text: str = "") -> Schema:
     return or_null({**rows, "description": f"{rows['description']}. Null where the analysis was made without details"})
 
 
+def of_comparison(columns: Mapping[str, type[pl.DataType]]) -> Schema:
+    """Return the schema of a row of a comparison's frame: numbers that are not counts may be null, and so are bursts."""
+    properties = {}
+    for name, dtype in columns.items():
+        schema = of_dtype(dtype())
+        properties[name] = or_null(schema) if dtype.is_float() or name.endswith("_episodes") else schema
+        if name in MEANINGS:
+            properties[name]["description"] = MEANINGS[name]
+    return an_object(properties, {"base_typical_ns", "new_typical_ns"} & properties.keys())
+
+
 def of_groups() -> Schema:
     """Return the schema of the rows of `summary.parquet`."""
     columns = {}
@@ -245,7 +255,9 @@ def report_schema() -> Schema:
         "topic_hops": of_topics(HOP_SCHEMA, "what each hop of a chain of topics takes"),
         **{name: of_frame(name, getattr(details, name)) for name in DETAIL_FRAMES},
         "judgements": of_frame(
-            "judgements", details.judgements, "what is said of the setups of each answer, a row each"
+            "judgements",
+            judgement_frame(()),
+            "what is said of the setups of each answer, and of links and devices, a row each",
         ),
         "answers": or_null(a_list(of_record(CaseAnswer, "answers"), f"{words['answers']}. {without}")),
         "deadline_ns": {"type": ["integer", "null"], "description": words["deadline_ns"]},
@@ -307,7 +319,7 @@ def comparison_schema() -> Schema:
     side = a_list(
         an_object({"level": level, "ns": time}), "ascending; it ends where messages were lost, or are too few"
     )
-    change = of_record(ChangeRow)["properties"] | {
+    changes = of_comparison(COMPARISON_SCHEMA)["properties"] | {
         f"{side}_is_lost": {
             "type": "boolean",
             "description": f"whether {side}_ns is null because so many messages were lost",
@@ -323,8 +335,10 @@ def comparison_schema() -> Schema:
         "parameters": {"$ref": "#/$defs/parameters"},
         "verdict": {"enum": list(WORST_FIRST), "description": "what is said of the result"},
         "where": {**text, "description": "statistics or metrics of the verdict; empty if it holds for all"},
-        "delivery": {**of_record(DeliveryRow), "description": "messages of both sides"},
-        "changes": a_list(an_object(change, ADDED[ChangeRow]), "one for each metric and statistic"),
+        "delivery": {**of_comparison(DELIVERY_SCHEMA), "description": "messages of both sides"},
+        "changes": a_list(
+            an_object(changes, {"base_typical_ns", "new_typical_ns"}), "one for each metric and statistic"
+        ),
         "distributions": a_list(an_object({"metric": text, "base": side, "new": side}), "times at fixed shares"),
     }
     result = of_record(GateResult)["properties"]

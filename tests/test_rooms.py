@@ -1,3 +1,4 @@
+import ast
 import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -34,6 +35,26 @@ def test_a_name_is_imported_from_the_module_that_defines_it():
     graph = grimp.build_graph("dds_trace", exclude_type_checking_imports=False, cache_dir=None)
     rooms = [f"dds_trace.{room}" for room in ("analyzer", "base", "cli", "recorder", "reports", "tracefile")]
     assert {room: graph.find_modules_directly_imported_by(room) for room in rooms} == {room: set() for room in rooms}
+
+
+WORDS = {"Basis", "MIN_RUNS", "PERCENTILES", "POWER", "DetectableChange", "messages_to_end", "planned_messages"}
+DECISION = re.compile(
+    "judge|rank_|test|alpha|margin|exceeds|limit|speaks_against|pays|interval_of|change_of|LOSSY_SHARE"
+)
+
+
+def test_a_report_makes_no_verdict():
+    """It names what the analyzer judged, and imports no test, margin or level of one."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "reports").rglob("*.py")]
+    lines = [line for tree in trees for line in ast.walk(tree) if isinstance(line, ast.ImportFrom) and line.module]
+    imported = {(line.module, alias.name) for line in lines for alias in line.names}
+    statistics = {
+        name for module, name in imported if re.match(r"(dds_trace\.analyzer\.(run_)?statistics|scipy)", module)
+    }
+    verdicts = {name for module, name in imported if module.startswith("dds_trace.analyzer.verdicts")}
+    assert "MIN_RUNS" in statistics <= WORDS
+    assert "PROVEN" in verdicts
+    assert not [name for name in verdicts if DECISION.match(name)]
 
 
 def test_no_module_imports_itself_in_a_circle():

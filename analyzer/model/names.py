@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
+from dds_trace.base.printable import printable
+
 from .parameters import CELL_COLUMNS, SERIES_COLUMNS, ParameterValue
 
 if TYPE_CHECKING:
@@ -97,6 +99,11 @@ def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> 
     left_out = CELL_COLUMNS[1:] if is_topic(group.get(CELL_COLUMNS[0])) else ()
     values = ((name, group[name]) for name in columns if name not in left_out)
     return " ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in values)
+
+
+def device_pair(ping_device: str, relay_device: str | None) -> str:
+    devices = [printable(device) for device in (ping_device, relay_device) if device is not None]
+    return " → ".join(dict.fromkeys(devices))
 
 
 def value_word(value: object) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -28,8 +28,8 @@ from .cases import (
     with_conditions,
 )
 from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, exceeds_lossy_share, judged_losses
-from .matching import MatchedGroup
-from .ranking import Kind, Ranking, RankingOptions, SetupRuns, judge_losers, rank_setups
+from .matching import SetupRuns
+from .ranking import Kind, Ranking, RankingOptions, judge_losers, rank_setups
 
 _WORDS = (
     "data_type",
@@ -141,10 +141,7 @@ def find_answers(
     )
     cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
     losers = judge_losers(cases, confidence)
-    cases = [
-        _with_losers(case, {row.subject for row in rows if row.verdict == PROVEN})
-        for case, rows in zip(cases, losers, strict=True)
-    ]
+    cases = [replace(case, barred=case.barred | _losers(rows)) for case, rows in zip(cases, losers, strict=True)]
     excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
     rankings = rank_setups(cases, confidence, options)
     return tuple(
@@ -156,19 +153,15 @@ def find_answers(
 _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 
+def _losers(judged: Sequence[Judgement]) -> frozenset[str]:
+    return frozenset(row.subject for row in judged if row.claim is Claim.LOSES_MORE and row.verdict == PROVEN)
+
+
 def _judged_losses(case: Kind, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
     for (name, setup), excess in zip(case.setups.items(), excesses, strict=False):
         is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
         if row := judged_losses(name, excess, setup.group, is_requested=is_requested):
             yield row
-
-
-def _with_losers(case: Kind, losers: Collection[str]) -> Kind:
-    setups = {
-        name: replace(setup, may_lead=False, loses_more=True) if name in losers else setup
-        for name, setup in case.setups.items()
-    }
-    return replace(case, setups=setups)
 
 
 def _measure_case(
@@ -183,32 +176,30 @@ def _measure_case(
     setups: dict[str, SetupRuns] = {}
     for part in partition_groups(case, CONTENDER_COLUMNS):
         setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
-        group = MatchedGroup(rows.frame(part, _ROW_COLUMNS))
-        estimates = group.estimates("latency", list(_STATISTICS.values()), confidence)
+        group = SetupRuns.of(rows.frame(part, _ROW_COLUMNS))
+        estimates = group.estimate("latency", list(_STATISTICS.values()), confidence)
         repeats = [passes[run.run_id] for run in group.runs if run.run_id in passes]
         starts_ns = [
             wall_offsets_ns[run.run_id] + first
             for run in group.runs
             if run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
         ]
-        setups[names[tuple(setting.values())]] = SetupRuns(
+        setups[names[tuple(setting.values())]] = replace(
+            group.without_rows(),
             estimates=dict(zip(_STATISTICS, estimates, strict=True)),
+            outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
             repeats=tuple(repeats) if len(set(repeats)) == len(group.runs) else (),
             starts_ns=tuple(starts_ns) if len(starts_ns) == len(group.runs) else (),
-            received=group.received,
-            outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
             survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
             setting=setting,
             group=int(part["group"][0]),
         )
-    usable = {name for name, setup in setups.items() if not exceeds_lossy_share(1.0 - setup.received_share)} or set(
-        setups
-    )
-    setups = {name: replace(setup, may_lead=name in usable) for name, setup in setups.items()}
+    lossy = frozenset(name for name, setup in setups.items() if exceeds_lossy_share(1.0 - setup.received_share))
     columns = case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True)
     has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
     percentiles = tuple(_STATISTICS) if has_tails else ("p50",)
-    return Kind(tuple(columns[name] for name in FAMILY), setups, percentiles, columns)
+    barred = lossy if len(lossy) < len(setups) else frozenset[str]()  # where all lose too much, one of them may lead
+    return Kind(tuple(columns[name] for name in FAMILY), setups, percentiles, columns, barred)
 
 
 def _outside(run: RunRows, outage_ns: Range | None) -> Bools:
@@ -224,12 +215,27 @@ def _answer(case: Kind, rankings: Mapping[str, Ranking], confidence: float, loss
     median, tail = rankings["p50"], rankings.get("p99")
     leaders = list(dict.fromkeys(ranking.leader for ranking in rankings.values() if ranking.leader))
     percentile = "p99" if tail is not None and (tail.leader or not median.leader) else "p50"
-    by_name = {name: _contender(name, setup, percentile, rankings, confidence) for name, setup in case.setups.items()}
+    losers = _losers(losses)
+    by_name = {
+        name: Contender(
+            name=name,
+            setting=setup.setting,
+            latency=setup.estimates[percentile].interval,
+            received=received_interval(setup.received, confidence),
+            survivors_ns=setup.survivors_ns[percentile],
+            loses_more=name in losers,
+            p50_ns=setup.estimates["p50"].interval.value,
+            p99_ns=setup.estimates["p99"].interval.value,
+            letters_p50=median.letters[name],
+            letters_p99=tail.letters[name] if tail else "",
+        )
+        for name, setup in case.setups.items()
+    }
     ranked = sorted(by_name.values(), key=Contender.order)
     clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
-    letters, first_setup = rankings[percentile].letters, next(iter(case.setups.values()))
+    letters = rankings[percentile].letters
     undecided = [
         ranked_setup
         for ranked_setup in ranked
@@ -247,34 +253,9 @@ def _answer(case: Kind, rankings: Mapping[str, Ranking], confidence: float, loss
         fewest_runs=min(ranked_setup.latency.runs for ranked_setup in ranked),
         leader_p50=median.leader,
         leader_p99=tail.leader if tail else "",
-        repeats_p50=median.repeats_to_decide(confidence),
-        repeats_p99=tail.repeats_to_decide(confidence) if tail else None,
+        repeats_p50=median.lead.needs,
+        repeats_p99=tail.lead.needs if tail else None,
         interleaved=median.is_interleaved,
         drift_ratio=median.drift_ratio,
-        judgements=(
-            *(
-                replace(row, group=case.setups.get(row.subject, first_setup).group)
-                for name, ranked_setup in rankings.items()
-                for row in ranked_setup.judgements(f"latency_{name}", confidence)
-            ),
-            *losses,
-        ),
-    )
-
-
-def _contender(
-    name: str, setup: SetupRuns, percentile: str, rankings: Mapping[str, Ranking], confidence: float
-) -> Contender:
-    intervals = {key: estimate.interval for key, estimate in setup.estimates.items()}
-    return Contender(
-        name=name,
-        setting=setup.setting,
-        latency=intervals[percentile],
-        received=received_interval(setup.received, confidence),
-        survivors_ns=setup.survivors_ns[percentile],
-        loses_more=setup.loses_more,
-        p50_ns=intervals["p50"].value,
-        p99_ns=intervals["p99"].value,
-        letters_p50=rankings["p50"].letters[name],
-        letters_p99=rankings["p99"].letters[name] if "p99" in rankings else "",
+        judgements=(*(row for ranking in rankings.values() for row in (ranking.lead, *ranking.slower)), *losses),
     )

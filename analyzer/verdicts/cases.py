@@ -15,6 +15,7 @@ from ..model.parameters import CONTENDER_COLUMNS, ParameterValue
 from ..model.runs import with_unsent
 from ..model.setting import choice_of, condition_of
 from ..statistics.intervals import Interval
+from .judgements import exceeds_lossy_share
 
 Setting = Mapping[str, ParameterValue]
 """Parameter column -> value, of some columns."""
@@ -125,6 +126,10 @@ class Contender:
     @property
     def lost(self) -> float:
         return 1.0 - (self.received.value or 0.0)
+
+    @property
+    def is_usable(self) -> bool:
+        return not (self.loses_more or exceeds_lossy_share(self.lost))
 
     def order(self) -> tuple[bool, float, float, str]:
         value, upper = (math.inf if v is None else v for v in (self.latency.value, self.latency.upper))

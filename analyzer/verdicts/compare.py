@@ -30,20 +30,11 @@ from ..run_statistics.change import (
 from ..run_statistics.received import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic
 from ..statistics.percentiles import PERCENTILES
-from .comparison_rows import (
-    COMPARISON_SCHEMA,
-    DELIVERY_SCHEMA,
-    DISTRIBUTION_SCHEMA,
-    ChangeRow,
-    DeliveryRow,
-    DistributionRow,
-    at_levels,
-    with_clock_bounds,
-)
+from .comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, DISTRIBUTION_SCHEMA, at_levels, with_clock_bounds
 from .ignoring import check_match, ignored_sentences
-from .judgements import adjusted_p_values, with_adjusted_verdicts
+from .judgements import with_adjusted_verdicts
 from .matching import (
-    MatchedGroup,
+    SetupRuns,
     completed_key,
     interleaved_keys,
     match_groups,
@@ -76,6 +67,8 @@ if TYPE_CHECKING:
 
 Label = dict[str, ParameterValue]
 
+
+RECEIVED_RATIO = "received_ratio"
 
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
@@ -142,13 +135,21 @@ class Comparison:
     def _repr_html_(self) -> str:
         return presenter().comparison_screen(self)
 
+    def changes_of(self, metric: str, statistic: str = "") -> Iterator[tuple[dict[str, Any], Change]]:
+        """Yield the rows of a metric (by default all statistics) or of `received_ratio` with their changes."""
+        if metric == RECEIVED_RATIO:
+            yield from zip(self.delivery.iter_rows(named=True), self.deliveries, strict=True)
+            return
+        for row, change in zip(self.rows.iter_rows(named=True), self.changes, strict=True):
+            if row["metric"] == metric and statistic in ("", row["statistic"]):
+                yield row, change
+
     def sights(self) -> tuple[DetectableChange, ...]:
         """Return the smallest change that the verdicts would have detected, for each metric and statistic."""
         match = self.options.match
         results = {key: number for number, key in enumerate(self.delivery.select(match).rows())}
-        names = self.rows.select("metric", "statistic").rows()
-        keys = self.rows.select(match).rows()
-        changes = ((*name, results[key], change) for name, key, change in zip(names, keys, self.changes, strict=True))
+        rows = self.rows.select("metric", "statistic", *match).rows()
+        changes = ((*row[:2], results[row[2:]], change) for row, change in zip(rows, self.changes, strict=True))
         return detectable_changes(changes, self.options.confidence, self.options.same_within)
 
 
@@ -281,8 +282,8 @@ def compare_roundtrips(
 
 
 def compare_groups(
-    before: Mapping[Key, MatchedGroup],
-    after: Mapping[Key, MatchedGroup],
+    before: Mapping[Key, SetupRuns],
+    after: Mapping[Key, SetupRuns],
     schema: Mapping[str, pl.DataType],
     options: CompareOptions,
     passes: Mapping[int, int] | None = None,
@@ -290,37 +291,44 @@ def compare_groups(
     """Compare groups of equal keys (`matching.pair_keys`); `schema` has the dtypes of the match columns."""
     pairs = pair_keys(before, after, options.match)
     row_keys: dict[Key, Key] = {}
-    labels: list[Label] = []
     deliveries: list[DeliveryChange] = []
-    rows: list[tuple[Label, ChangeRow, Change]] = []
-    distributions: list[Label] = []
+    changes: list[Change] = []
+    delivery, rows, distributions = (list[dict[str, Any]]() for _ in range(3))
     least = _least_variances([(before[key], after[partner]) for key, partner in pairs.items()], options, passes or {})
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
         row_keys[key] = row_keys[partner] = completed_key(key, partner, options.match)
-        label: Label = dict(zip(options.match, row_keys[key], strict=True))
-        labels.append(label)
+        label = dict(zip(options.match, row_keys[key], strict=True))
         deliveries.append(change_of_received(base.received, new.received, options.confidence))
-        for distribution, changes in _changes(base, new, deliveries[-1], options, passes or {}, least):
-            distributions.append(label | vars(distribution))
-            rows += ((label, *changed) for changed in changes)
+        delivery.append(label | _delivery_row(base, new, deliveries[-1]))
+        paired = passes_of(base.runs, new.runs, passes or {}) if options.paired else None
+        for metric in _metrics(base, options):
+            before_ns, after_ns = (side.delivered(metric).ordered for side in (base, new))
+            times = {"base_ns": at_levels(before_ns), "new_ns": at_levels(after_ns)}
+            distributions.append(label | {"metric": metric} | times)
+            superiority = probability_of_superiority(before_ns, after_ns)
+            for name, estimate, other in _estimates(base, new, metric, options):
+                p_of_losses = 1.0 if deliveries[-1].p_value is None else deliveries[-1].p_value
+                changes.append(change_of_estimates(estimate, other, paired, p_of_losses, least[metric, name]))
+                row = _change_row(base, new, deliveries[-1], changes[-1], metric, name) | {
+                    "superiority": superiority,
+                    "cliffs_delta": None if superiority is None else 2 * superiority - 1,
+                    "verdict": changes[-1].verdict(options.same_within).value,
+                }
+                rows.append(label | with_clock_bounds(row, base.bound_ns, new.bound_ns))
     match_schema = {name: schema[name] for name in options.match}
-    change_rows = [label | vars(row) for label, row, _ in rows]
-    losses = adjusted_p_values([change.p_value for change in deliveries])
-    delivery_rows = [
-        label | vars(_delivery_row(before[key], after[partner], change, p_adjusted))
-        for label, (key, partner), change, p_adjusted in zip(labels, pairs.items(), deliveries, losses, strict=True)
-    ]
+    delivery_frame, row_frame = (
+        with_adjusted_verdicts(pl.DataFrame(own, {**match_schema, **columns}), options.confidence)
+        for own, columns in ((delivery, DELIVERY_SCHEMA), (rows, COMPARISON_SCHEMA))
+    )
     return Comparison(
-        rows=with_adjusted_verdicts(
-            pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence
-        ),
-        delivery=pl.DataFrame(delivery_rows, {**match_schema, **DELIVERY_SCHEMA}),
+        rows=row_frame,
+        delivery=delivery_frame,
         distributions=pl.DataFrame(distributions, {**match_schema, **DISTRIBUTION_SCHEMA}),
         only_base=pl.DataFrame(list(unmatched(before, pairs)), match_schema, orient="row"),
         only_new=pl.DataFrame(list(unmatched(after, pairs.values())), match_schema, orient="row"),
         options=options,
-        changes=tuple(change for _, __, change in rows),
+        changes=tuple(changes),
         deliveries=tuple(deliveries),
         unfinished={
             row_keys[key]: before[key].unfinished + after[partner].unfinished for key, partner in pairs.items()
@@ -329,103 +337,62 @@ def compare_groups(
     )
 
 
-def _delivery_row(
-    base: MatchedGroup, new: MatchedGroup, change: DeliveryChange, p_adjusted: float | None
-) -> DeliveryRow:
-    sides = {"base": (base, change.base), "new": (new, change.new)}
-    of_sides: dict[str, Any] = {
-        f"{name}_{field}": value
-        for name, (side, received) in sides.items()
-        for field, value in (
-            ("published", len(side)),
-            ("received_ratio", received.value),
-            ("received_ratio_low", received.lower),
-            ("received_ratio_high", received.upper),
-            ("runs", received.runs),
-        )
+def _delivery_row(base: SetupRuns, new: SetupRuns, change: DeliveryChange) -> dict[str, Any]:
+    row = {name: getattr(change, name) for name in _OF_DELIVERY}
+    for name, side, received in (("base", base, change.base), ("new", new, change.new)):
+        ratio = f"{name}_received_ratio"
+        row |= {ratio: received.value, f"{ratio}_low": received.lower, f"{ratio}_high": received.upper}
+        row |= {f"{name}_published": side.published, f"{name}_runs": received.runs}
+    return row | {
+        "verdict": change.verdict().value,
+        "basis": change.basis.value,
+        "is_dead": new.is_dead and not base.is_dead,
+        "environment": UNKNOWN,
     }
-    return DeliveryRow(
-        **of_sides,
-        **_equal_fields(change, ("difference", "difference_low", "difference_high", "smallest_drop", "p_value")),
-        verdict=change.verdict(p_adjusted=p_adjusted).value,
-        basis=change.basis.value,
-        is_dead=new.is_dead and not base.is_dead,
-        environment=UNKNOWN,
-        p_adjusted=p_adjusted,
-    )
 
 
-def _equal_fields(record: object, names: Sequence[str]) -> dict[str, Any]:
-    return {name: getattr(record, name) for name in names}
+_OF_DELIVERY = ("difference", "difference_low", "difference_high", "smallest_drop", "p_value")
+_OF_CHANGE = ("ratio", "ratio_low", "ratio_high", "pairs", "p_value", "smallest_ratio")
+"""Columns that a change has by the same name."""
 
 
-def _metrics(base: MatchedGroup, options: CompareOptions) -> list[str]:
+def _change_row(
+    base: SetupRuns, new: SetupRuns, received: DeliveryChange, change: Change, metric: str, name: str
+) -> dict[str, Any]:
+    row: dict[str, Any] = {"metric": metric, "statistic": name, "basis": change.basis.value}
+    row |= {column: getattr(change, column) for column in _OF_CHANGE}
+    row |= {f"{column}_ns": getattr(change, column) for column in ("difference", "difference_low", "difference_high")}
+    sides = (("base", base, change.base, received.base), ("new", new, change.new, received.new))
+    for (side, group, interval, share), typical_ns in zip(sides, change.typical, strict=True):
+        row |= {f"{side}_ns": interval.value, f"{side}_low_ns": interval.lower, f"{side}_high_ns": interval.upper}
+        row |= {f"{side}_typical_ns": typical_ns, f"{side}_received_ratio": share.value}
+        row |= {f"{side}_runs": interval.runs, f"{side}_episodes": interval.episodes}
+        row |= {
+            f"{side}_messages": len(group.survivors(metric)),
+            f"{side}_survivors_ns": group.of_survivors(metric, STATISTIC_BY_NAME[name]),
+        }
+    return row
+
+
+def _metrics(base: SetupRuns, options: CompareOptions) -> list[str]:
     return [metric for metric in options.metrics if (metric in TOPIC_METRICS) == base.is_topic]
 
 
-def _least_variances(
-    groups: Sequence[tuple[MatchedGroup, MatchedGroup]], options: CompareOptions, passes: Mapping[int, int]
-) -> dict[tuple[str, str], LeastVariances]:
+def _estimates(
+    base: SetupRuns, new: SetupRuns, metric: str, options: CompareOptions
+) -> Iterator[tuple[str, Estimate, Estimate]]:
     statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
+    before, after = (side.estimate(metric, statistics, options.confidence) for side in (base, new))
+    return zip(options.statistics, before, after, strict=True)
+
+
+def _least_variances(
+    groups: Sequence[tuple[SetupRuns, SetupRuns]], options: CompareOptions, passes: Mapping[int, int]
+) -> dict[tuple[str, str], LeastVariances]:
     sides: dict[tuple[str, str], list[tuple[Estimate, Estimate, Passes | None]]] = {}
     for base, new in groups:
         paired = passes_of(base.runs, new.runs, passes) if options.paired else None
         for metric in _metrics(base, options):
-            estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
-            for name, base_estimate, other in zip(options.statistics, *estimates, strict=True):
-                sides.setdefault((metric, name), []).append((base_estimate, other, paired))
+            for name, estimate, other in _estimates(base, new, metric, options):
+                sides.setdefault((metric, name), []).append((estimate, other, paired))
     return {key: least_variances(own) for key, own in sides.items()}
-
-
-def _changes(
-    base: MatchedGroup,
-    new: MatchedGroup,
-    received: DeliveryChange,
-    options: CompareOptions,
-    passes: Mapping[int, int],
-    least: Mapping[tuple[str, str], LeastVariances],
-) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
-    paired = passes_of(base.runs, new.runs, passes) if options.paired else None
-    p_of_losses = 1.0 if received.p_value is None else received.p_value
-    for metric in _metrics(base, options):
-        before, after = base.delivered(metric), new.delivered(metric)
-        superiority = probability_of_superiority(before.ordered, after.ordered)
-        statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
-        estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
-        changes = []
-        for name, statistic, base_estimate, other in zip(options.statistics, statistics, *estimates, strict=True):
-            change = change_of_estimates(base_estimate, other, paired, p_of_losses, least[metric, name])
-            sides = {"base": (base, change.base, received.base), "new": (new, change.new, received.new)}
-            of_sides: dict[str, Any] = {
-                f"{side}_{field}": value
-                for side, (group, interval, share) in sides.items()
-                for field, value in (
-                    ("messages", len(group.survivors(metric))),
-                    ("ns", interval.value),
-                    ("low_ns", interval.lower),
-                    ("high_ns", interval.upper),
-                    ("received_ratio", share.value),
-                    ("survivors_ns", group.of_survivors(metric, statistic)),
-                    ("runs", interval.runs),
-                    ("episodes", interval.episodes),
-                )
-            }
-            differences = {
-                f"{field}_ns": getattr(change, field) for field in ("difference", "difference_low", "difference_high")
-            }
-            row = ChangeRow(
-                metric=metric,
-                statistic=name,
-                **of_sides,
-                **differences,
-                **_equal_fields(change, ("ratio", "ratio_low", "ratio_high", "pairs", "p_value", "smallest_ratio")),
-                superiority=superiority,
-                cliffs_delta=None if superiority is None else 2 * superiority - 1,
-                verdict=change.verdict(options.same_within).value,
-                basis=change.basis.value,
-                p_adjusted=None,
-                base_typical_ns=change.typical[0],
-                new_typical_ns=change.typical[1],
-            )
-            changes.append((with_clock_bounds(row, base.bound_ns, new.bound_ns), change))
-        yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes

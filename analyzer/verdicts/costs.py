@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple
@@ -100,7 +99,7 @@ def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) 
     """Compare the latency of each flow with others and by itself, and of all with and without a load, p50 and p99, repeat by repeat.
 
     Returns:
-        `INTERFERENCE_SCHEMA`: the group and the one without, the columns of `ChangeRow` (times in ns; base without, new with), and the
+        `INTERFERENCE_SCHEMA`: the group and the one without, the columns of `COMPARISON_SCHEMA` (times in ns; base without, new with), and the
         change of the received ratio with its interval. Verdicts are adjusted over all rows. Of a load `flow` is empty and `with_flows`
         is `load=KIND`.
     """
@@ -287,10 +286,17 @@ def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> 
     return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
 
 
+Row = dict[str, Any]
+
+
+def speaks_against(changes: Iterable[Row], deliveries: Iterable[Row]) -> tuple[list[Row], list[Row]]:
+    """Return the rows of which fewer messages were received, and the slower ones: adjusted, or by their whole interval."""
+    fewer = [row for row in deliveries if row["verdict"] == "worse" or (row["difference_high"] or 0.0) < 0]
+    return fewer, [row for row in changes if row["verdict"] == "worse" or (row["ratio_low"] or 0.0) > 1]
+
+
 def pays(comparison: Comparison) -> bool:
     if comparison.barred or len(comparison.only_base) or comparison.delivery["is_dead"].any():
         return False
-    verdicts = {*comparison.rows["verdict"], *comparison.delivery["verdict"]}
-    slower = comparison.rows["ratio_low"].fill_null(-math.inf) > 1
-    fewer = comparison.delivery["difference_high"].fill_null(math.inf) < 0
-    return "better" in verdicts and "worse" not in verdicts and not (slower.any() or fewer.any())
+    rows, delivery = (frame.rows(named=True) for frame in (comparison.rows, comparison.delivery))
+    return "better" in {row["verdict"] for row in (*rows, *delivery)} and not any(speaks_against(rows, delivery))

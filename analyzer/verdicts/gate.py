@@ -17,9 +17,8 @@ from dds_trace.base.units import UNIT_NS, split_quantity
 
 from ..model.metrics import METRICS, TOPIC_METRICS
 from ..model.names import is_topic
-from .compare import COMPARED_STATISTICS
+from .compare import COMPARED_STATISTICS, RECEIVED_RATIO
 
-RECEIVED_RATIO = "received_ratio"
 _SPLIT = {
     f"{metric}_{statistic}": (metric, statistic)
     for metric in (*METRICS, *TOPIC_METRICS)

@@ -15,8 +15,8 @@ from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, messages_to_close
-from .compare import STATISTIC_BY_NAME, CompareOptions, Comparison
-from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
+from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
+from .gate import Against, Gate, GateOutcome
 
 if TYPE_CHECKING:
     from .matching import Key
@@ -156,22 +156,15 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
     for row in comparison.only_base.iter_rows(named=True):
         where = group_words(row, comparison.options.match)
         yield GateResult(ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side")
-    for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+    for row, change in comparison.changes_of(RECEIVED_RATIO):
         if row["is_dead"]:
-            yield GateResult(
-                ALL_GROUPS,
-                group_words(row, names),
-                GateOutcome.REGRESSED,
-                change.new.value,
-                *change.new.range,
-                "no reply was received on the new side",
-            )
+            where, why = group_words(row, names), "no reply was received on the new side"
+            yield GateResult(ALL_GROUPS, where, GateOutcome.REGRESSED, change.new.value, *change.new.range, why)
 
 
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
     confidence, first = comparison.options.confidence, family[0]
-    measure = _received if first.metric == RECEIVED_RATIO else _times
-    groups = [group for gate in family for group in measure(comparison, gate, names)]
+    groups = [group for gate in family for group in _measured(comparison, gate, names)]
     if first.topic and not groups:
         topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
         reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
@@ -216,26 +209,41 @@ def _reason(comparison: Comparison, group: _Measured, by_chance_of: int) -> str:
     return group.advice.text if group.result.outcome is GateOutcome.INCONCLUSIVE else ""
 
 
-def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
-    unit = "" if gate.against is Against.RATIO else "_ns"
+_VALUES = {
+    Against.RATIO: "ratio{}",
+    Against.DIFFERENCE: "difference{}_ns",
+    Against.NEW: "new{}_ns",
+    (RECEIVED_RATIO, Against.DIFFERENCE): "difference{}",
+    (RECEIVED_RATIO, Against.NEW): "new_received_ratio{}",
+}
+"""What a limit applies to -> the columns of the value and, with `_low` and `_high`, of its ends."""
+
+
+def _measured(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
     is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
-    for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
-        if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row):
+    columns = _VALUES.get((gate.metric, gate.against)) or _VALUES[gate.against]
+    for row, change in comparison.changes_of(gate.metric, gate.statistic):
+        if not gate.applies_to(row):
             continue
-        value, low, high = (row[f"{gate.against.value}{end}{unit}"] for end in ("", "_low", "_high"))
+        value, low, high = (row[columns.format(end)] for end in ("", "_low", "_high"))
+        sides = [change.new] if is_of_new else [change.base, change.new]
+        units = change.new.units if gate.statistic else change.new.runs
         result = GateResult(
             *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
             smallest_ratio=change.smallest_ratio,
-            runs_present=change.new.runs if is_of_new else min(change.base.runs, change.new.runs),
+            smallest_drop=None if is_of_new else row.get("smallest_drop"),
+            runs_present=min(side.runs for side in sides),
         )
         yield _Measured(
             result=result,
             group=tuple(row[name] for name in comparison.options.match),
             basis=change.new.basis if is_of_new else change.basis,
-            degrees=max(1, change.new.units - 1) if is_of_new else change.degrees,
-            advice=_advice(gate, change),
+            degrees=max(1, units - 1) if is_of_new else change.degrees,
+            advice=_advice(gate, change)
+            if gate.statistic
+            else _advice_on_received(gate.limit, value, low, high, sides),
             # A typical run at the limit is beyond it in every second run.
-            p_of_lost=min(alpha / 2, 0.5**change.new.units) if is_of_new else (change.p_value or 0.0) / 2,
+            p_of_lost=min(alpha / 2, 0.5**units) if is_of_new else (change.p_value or 0.0) / 2,
             base_ns=change.typical[0] or 0.0,
         )
 
@@ -274,31 +282,6 @@ def _too_few_runs(sides: Sequence[Interval]) -> str:
 def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> _Advice:
     present = " and ".join(str(side.runs) for side in sides)
     return _Advice(f"about {runs} runs a side would decide, there are {present}", runs)
-
-
-def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
-    is_of_new = gate.against is Against.NEW
-    for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
-        if not gate.applies_to(row):
-            continue
-        sides = [change.new] if is_of_new else [change.base, change.new]
-        value, low, high = (
-            (change.new.value, *change.new.range)
-            if is_of_new
-            else (change.difference, change.difference_low, change.difference_high)
-        )
-        result = GateResult(
-            *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
-            smallest_drop=None if is_of_new else change.smallest_drop,
-            runs_present=min(side.runs for side in sides),
-        )
-        yield _Measured(
-            result=result,
-            group=tuple(row[name] for name in comparison.options.match),
-            basis=change.new.basis if is_of_new else change.basis,
-            degrees=max(1, change.new.runs - 1) if is_of_new else change.degrees,
-            advice=_advice_on_received(gate.limit, value, low, high, sides),
-        )
 
 
 def _advice_on_received(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
@@ -26,6 +26,10 @@ class Claim(str, Enum):
     SLOWER = "takes longer"
     LOSES_MORE = "loses more"
     LOSSY = "lossy"
+    OVER = "takes longer over"
+    FROM = "takes longer from"
+    ON = "takes longer on"
+    OWN_NODES = "differs by less than our own nodes"
 
 
 class Reason(str, Enum):
@@ -112,16 +116,51 @@ def exceeds_lossy_share(lost: float) -> bool:
     return round(lost, 9) > LOSSY_SHARE
 
 
-def adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
-    """Return p values adjusted by Benjamini and Hochberg; None stays None."""
-    adjusted = iter(benjamini_hochberg_adjusted([p for p in p_values if p is not None]).tolist())
-    return [None if p is None else next(adjusted) for p in p_values]
-
-
 def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
-    p_adjusted = pl.Series("p_adjusted", adjusted_p_values(rows["p_value"].to_list()), pl.Float64)
+    """Adjust the p values of all rows by Benjamini and Hochberg; what is better or worse by chance is inconclusive."""
+    tested = rows["p_value"].drop_nulls()
+    adjusted = iter(benjamini_hochberg_adjusted(tested.to_list()).tolist())
+    p_adjusted = [None if p is None else next(adjusted) for p in rows["p_value"]]
     is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
-        p_adjusted.fill_null(0.0) > 1 - confidence
+        pl.col("p_adjusted").fill_null(0.0) > 1 - confidence
     )
     verdict = pl.when(is_unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict")
-    return rows.with_columns(p_adjusted, verdict.alias("verdict"))
+    return rows.with_columns(pl.Series("p_adjusted", p_adjusted, pl.Float64)).with_columns(verdict.alias("verdict"))
+
+
+SHOWN_STATISTICS = ("p50", "p99")
+
+WORST_FIRST = (
+    "no reply came back",
+    "loses more",
+    "slower",
+    "no clear change",
+    "undecided",
+    "too few runs",
+    "the same",
+    "loses less",
+    "faster",
+)
+"""Verdicts on one result of both sides."""
+
+Row = Mapping[str, Any]
+
+
+def shown_changes(changes: Sequence[Row]) -> tuple[Row, ...]:
+    of_first = [row for row in changes if row["metric"] == changes[0]["metric"]]
+    return tuple(row for row in of_first if row["statistic"] in SHOWN_STATISTICS) or tuple(of_first[:1])
+
+
+def verdict_of_result(delivery: Row, changes: Sequence[Row], *, is_busier: bool) -> str:
+    verdicts = {row["verdict"] for row in changes}
+    rules = (
+        (delivery["is_dead"], "no reply came back"),
+        (is_busier, "undecided"),
+        (delivery["verdict"] == Verdict.WORSE.value, "loses more"),
+        (Verdict.WORSE.value in verdicts, "slower"),
+        (all(row["basis"] == Basis.WITHIN_RUN.value for row in changes), "too few runs"),
+        (delivery["verdict"] == Verdict.BETTER.value, "loses less"),
+        (Verdict.BETTER.value in verdicts, "faster"),
+        ({row["verdict"] for row in shown_changes(changes)} == {Verdict.SAME.value}, "the same"),
+    )
+    return next((words for applies, words in rules if applies), "no clear change")

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from functools import cached_property
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 import polars as pl
 
 from ..model.names import group_words, is_topic, value_word, varying_parameters
-from ..model.runs import UNSENT, delivered_runs, split_runs
+from ..model.runs import UNSENT, RunRows, delivered_runs, split_runs
 from ..model.setting import without_relay
-from ..run_statistics.between_runs import Estimate, estimates_of_runs
-from ..run_statistics.received import received_interval
+from ..run_statistics.between_runs import Estimate, Scale, estimates_of_runs, scale_of
 from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
+from ..run_statistics.setups import RunLogarithms
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
     from ..model.parameters import ParameterValue
-    from ..statistics.intervals import Interval
 
     Key = tuple[ParameterValue, ...]
     """Values of the match columns."""
+
+Made = TypeVar("Made")
 
 DEVICE_COLUMNS = ("ping_device", "relay_device")
 
@@ -48,58 +49,94 @@ LEAST_OF_A_RUN = 0.5
 """Share of the messages of a group's longest run below which an unfinished run is left out: it would weigh like a whole one."""
 
 
-class MatchedGroup:
-    """The round trips of one group by run; `unfinished` counts the runs of `unfinished` ids, the fragments left out included.
+@dataclass(frozen=True, eq=False)
+class SetupRuns:
+    """What was measured of one setup with one message, or of one topic that a tap heard, by run.
 
-    Of a topic they are the messages that a tap heard, and `bound_ns` the largest error of their times.
+    Attributes:
+        estimates: of the latency, by percentile: what setups are ranked by, and remains where `runs` are left out.
+        received: of each message of each run whether it came back; `outside` without the ones that an outage of the sweep took.
+        repeats: of the sweep, of each run; empty where two are equal or one is unknown.
+        starts_ns: of the runs, by one clock; empty where one is unknown.
+        group: first row of `summary`.
+        published: messages that were sent.
+        unfinished: runs without an end, the fragments that are left out included.
+        bound_ns: largest error of the times of a topic.
     """
 
-    def __init__(self, rows: pl.DataFrame, unfinished: Collection[int] = ()) -> None:
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    runs: tuple[RunRows, ...] = ()
+    received: tuple[NDArray[np.bool_], ...] = ()
+    outside: tuple[NDArray[np.bool_], ...] = ()
+    repeats: tuple[int, ...] = ()
+    starts_ns: tuple[int, ...] = ()
+    survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
+    setting: Mapping[str, ParameterValue] = field(default_factory=dict)
+    group: int = 0
+    published: int = 0
+    unfinished: int = 0
+    is_topic: bool = False
+    bound_ns: int = 0
+    _made: dict[object, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, rows: pl.DataFrame, unfinished: Collection[int] = ()) -> SetupRuns:
         runs = split_runs(rows)
         least = LEAST_OF_A_RUN * max((len(run.rows) for run in runs), default=0)
-        self.runs = tuple(run for run in runs if run.run_id not in unfinished or len(run.rows) >= least)
-        self.unfinished = sum(run.run_id in unfinished for run in runs)
-        self.is_topic = "bound_ns" in rows.columns and len(rows) > 0 and is_topic(rows["data_type"][0])
-        bound_ns = rows["bound_ns"].max() if self.is_topic else None
-        self.bound_ns = int(bound_ns) if isinstance(bound_ns, int) else 0
-        self._published = int((rows["outcome"] != UNSENT).sum())
-        self._delivered: dict[str, Runs] = {}
-        self._survivors: dict[str, Run] = {}
-        self._estimates: dict[tuple[str, tuple[Statistic, ...], float], list[Estimate]] = {}
+        whole = tuple(run for run in runs if run.run_id not in unfinished or len(run.rows) >= least)
+        heard = "bound_ns" in rows.columns and len(rows) > 0 and is_topic(rows["data_type"][0])
+        bound_ns = rows["bound_ns"].max() if heard else None
+        return cls(
+            runs=whole,
+            received=tuple(run.received for run in whole),
+            published=int((rows["outcome"] != UNSENT).sum()),
+            unfinished=sum(run.run_id in unfinished for run in runs),
+            is_topic=heard,
+            bound_ns=bound_ns if isinstance(bound_ns, int) else 0,
+        )
 
-    def __len__(self) -> int:
-        return self._published
+    def without_rows(self) -> SetupRuns:
+        return replace(self, runs=(), _made={})
+
+    def _once(self, key: object, make: Callable[[], Made]) -> Made:
+        if key not in self._made:
+            self._made[key] = make()
+        made: Made = self._made[key]
+        return made
 
     def delivered(self, metric: str) -> Runs:
-        if metric not in self._delivered:
-            self._delivered[metric] = Runs.of(delivered_runs(self.runs, metric))
-        return self._delivered[metric]
+        return self._once(metric, lambda: Runs.of(delivered_runs(self.runs, metric)))
 
-    def estimates(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
+    def estimate(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
         key = metric, tuple(statistics), confidence
-        if key not in self._estimates:
-            self._estimates[key] = estimates_of_runs(self.delivered(metric), statistics, confidence)
-        return self._estimates[key]
+        return self._once(key, lambda: estimates_of_runs(self.delivered(metric), statistics, confidence))
 
     def survivors(self, metric: str) -> Run:
-        if metric not in self._survivors:
-            self._survivors[metric] = joined_runs([run.survivors(metric) for run in self.runs])
-        return self._survivors[metric]
+        return self._once(("survivors", metric), lambda: joined_runs([run.survivors(metric) for run in self.runs]))
 
     def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
         series = self.survivors(metric)
         return statistic.of_run(series) if len(series) >= statistic.needs else None
 
-    @cached_property
-    def received(self) -> tuple[NDArray[np.bool_], ...]:
-        return tuple(run.received for run in self.runs)
+    @property
+    def received_share(self) -> float:
+        messages = sum(map(len, self.received))
+        return sum(int(run.sum()) for run in self.received) / messages if messages else 0.0
 
-    def received_ratio(self, confidence: float) -> Interval:
-        return received_interval(self.received, confidence)
-
-    @cached_property
+    @property
     def is_dead(self) -> bool:
-        return bool(self.runs) and all(run.is_lost for run in self.runs)
+        return bool(self.received) and not any(run.any() for run in self.received)
+
+    def logarithms(self, percentile: str) -> RunLogarithms | None:
+        """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
+        units = self.estimates[percentile].units
+        if units is None or scale_of(units.values) is not Scale.LOGARITHM:
+            return None
+        logarithms = np.log(units.values)
+        if len(self.repeats) != len(units):
+            return RunLogarithms(logarithms, tuple(range(len(units))))
+        order = np.argsort(self.repeats)
+        return RunLogarithms(logarithms[order], tuple(sorted(self.repeats)))
 
 
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
@@ -122,7 +159,7 @@ def _names(frame: pl.DataFrame, column: str) -> list[str]:
 
 def match_groups(
     roundtrips: pl.DataFrame, match: Sequence[str], unfinished: Collection[int] = ()
-) -> dict[Key, MatchedGroup]:
+) -> dict[Key, SetupRuns]:
     """Split round trips into groups by the values of the match columns; sorted by these, null first.
 
     A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else.
@@ -145,7 +182,7 @@ def match_groups(
             parts[key] = answered
 
     ordered = sorted(parts, key=lambda key: [(value is not None, value) for value in key])  # nulls first
-    return {key: MatchedGroup(parts[key], unfinished) for key in ordered}
+    return {key: SetupRuns.of(parts[key], unfinished) for key in ordered}
 
 
 def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]) -> dict[Key, Key]:

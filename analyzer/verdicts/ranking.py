@@ -9,16 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..model.parameters import ParameterValue
-from ..run_statistics.between_runs import Estimate, Scale, scale_of
 from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
 from ..run_statistics.setups import (
@@ -33,6 +28,7 @@ from ..run_statistics.setups import (
 from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
 from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
+from .matching import SetupRuns
 
 TAIL_ONLY = 0.05
 """Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""
@@ -48,43 +44,13 @@ class RankingOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SetupRuns:
-    """What was measured of one setup, without its rows; `outside` are the messages of `received` that no outage of the sweep took."""
-
-    estimates: Mapping[str, Estimate]
-    repeats: tuple[int, ...] = ()
-    starts_ns: tuple[int, ...] = ()
-    may_lead: bool = True
-    received: tuple[NDArray[np.bool_], ...] = ()
-    outside: tuple[NDArray[np.bool_], ...] = ()
-    survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
-    setting: Mapping[str, ParameterValue] = field(default_factory=dict)
-    group: int = 0
-    loses_more: bool = False
-
-    @property
-    def received_share(self) -> float:
-        messages = sum(map(len, self.received))
-        return sum(int(run.sum()) for run in self.received) / messages if messages else 0.0
-
-    def logarithms(self, percentile: str) -> RunLogarithms | None:
-        """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
-        units = self.estimates[percentile].units
-        if units is None or scale_of(units.values) is not Scale.LOGARITHM:
-            return None
-        logarithms = np.log(units.values)
-        if len(self.repeats) != len(units):
-            return RunLogarithms(logarithms, tuple(range(len(units))))
-        order = np.argsort(self.repeats)
-        return RunLogarithms(logarithms[order], tuple(sorted(self.repeats)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Kind:
     family: Hashable
     setups: Mapping[str, SetupRuns]
     percentiles: tuple[str, ...]
     columns: Mapping[str, Any] = field(default_factory=dict)
+    barred: frozenset[str] = frozenset()
+    """Setups that may not lead, as they lose too much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +71,8 @@ class SetupPair:
         count = runs_to_decide(math.log(self.ratio), base, new, confidence)
         return None if count is None else max(count, self.runs + 1)
 
-    def judged(self, claim: Claim, statistic: str, confidence: float) -> Judgement:
+    def judged(self, claim: Claim, percentile: str, confidence: float, kind: Kind) -> Judgement:
+        subject, base = (self.fast, self.slow) if claim is Claim.FASTEST else (self.slow, self.fast)
         low = high = None
         if self.means is not None:
             test = self.means[0].against(self.means[1])
@@ -113,42 +80,22 @@ class SetupPair:
             low, high = math.exp(test.difference - reach), math.exp(test.difference + reach)
         basis = Basis.WITHIN_RUN if self.means is None else Basis.BETWEEN_RUNS
         measured = self.ratio, low, high, basis.value, self.p_value
-        return Judgement(claim, self.fast, statistic, self.slow, *measured)
+        return Judgement(claim, subject, f"latency_{percentile}", base, *measured, group=kind.setups[subject].group)
 
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    leader: str
+    """The setups of one kind of message by one percentile: who leads or why nobody does, and who takes longer than whom."""
+
+    lead: Judgement
+    slower: tuple[Judgement, ...]
     letters: Mapping[str, str]
-    undecided: tuple[SetupPair, ...]
     is_interleaved: bool
     drift_ratio: float | None
-    tests: tuple[tuple[SetupPair, float], ...] = ()
-    lead_p: float = 1.0
-    reason: Reason = Reason.NONE
 
-    def repeats_to_decide(self, confidence: float) -> int | None:
-        counts = [pair.repeats_to_decide(confidence) for pair in self.undecided]
-        decidable = [count for count in counts if count is not None]
-        return max(decidable) if decidable and len(decidable) == len(counts) else None
-
-    def judgements(self, statistic: str, confidence: float) -> Iterator[Judgement]:
-        if not self.tests:
-            yield Judgement(Claim.FASTEST, "", statistic, reason=self.reason.value)
-            return
-        nearest = min(_lead([pair for pair, _ in self.tests]), key=lambda pair: pair.ratio)
-        row = nearest.judged(Claim.FASTEST, statistic, confidence)
-        yield replace(
-            row,
-            p_adjusted=self.lead_p,
-            verdict=PROVEN if self.leader else OPEN,
-            reason=self.reason.value,
-            needs=self.repeats_to_decide(confidence),
-        )
-        for pair, p_adjusted in self.tests:
-            if self.differ(pair.fast, pair.slow):
-                row = pair.judged(Claim.SLOWER, statistic, confidence)
-                yield replace(row, subject=row.base, base=row.subject, p_adjusted=p_adjusted, verdict=PROVEN)
+    @property
+    def leader(self) -> str:
+        return self.lead.subject if self.lead.verdict == PROVEN else ""
 
     def differ(self, first: str, other: str) -> bool:
         return not set(self.letters[first]) & set(self.letters[other])
@@ -179,7 +126,7 @@ def rank_setups(
                 [(pair, next(tests)) for pair in pairs],
                 next(leads) if pairs else 1.0,
                 median if percentile != "p50" else None,
-                1 - confidence,
+                confidence,
                 1 + options.margin,
                 is_dependent=kinds[index].family in dependent,
             )
@@ -232,7 +179,7 @@ def _ranking(
     tests: Sequence[tuple[SetupPair, float]],
     lead_p: float,
     median: Ranking | None,
-    alpha: float,
+    confidence: float,
     least_ratio: float,
     *,
     is_dependent: bool,
@@ -242,7 +189,7 @@ def _ranking(
     names = [lead[0].fast, *(pair.slow for pair in lead)] if lead else list(kind.setups)
 
     def level(*, has_median: bool) -> float:
-        return alpha if has_median else alpha * TAIL_ONLY
+        return (1 - confidence) * (1 if has_median else TAIL_ONLY)
 
     different = {
         (pair.fast, pair.slow)
@@ -251,24 +198,38 @@ def _ranking(
     }
     is_tested = lead_p <= level(has_median=median is None or bool(median.leader))
     is_ahead = (
-        bool(lead) and kind.setups[names[0]].may_lead and is_tested and all(pair.ratio >= least_ratio for pair in lead)
+        bool(lead) and names[0] not in kind.barred and is_tested and all(pair.ratio >= least_ratio for pair in lead)
     )
     if is_ahead:
         different |= {(pair.fast, pair.slow) for pair in lead}
     in_sequence = [pair.means[0].against(pair.means[1]) for pair in pairs if pair.means and not pair.is_interleaved]
+    letters = tier_letters(names, different)
+    first = Judgement(Claim.FASTEST, "", f"latency_{percentile}", group=kind.setups[names[0]].group)
+    if lead:
+        counts = [
+            pair.repeats_to_decide(confidence)
+            for pair in lead
+            if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different and not is_dependent
+        ]
+        first = replace(
+            min(lead, key=lambda pair: pair.ratio).judged(Claim.FASTEST, percentile, confidence, kind),
+            p_adjusted=lead_p,
+            verdict=PROVEN if is_ahead else OPEN,
+            needs=max(count or 0 for count in counts) if counts and all(counts) else None,
+        )
+    if not is_ahead:
+        reason = _reason(kind, percentile, lead, least_ratio, is_dependent=is_dependent, is_tested=is_tested)
+        first = replace(first, reason=reason.value)
     return Ranking(
-        leader=names[0] if is_ahead else "",
-        letters=tier_letters(names, different),
-        undecided=()
-        if is_dependent
-        else tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
+        lead=first,
+        slower=tuple(
+            replace(pair.judged(Claim.SLOWER, percentile, confidence, kind), p_adjusted=p_adjusted, verdict=PROVEN)
+            for pair, p_adjusted in tests
+            if not set(letters[pair.fast]) & set(letters[pair.slow])
+        ),
+        letters=letters,
         is_interleaved=all(pair.is_interleaved for pair in pairs),
-        drift_ratio=min((math.exp(test.reach(1 - alpha) * test.error) for test in in_sequence), default=None),
-        tests=tuple(tests),
-        lead_p=lead_p,
-        reason=Reason.NONE
-        if is_ahead
-        else _reason(kind, percentile, lead, least_ratio, is_dependent=is_dependent, is_tested=is_tested),
+        drift_ratio=min((math.exp(test.reach(confidence) * test.error) for test in in_sequence), default=None),
     )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import polars as pl
 
@@ -23,7 +24,7 @@ from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
 from .cases import Setting, parts_of
 from .job import Job, SizeAndRate, guess_time
-from .matching import MatchedGroup
+from .matching import SetupRuns
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""
@@ -200,7 +201,7 @@ def _candidate(setting: Setting, rows: pl.DataFrame, request: _Request) -> Candi
 
 def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[Candidate, str]:
     """Judge one size and rate, and return why nothing is estimated from it."""
-    job, group, statistic = request.job, MatchedGroup(rows), Statistic(request.job.reliability)
+    job, group, statistic = request.job, SetupRuns.of(rows), Statistic(request.job.reliability)
     delivered, rate_hz = group.delivered(job.metric), float(rows["rate_hz"][0])
     interval = interval_of_runs(delivered, statistic, request.confidence)
     late = late_share(delivered, job.deadline_ns, request.confidence)
@@ -216,21 +217,14 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
     fit, reason = _fit_by_runs(interval, late, request)
     if is_slow or (unfinished and fit is not Fit.MISSES):
         fit, reason = Fit.MISSES if is_slow else Fit.INCONCLUSIVE, failure
-    received_ratio = group.received_ratio(request.confidence).value
+    received_ratio = group.received_share
     if not failure and interval.value is not None and interval.value > job.deadline_ns:
-        lost = 1 - (received_ratio or 0.0)
+        lost = 1 - received_ratio
         failure = "the deadline is missed" + (f" and {100 * lost:.3g} % are lost" if lost else "")
-    candidate = Candidate(
-        setting=setting,
-        fit=fit,
+    candidate = _candidate_of(
+        *(setting, job, fit, interval.value, interval.range),
         measured=True,
-        value_ns=interval.value,
-        lower_ns=interval.lower,
-        upper_ns=interval.upper,
-        margin_ns=_margin(interval.upper, job.deadline_ns),
-        messages=len(group),
-        held_out=0,
-        metric=job.metric,
+        messages=group.published,
         reason=reason,
         received_ratio=received_ratio,
         survivors_ns=group.of_survivors(job.metric, statistic),
@@ -241,9 +235,26 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
         late_ratio=late.observed if late else None,
         late_ratio_upper=late.upper if late else None,
         unseen_ratio=(1 - RARE_KIND) ** interval.runs,
-        latency_ns=interval.value,
     )
     return candidate, failure
+
+
+def _candidate_of(
+    setting: Setting,
+    job: Job,
+    fit: Fit,
+    value_ns: float | None,
+    ends_ns: Range,
+    *,
+    measured: bool,
+    messages: int = 0,
+    held_out: int = 0,
+    **more: Any,
+) -> Candidate:
+    upper_ns = ends_ns[1]
+    margin_ns = None if upper_ns is None or math.isinf(upper_ns) else job.deadline_ns - upper_ns
+    times_ns = value_ns, *ends_ns, margin_ns
+    return Candidate(setting, fit, measured, *times_ns, messages, held_out, job.metric, latency_ns=value_ns, **more)
 
 
 def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) -> tuple[Fit, str]:
@@ -296,7 +307,7 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
     ]
     if failing:
         reason = f"not measured, and no estimate: {'; '.join(failing)}"
-        return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason)
+        return _candidate_of(setting, job, Fit.INCONCLUSIVE, None, (None, None), measured=False, reason=reason)
     values = {
         size_and_rate: value
         for size_and_rate, (candidate, _) in measured.items()
@@ -307,22 +318,14 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
         return None
     fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
     omitted = counted(guess.held_out, "omitted measurement was", "omitted measurements were")
-    return Candidate(
-        setting=setting,
-        fit=Fit.LIKELY if fit is Fit.MEETS else fit,
+    return _candidate_of(
+        *(setting, job, Fit.LIKELY if fit is Fit.MEETS else fit, guess.value_ns, (guess.lower_ns, guess.upper_ns)),
         measured=False,
-        value_ns=guess.value_ns,
-        lower_ns=guess.lower_ns,
-        upper_ns=guess.upper_ns,
-        margin_ns=_margin(guess.upper_ns, job.deadline_ns),
-        messages=0,
         held_out=guess.held_out,
-        metric=job.metric,
         reason=(
             f"not measured: interpolated between measured sizes and rates; {omitted} off by a factor of up to "
             f"{format_number(guess.error_factor)}"
         ),
-        latency_ns=guess.value_ns,
     )
 
 
@@ -340,7 +343,3 @@ def _fit(interval_ns: Range, deadline_ns: int) -> Fit:
     if lower is not None and lower > deadline_ns:
         return Fit.MISSES
     return Fit.INCONCLUSIVE
-
-
-def _margin(upper: float | None, deadline_ns: int) -> float | None:
-    return None if upper is None or math.isinf(upper) else deadline_ns - upper

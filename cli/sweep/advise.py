@@ -206,8 +206,9 @@ def shown(advice: Advice) -> list[str]:
 
 
 def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
-    fewer = [row for row in received if row["verdict"] == "worse" or (row["difference_high"] or 0.0) < 0]
-    slower = [row for row in proof if row["verdict"] == "worse" or (row["ratio_low"] or 0.0) > 1]
+    from dds_trace.analyzer.verdicts.costs import speaks_against
+
+    fewer, slower = speaks_against(proof, received)
     judged = [*map(_delivery, fewer), *map(_response, slower)]
     if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:
         return "a result is missing, or is not to be judged"

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import partial
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
-from dds_trace.analyzer.model.parameters import MATCH_COLUMNS, ParameterValue
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
-from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
 from .groups import (
     METRIC_LABELS,
     Group,
     Groups,
-    Series,
     VendorLabels,
     data_type_label,
-    device_pair,
     domain_label,
     format_count,
     format_ratio,
@@ -49,7 +43,7 @@ from .headline import (
     where_sentence,
     winner_sentences,
 )
-from .numbers import Intervals, Values
+from .numbers import Values
 from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
@@ -95,9 +89,7 @@ class Conclusion:
         return [*zip(self.kinds, (self.headline, *self.points), strict=True)]
 
 
-def answer_info(
-    analysis: Analysis, groups: Groups, values: Values, intervals: Intervals, fastest: Sequence[Fastest]
-) -> Conclusion:
+def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Sequence[Fastest]) -> Conclusion:
     metric = values.default_metric
     topics = topic_sentences(analysis.topics)
     if not groups.groups or is_of_topics(analysis):
@@ -126,7 +118,7 @@ def answer_info(
         *_level_remarks(usable, values, metric),
         *([] if losses or forged else ["Every message was received."]),
     )
-    verdicts = verdicts_info(answers, groups.vendors)
+    verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements.filter(has_latency)
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
@@ -139,8 +131,8 @@ def answer_info(
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
-        (PointKind.CLIENT_FLOOR, client_floor_sentence(analysis.summary, answers)),
-        (PointKind.PLACE, place_sentence(usable, values, intervals) if has_latency else ""),
+        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged)),
+        (PointKind.PLACE, place_sentence(judged)),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),
@@ -161,34 +153,15 @@ def _who_is_fastest(
     return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, values, answers)]
 
 
-def client_floor_sentence(summary: pl.DataFrame, answers: Sequence[CaseAnswer]) -> str:
-    """Return in how many comparisons a difference is below the one of our own nodes, `own_cost_ns` of a round trip."""
-    rows = summary.select(*MATCH_COLUMNS, "own_cost_ns").rows()
-    own_ns: dict[tuple[ParameterValue, ...], float | None] = {tuple(setup): cost_ns for *setup, cost_ns in rows}
-    compared = below = 0
-    for answer in answers:
-        times_ns = {}
-        for setup in answer.contenders:
-            columns = (setup.setting.get(name, getattr(answer, name, None)) for name in MATCH_COLUMNS)
-            times_ns[setup.name] = setup.p50_ns, own_ns.get(tuple(columns))
-        proven = [row for row in answer.judgements if row.verdict == PROVEN and row.statistic == "latency_p50"]
-        pairs = {frozenset((row.subject, row.base)) for row in proven if row.claim in (Claim.FASTEST, Claim.SLOWER)}
-        compared += bool(pairs)
-        below += any(_is_below_floor(*(times_ns[name] for name in pair)) for pair in pairs)
-    if not below:
+def own_nodes_sentence(judged: pl.DataFrame) -> str:
+    compared = judged.filter(claim=Claim.OWN_NODES.value)
+    below = compared.filter(verdict=PROVEN)
+    if below.is_empty():
         return ""
     return (
-        f"In {below} of {counted(compared, 'comparison')} the proven difference is less than what our own nodes cost more on the slower "
-        "side (`own_cost_ns`): it may be our Python, not the middleware."
+        f"In {below.height} of {counted(compared.height, 'comparison')} the proven difference is less than what our own nodes cost more "
+        "on the slower side (`own_cost_ns`): it may be our Python, not the middleware."
     )
-
-
-def _is_below_floor(first: tuple[float | None, float | None], second: tuple[float | None, float | None]) -> bool:
-    """Return whether latencies, half a round trip each, differ by less than what the nodes of the slower one take more."""
-    (fast_ns, fast_own_ns), (slow_ns, slow_own_ns) = sorted((first, second), key=lambda setup: setup[0] or 0.0)
-    if not (fast_ns and slow_ns and fast_own_ns and slow_own_ns):
-        return False
-    return slow_ns - fast_ns < (slow_own_ns - fast_own_ns) / 2
 
 
 def _why_undecided(
@@ -339,68 +312,17 @@ _WITHOUT_LATENCY = "No relay's trace was found: the latency is unknown"
 MOST_COMPARED = 3
 
 
-def place_sentence(groups: Groups, values: Values, intervals: Intervals) -> str:
-    """Say how many times as long a message takes over each link, and from each device, as over and from the fastest.
-
-    Factors are of results without losses and with intervals between runs that do not overlap.
-    """
-    relays = {series.relay_device for series in groups.series}
-    same_relay = len(relays) == 1 and not relays & {series.ping_device for series in groups.series}
-
-    def device(series: Series) -> str:
-        return printable(series.ping_device) if same_relay else device_pair(series.ping_device, series.relay_device)
-
-    compared = partial(_against_fastest, groups, values, intervals)
-    parts = (
-        *compared(
-            "over", lambda answer: printable(answer.connectivity), lambda answer: replace(answer, connectivity="")
-        ),
-        *compared(
-            "from" if same_relay else "on", device, lambda answer: replace(answer, ping_device="", relay_device=None)
-        ),
-    )
-    return f"At the median a message takes {'; '.join(parts)}." if parts else ""
-
-
-def _against_fastest(
-    groups: Groups,
-    values: Values,
-    intervals: Intervals,
-    preposition: str,
-    name_of: Callable[[Series], str],
-    without: Callable[[Series], Series],
-) -> tuple[str, ...]:
-    if len({name_of(series) for series in groups.series}) < 2:
-        return ()
-    medians = values.times_ns["latency"]["p50"]
-    # Everything else alike -> name -> group.
-    alike: dict[Hashable, dict[str, int]] = {}
-    for group in groups.groups:
-        series, index = groups.series_of(group), group.index
-        is_whole = group.published == group.received and not values.plain["unsent"][index]
-        if is_whole and intervals.is_between_runs("latency", "p50", index):
-            alike.setdefault((group.cell, without(series)), {})[name_of(series)] = index
-    compared = [setups for setups in alike.values() if len(setups) > 1]
-    if not compared:
-        return ()
-    won = Counter(min(setups, key=lambda name: medians[setups[name]] or 0) for setups in compared)
-    (fastest, _), *_ = won.most_common(1)
+def place_sentence(judged: pl.DataFrame) -> str:
     parts = []
-    for name in dict.fromkeys(name for setups in compared for name in sorted(setups) if name != fastest):
-        pairs = [(setups[name], setups[fastest]) for setups in compared if {name, fastest} <= setups.keys()]
-        factors = [
-            slow_ns / base
-            for slow, fast in pairs
-            if (slow_ns := medians[slow]) and (base := medians[fast]) and _are_apart(intervals, slow_ns, slow, fast)
-        ]
-        unclear = f" (no clear difference in {len(pairs) - len(factors)} of {len(pairs)} comparisons)"
-        if factors:
-            noted = unclear if len(factors) < len(pairs) else ""
-            parts.append(f"{preposition} {name} {factor_words(factors)} as long{noted}")
-    return (f"{joined(parts[:MOST_COMPARED])} as {preposition} {fastest}",) if parts else ()
-
-
-def _are_apart(intervals: Intervals, p50_ns: float, group: int, base: int) -> bool:
-    low, high = intervals.ends("latency", "p50", group)
-    base_low, base_high = intervals.ends("latency", "p50", base)
-    return (low or 0) > (base_high or p50_ns) or (high or p50_ns) < (base_low or 0)
+    for claim in (Claim.OVER, Claim.FROM, Claim.ON):
+        words, preposition = [], claim.value.rpartition(" ")[2]
+        compared = judged.filter(claim=claim.value)
+        for (name,), rows in compared.group_by("subject", maintain_order=True):
+            factors = rows.filter(verdict=PROVEN)["value"].to_list()
+            unclear = f" (no clear difference in {rows.height - len(factors)} of {rows.height} comparisons)"
+            if factors:
+                noted = unclear if len(factors) < rows.height else ""
+                words.append(f"{preposition} {name} {factor_words(factors)} as long{noted}")
+        if words:
+            parts.append(f"{joined(words[:MOST_COMPARED])} as {preposition} {compared['base'][0]}")
+    return f"At the median a message takes {'; '.join(parts)}." if parts else ""

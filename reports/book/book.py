@@ -83,7 +83,7 @@ class Book:
 
     @cached_property
     def answer(self) -> Conclusion:
-        return answer_info(self.analysis, self.groups, self.values, self.intervals, self.fastest)
+        return answer_info(self.analysis, self.groups, self.values, self.fastest)
 
     @cached_property
     def sizes(self) -> SizeTable | None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
-from dds_trace.analyzer.model.names import Rule, is_topic, tell_apart, where_it_helps, where_it_varies
+from dds_trace.analyzer.model.names import Rule, device_pair, is_topic, tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS, Parameters
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
@@ -277,11 +277,6 @@ def _history_label(series: Series) -> str:
 
 def device_label(series: Series) -> str:
     return device_pair(series.ping_device, series.relay_device)
-
-
-def device_pair(ping_device: str, relay_device: str | None) -> str:
-    devices = [printable(device) for device in (ping_device, relay_device) if device is not None]
-    return " → ".join(dict.fromkeys(devices))
 
 
 def _backend_label(series: Series) -> str:

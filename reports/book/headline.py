@@ -11,6 +11,7 @@ from statistics import median
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
@@ -23,7 +24,6 @@ from .groups import (
     Groups,
     VendorLabels,
     data_type_label,
-    device_pair,
     domain_label,
     format_count,
     format_ratio,

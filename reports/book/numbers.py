@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
+from dds_trace.analyzer.groups.report_values import LEVELS, curves, lossy_shares, planned_shares, sustained_shares
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.analyzer.verdicts.judgements import exceeds_lossy_share
 from dds_trace.base.units import MISSING, counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
@@ -147,11 +146,11 @@ def any_curve(analysis: Analysis) -> bool:
 def curves_info(analysis: Analysis) -> Curves:
     drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
-    shares = planned_shares(analysis.summary)
-    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, shares)))
+    losses = tuple(map(_loss_text, lossy_shares(analysis.summary)))
+    return Curves(LEVELS, values_ns, planned_shares(analysis.summary), losses)
 
 
 def _loss_text(share: float | None) -> str:
-    if share is None or not exceeds_lossy_share(1 - share):
+    if share is None:
         return ""
     return "< 1 %" if 0 < share < 0.01 else f"{math.floor(100 * share)} %"

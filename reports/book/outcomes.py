@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, exceeds_lossy_share
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim
 
 from .verdicts import place_of
 
@@ -57,9 +57,7 @@ def outcome_of(case: CaseAnswer) -> Outcome:
         leaders = {case.leader_p50, case.leader_p99}
         is_lossy = any(row.subject in leaders and row.verdict == DO_NOT_USE for row in case.of_claim(Claim.LOSSY))
         return Outcome(case.leader_p50, case.leader_p99, is_lossy=is_lossy)
-    usable = [
-        contender for contender in case.contenders if not (contender.loses_more or exceeds_lossy_share(contender.lost))
-    ]
+    usable = [contender for contender in case.contenders if contender.is_usable]
     for percentile, _ in PERCENTILES:
         ranked = sorted(
             (value, setup.name)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
+from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
@@ -18,7 +19,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .facets import Facets
-from .groups import METRIC_LABELS, VendorLabels, data_type_label, device_pair, format_ratio
+from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio
 from .numbers import Intervals
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
 

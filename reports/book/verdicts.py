@@ -9,7 +9,7 @@ from functools import partial
 from operator import attrgetter
 from typing import Any, TypeVar
 
-from dds_trace.analyzer.model.names import Rule, tell_apart, where_alike
+from dds_trace.analyzer.model.names import Rule, device_pair, tell_apart, where_alike
 from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
@@ -17,7 +17,7 @@ from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from .groups import DATA_TYPES, VendorLabels, data_type_label, device_pair, format_ratio, setting_word, way_words
+from .groups import DATA_TYPES, VendorLabels, data_type_label, format_ratio, setting_word, way_words
 
 Key = TypeVar("Key", bound=Hashable)
 

@@ -76,18 +76,16 @@ def _curve(values_ns: list[float]) -> list[dict[str, float]]:
     return [{"level": level, "ns": value} for level, value in levels if math.isfinite(value)]
 
 
+_OF_RESULT = ("measured", "low", "high", "reason", "smallest_ratio", "smallest_drop")
+
+
 def _gate(gated: Gated) -> dict[str, object]:
     result = gated.result
     return {
         "gate": result.gate.text,
         "group": gated.where,
         "outcome": result.outcome.value,
-        "measured": result.measured,
-        "low": result.low,
-        "high": result.high,
-        "reason": result.reason,
-        "smallest_ratio": result.smallest_ratio,
-        "smallest_drop": result.smallest_drop,
+        **{name: getattr(result, name) for name in _OF_RESULT},
     }
 
 

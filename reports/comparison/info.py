@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.compare import FAMILY, Comparison
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import GateResult, overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.ignoring import columns_to_ignore, unlike_columns
+from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, shown_changes, verdict_of_result
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
@@ -31,20 +32,6 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.run_statistics.change import DetectableChange
-
-SHOWN_STATISTICS = ("p50", "p99")
-
-WORST_FIRST = (
-    "no reply came back",
-    "loses more",
-    "slower",
-    "no clear change",
-    "undecided",
-    "too few runs",
-    "the same",
-    "loses less",
-    "faster",
-)
 
 UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
 
@@ -68,12 +55,7 @@ class ComparedGroup:
         return self.label.removeprefix(self.message).removeprefix(", ")
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
-        return _shown(self.changes)
-
-
-def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
-    of_first = [row for row in rows if row["metric"] == rows[0]["metric"]]
-    return tuple(row for row in of_first if row["statistic"] in SHOWN_STATISTICS) or tuple(of_first[:1])
+        return shown_changes(self.changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +162,7 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
     for label, delivery in zip(labels, comparison.delivery.to_dicts(), strict=True):
         key = tuple(delivery[name] for name in match)
         rows = tuple(changes[key].to_dicts())
-        verdict = _verdict(delivery, rows, is_busier=key in comparison.busier)
+        verdict = verdict_of_result(delivery, rows, is_busier=key in comparison.busier)
         groups.append(
             ComparedGroup(
                 label=label,
@@ -193,21 +175,6 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
             )
         )
     return tuple(sorted(groups, key=_rank))
-
-
-def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], *, is_busier: bool) -> str:
-    verdicts = {row["verdict"] for row in rows}
-    rules = (
-        (delivery["is_dead"], "no reply came back"),
-        (is_busier, "undecided"),
-        (delivery["verdict"] == "worse", "loses more"),
-        ("worse" in verdicts, "slower"),
-        (all(row["basis"] == Basis.WITHIN_RUN.value for row in rows), "too few runs"),
-        (delivery["verdict"] == "better", "loses less"),
-        ("better" in verdicts, "faster"),
-        ({row["verdict"] for row in _shown(rows)} == {"same"}, "the same"),
-    )
-    return next((words for applies, words in rules if applies), "no clear change")
 
 
 def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:

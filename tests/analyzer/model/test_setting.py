@@ -13,7 +13,7 @@ from dds_trace.analyzer.model.parameters import parameters_of
 from dds_trace.analyzer.model.runs import delivered_runs, pass_numbers, passes_of, split_runs, with_unsent
 from dds_trace.analyzer.model.setting import choice_of, condition_of, parse_setting, setting_of, write_setting
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.matching import MatchedGroup
+from dds_trace.analyzer.verdicts.matching import SetupRuns
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 LINK = "wifi-54(delay_ms=1,rate_mbit_s=54)"
@@ -136,10 +136,10 @@ def test_passes_pair_runs_only_where_every_run_has_one():
 
 
 def test_they_are_lost_and_not_published():
-    group = MatchedGroup(with_unsent(steady([MS] * 20), {1: 5, 9: 3}))
+    group = SetupRuns.of(with_unsent(steady([MS] * 20), {1: 5, 9: 3}))
     (run,) = group.delivered("latency")
-    assert (len(group), len(run), int((run.values == float("inf")).sum())) == (20, 25, 5)
-    assert group.received_ratio(0.95).value == pytest.approx(0.8)
+    assert (group.published, len(run), int((run.values == float("inf")).sum())) == (20, 25, 5)
+    assert group.received_share == pytest.approx(0.8)
     assert len(group.runs[0].sent_ns) == 20
     assert len(group.survivors("latency")) == 20
 

@@ -6,8 +6,9 @@ import pytest
 
 from dds_trace.analyzer.run_statistics.between_runs import Estimate, Units
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
-from dds_trace.analyzer.verdicts.judgements import PROVEN
-from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, SetupRuns, judge_losers, rank_setups
+from dds_trace.analyzer.verdicts.judgements import OPEN, PROVEN
+from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, judge_losers, rank_setups
 
 INTERVAL = Interval(None, None, None, 0.95, 180, 180, Basis.BETWEEN_RUNS, 3, 3, None)
 NO_MARGIN = RankingOptions(margin=0.0)
@@ -26,8 +27,8 @@ def runs(p50, p99=None, **more):
     return SetupRuns(estimates, **more)
 
 
-def kind(family="kind", percentiles=("p50",), **setups):
-    return Kind(family, setups, percentiles)
+def kind(family="kind", percentiles=("p50",), barred="", **setups):
+    return Kind(family, setups, percentiles, barred=frozenset(barred))
 
 
 def step(t, spread=0.05):
@@ -47,10 +48,11 @@ def test_the_lead_is_one_claim_and_each_pair_another():
     (ranking,) = rank_setups([kind(a=runs(SAME), b=runs(LIKELY), c=runs(LIKELY))])
     assert ranking["p50"].leader == "a"
     assert ranking["p50"].letters == {"a": "a", "b": "b", "c": "b"}
-    assert ranking["p50"].undecided == ()
-    (barred,) = rank_setups([kind(a=runs(SAME, may_lead=False), b=runs(LIKELY), c=runs(LIKELY))])
+    assert ranking["p50"].lead.needs is None
+    (barred,) = rank_setups([kind(barred="a", a=runs(SAME), b=runs(LIKELY), c=runs(LIKELY))])
     assert (barred["p50"].leader, set(barred["p50"].letters.values())) == ("", {"a"})
-    assert [pair.p_value for pair in barred["p50"].undecided] == [pytest.approx(0.04, abs=0.001)] * 2
+    assert barred["p50"].lead.p == pytest.approx(0.04, abs=0.001)
+    assert barred["p50"].lead.needs > 3
 
 
 @pytest.mark.parametrize(
@@ -66,21 +68,21 @@ def test_a_lead_at_p99_alone_takes_a_fifth_of_the_significance_level(median, tai
     ("median", "tail", "letters"), [(SAME, LIKELY, "aa"), (SURE, LIKELY, "ab"), (SAME, SURE, "ab")]
 )
 def test_so_does_a_difference_of_setups_that_may_not_lead(median, tail, letters):
-    setups = {"a": runs(SAME, SAME, may_lead=False), "b": runs(median, tail)}
-    (ranking,) = rank_setups([kind(percentiles=("p50", "p99"), **setups)])
+    setups = {"a": runs(SAME, SAME), "b": runs(median, tail)}
+    (ranking,) = rank_setups([kind(percentiles=("p50", "p99"), barred="a", **setups)])
     assert "".join(ranking["p99"].letters.values()) == letters
 
 
 def test_what_enough_repeats_of_one_kind_show_takes_another_one_among_forty():
     kinds = [kind(number, a=runs(SAME), b=runs(SURE if number == 0 else SAME)) for number in range(40)]
-    (pair,) = rank_setups(kinds)[0]["p50"].undecided
-    assert (pair.fast, pair.slow, pair.repeats_to_decide(0.95)) == ("a", "b", 4)
+    lead = rank_setups(kinds)[0]["p50"].lead
+    assert (lead.subject, lead.base, lead.verdict, lead.needs) == ("a", "b", OPEN, 4)
     assert rank_setups(kinds[:2])[0]["p50"].leader == "a"
 
 
 def ratio_of(fast, slow):
     (ranking,) = rank_setups([kind(a=runs(fast), b=runs(slow))], 1 - 1e-12, NO_MARGIN)
-    return ranking["p50"].undecided[0].ratio
+    return ranking["p50"].lead.value
 
 
 def test_a_lead_of_just_the_margin_is_enough():
@@ -101,7 +103,7 @@ def test_a_difference_of_just_the_margin_is_enough():
 
 def test_without_a_margin_equal_setups_are_undecided():
     (ranking,) = rank_setups([kind(a=runs(SAME), b=runs(SAME))], options=NO_MARGIN)
-    assert [pair.ratio for pair in ranking["p50"].undecided] == [1.0]
+    assert (ranking["p50"].lead.value, ranking["p50"].lead.verdict) == (1.0, OPEN)
 
 
 def test_each_setup_brings_its_own_spread():
@@ -110,7 +112,7 @@ def test_each_setup_brings_its_own_spread():
     counts, drifts = set(), set()
     for number, (fast, slow) in enumerate([(calm, slow_wild), (wild, slow_calm)]):
         (ranking,) = rank_setups([kind(number, a=runs(fast), b=runs(slow))])
-        counts.add(ranking["p50"].undecided[0].repeats_to_decide(0.95))
+        counts.add(ranking["p50"].lead.needs)
         first, later = {"starts_ns": (0, 1, 2)}, {"starts_ns": (3, 4, 5)}
         (apart,) = rank_setups([kind(a=runs(fast, **first), b=runs(slow, **later))])
         assert not apart["p50"].is_interleaved
@@ -124,7 +126,7 @@ def test_setups_without_three_runs_or_a_value_are_not_told_apart():
     assert ranking["p50"].leader == ""
     nothing = Estimate(replace(UNITS_NONE.interval, value=None), None)
     (ranking,) = rank_setups([kind(a=runs(nothing), b=runs(nothing))])
-    assert (ranking["p50"].leader, ranking["p50"].undecided) == ("", ())
+    assert (ranking["p50"].leader, ranking["p50"].lead.needs) == ("", None)
 
 
 def lost(*counts):

@@ -1,0 +1,93 @@
+"""Judgements of results against each other: a link or device against the fastest, and differences against our own nodes' cost."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+
+import polars as pl
+
+from dds_trace.base.printable import printable
+
+from ..model.names import device_pair
+from ..model.parameters import MATCH_COLUMNS, PARAMETER_NAMES, ParameterValue
+from ..statistics.intervals import Basis
+from .answers import CaseAnswer
+from .judgements import OPEN, PROVEN, Claim, Judgement, Row
+from .matching import DEVICE_COLUMNS
+
+
+def judge_places(summary: pl.DataFrame, intervals: pl.DataFrame, forged: Collection[int]) -> Iterator[Judgement]:
+    """Judge how many times as long a message takes over each link, and from or on each device, as over and on the fastest.
+
+    By medians of results that lost nothing and differ in nothing else; proven where their intervals between runs do not overlap.
+    """
+    between = {"metric": "latency", "percentile": "p50", "basis": Basis.BETWEEN_RUNS.value}
+    groups = (
+        summary.with_row_index("group")
+        .filter(pl.col("published") == pl.col("received"), pl.col("unsent").fill_null(0) == 0)
+        .filter(~pl.col("group").is_in(list(forged)))
+        .join(intervals.filter(**between).select("group", "low_ns", "high_ns"), on="group", maintain_order="left")
+        .with_columns(pl.col("latency_p50_ns", "low_ns").fill_null(0.0))
+    )
+    pings, relays = (set(summary[name].to_list()) for name in DEVICE_COLUMNS)
+    has_one_relay = len(relays) == 1 and not relays & pings
+    places: tuple[tuple[Claim, tuple[str, ...], Callable[[Row], str]], ...] = (
+        (Claim.OVER, ("connectivity",), lambda row: printable(row["connectivity"])),
+        (Claim.FROM, DEVICE_COLUMNS, lambda row: printable(row["ping_device"]))
+        if has_one_relay
+        else (Claim.ON, DEVICE_COLUMNS, lambda row: device_pair(row["ping_device"], row["relay_device"])),
+    )
+    for claim, columns, name_of in places:
+        alike: dict[tuple[ParameterValue, ...], dict[str, Row]] = {}
+        for row in groups.iter_rows(named=True):
+            others = tuple(row[name] for name in PARAMETER_NAMES if name not in columns)
+            alike.setdefault(others, {})[name_of(row)] = row
+        compared = [by_name for by_name in alike.values() if len(by_name) > 1]
+        medians_ns = ({name: row["latency_p50_ns"] for name, row in by_name.items()} for by_name in compared)
+        won = Counter(min(times_ns, key=times_ns.__getitem__) for times_ns in medians_ns)
+        for fastest, _ in won.most_common(1):
+            for by_name in compared:
+                names = sorted(by_name.keys() - {fastest}) if fastest in by_name else ()
+                yield from (_judged_place(claim, name, by_name[name], fastest, by_name[fastest]) for name in names)
+
+
+def _judged_place(claim: Claim, name: str, slow: Row, fastest: str, base: Row) -> Judgement:
+    slow_ns, base_ns = slow["latency_p50_ns"], base["latency_p50_ns"]
+    is_apart = slow["low_ns"] > (base["high_ns"] or slow_ns) or (slow["high_ns"] or slow_ns) < base["low_ns"]
+    return Judgement(
+        *(claim, name, "latency_p50", fastest, slow_ns / base_ns if base_ns else None),
+        basis=Basis.BETWEEN_RUNS.value,
+        verdict=PROVEN if is_apart and slow_ns and base_ns else OPEN,
+        group=slow["group"],
+    )
+
+
+_DIFFERENT = (Claim.FASTEST, Claim.SLOWER)
+
+
+def judge_own_nodes(answers: Iterable[CaseAnswer], summary: pl.DataFrame) -> Iterator[Judgement]:
+    """Judge for each comparison with proven differences whether one is less than what our nodes cost more on the slower side.
+
+    `value` is that cost in ns: half of the difference of `own_cost_ns`, which is of a round trip.
+    """
+    own_ns = {tuple(key): cost_ns for *key, cost_ns in summary.select(*MATCH_COLUMNS, "own_cost_ns").rows()}
+    for answer in answers:
+        times_ns: dict[str, tuple[float | None, float | None]] = {}
+        for setup in answer.contenders:
+            key = (setup.setting.get(name, getattr(answer, name, None)) for name in MATCH_COLUMNS)
+            times_ns[setup.name] = setup.p50_ns, own_ns.get(tuple(key))
+        proven = [row for row in answer.judgements if row.verdict == PROVEN and row.statistic == "latency_p50"]
+        judged = [_own_nodes(row, times_ns, answer.words) for row in proven if row.claim in _DIFFERENT]
+        yield from sorted(judged, key=lambda row: row.verdict != PROVEN)[:1]
+
+
+def _own_nodes(proven: Judgement, times_ns: Mapping[str, tuple[float | None, float | None]], words: str) -> Judgement:
+    fast, slow = sorted((proven.subject, proven.base), key=lambda name: times_ns[name][0] or 0.0)
+    (fast_ns, fast_own_ns), (slow_ns, slow_own_ns) = times_ns[fast], times_ns[slow]
+    more_ns = (slow_own_ns - fast_own_ns) / 2 if slow_own_ns and fast_own_ns else None
+    is_below = bool(fast_ns and slow_ns and more_ns is not None and slow_ns - fast_ns < more_ns)
+    verdict = PROVEN if is_below else OPEN
+    return Judgement(
+        Claim.OWN_NODES, f"{slow}; {words}", "latency_p50", fast, more_ns, verdict=verdict, group=proven.group
+    )

@@ -24,8 +24,8 @@ from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
 from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .topics.hops import HOP_SCHEMA
+from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs
 from .verdicts.judgements import judgement_frame
-from .verdicts.places import judge_own_nodes, judge_places
 
 if TYPE_CHECKING:
     import os
@@ -165,13 +165,15 @@ class Analysis:
 
     @property
     def judgements(self) -> pl.DataFrame:
-        """What is said of setups, links and devices, a row each (`judgements.JUDGEMENT_SCHEMA`); empty without details."""
+        """What is said of setups, links, devices, bridges, flows and a job, a row each (`judgements.JUDGEMENT_SCHEMA`); empty without details."""
         details = self.details
         forged = {group for finding in self.findings if finding.code == "forged_or_foreign" for group in finding.groups}
         rows = [
             *(replace(row, subject=f"{row.subject}; {a.words}") for a in details.answers for row in a.judgements),
             *judge_own_nodes(details.answers, self.summary),
             *judge_places(self.summary, details.intervals, forged),
+            *judged_costs(details.bridge_costs, details.interference),
+            *(judged_candidates(details.recommendation) if details.recommendation else ()),
         ]
         return judgement_frame(rows)
 

@@ -257,7 +257,7 @@ def report_schema() -> Schema:
         "judgements": of_frame(
             "judgements",
             judgement_frame(()),
-            "what is said of the setups of each answer, and of links and devices, a row each",
+            "what is said of setups, links, devices, bridges, flows and a job, a row each",
         ),
         "answers": or_null(a_list(of_record(CaseAnswer, "answers"), f"{words['answers']}. {without}")),
         "deadline_ns": {"type": ["integer", "null"], "description": words["deadline_ns"]},

@@ -29,6 +29,10 @@ class Claim(str, Enum):
     OVER = "takes longer over"
     FROM = "takes longer from"
     ON = "takes longer on"
+    THROUGH = "takes longer through"
+    WITH = "takes longer with"
+    MEETS = "meets"
+    MISSES = "misses"
     OWN_NODES = "differs by less than our own nodes"
 
 

@@ -77,7 +77,6 @@ def judged(report):
 
 def frames(report):
     yield from map(str, range(2 * len(report["answers"]) + 1))  # counts of comparisons
-    yield from (format_number(row["ratio"] or 0) for row in (*report["bridge_costs"], *report["interference"]))
     yield from (format_duration(row["back_ns"] or 0) for row in report["recoveries"])
     yield from map(str, range(1 + max([group["runs"] for group in report["groups"]], default=0)))
     for group in report["groups"]:

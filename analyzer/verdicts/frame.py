@@ -1,20 +1,23 @@
-"""Judgements of results against each other: a link or device against the fastest, and differences against our own nodes' cost."""
+"""Judgements of results against each other: links and devices, our own nodes' cost, bridges, other flows and loads, and of a job."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import polars as pl
 
 from dds_trace.base.printable import printable
+from dds_trace.base.units import format_duration
 
-from ..model.names import device_pair
-from ..model.parameters import MATCH_COLUMNS, PARAMETER_NAMES, ParameterValue
+from ..model.names import device_pair, group_words, varying_parameters
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
 from ..statistics.intervals import Basis
 from .answers import CaseAnswer
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row
 from .matching import DEVICE_COLUMNS
+from .recommend import Fit, Recommendation
 
 
 def judge_places(summary: pl.DataFrame, intervals: pl.DataFrame, forged: Collection[int]) -> Iterator[Judgement]:
@@ -91,3 +94,34 @@ def _own_nodes(proven: Judgement, times_ns: Mapping[str, tuple[float | None, flo
     return Judgement(
         Claim.OWN_NODES, f"{slow}; {words}", "latency_p50", fast, more_ns, verdict=verdict, group=proven.group
     )
+
+
+def judged_costs(bridge_costs: pl.DataFrame, interference: pl.DataFrame) -> Iterator[Judgement]:
+    """Return what bridges, other flows and loads cost as rows of the frame."""
+    names = varying_parameters(bridge_costs, BRIDGE_MATCH_COLUMNS)
+    for row in bridge_costs.iter_rows(named=True):
+        yield _judged_change(Claim.THROUGH, f"{row['bridge']}; {group_words(row, names)}", row, "the same domain")
+    for row in interference.iter_rows(named=True):
+        yield replace(_judged_change(Claim.WITH, row["with_flows"], row, row["flow"] or "without"), group=row["group"])
+
+
+def _judged_change(claim: Claim, subject: str, row: Row, base: str) -> Judgement:
+    numbers = row["ratio"], row["ratio_low"], row["ratio_high"], row["basis"], row["p_value"], row["p_adjusted"]
+    verdict = OPEN if row["verdict"] in ("same", "inconclusive") else PROVEN
+    return Judgement(claim, subject, f"{row['metric']}_{row['statistic']}", base, *numbers, verdict)
+
+
+def judged_candidates(recommendation: Recommendation) -> Iterator[Judgement]:
+    """Return which settings meet or miss a deadline as rows of the frame."""
+    job, settings = recommendation.job, [one.setting for one in recommendation.candidates]
+    names = [name for name in SETTING_COLUMNS if name == "vendor" or len({setting[name] for setting in settings}) > 1]
+    for one in recommendation.candidates:
+        yield Judgement(
+            Claim.MISSES if one.fit is Fit.MISSES else Claim.MEETS,
+            group_words(one.setting, names),
+            f"{job.metric}_p{100 * job.reliability:.6g}",
+            format_duration(job.deadline_ns),
+            *(one.value_ns, one.lower_ns, one.upper_ns, one.basis),
+            verdict=PROVEN if one.fit in (Fit.MEETS, Fit.MISSES) and one.measured else OPEN,
+            reason=one.reason,
+        )

@@ -77,7 +77,7 @@ ADDED = {
     DataVerdict: {"place", "within_one_run"},
     CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio", "judgements"},
     Finding: {"subject", "cure"},
-    Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
+    Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99", "groups"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""
 

@@ -192,7 +192,7 @@ def _measure_case(
             starts_ns=tuple(starts_ns) if len(starts_ns) == len(group.runs) else (),
             survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
             setting=setting,
-            group=int(part["group"][0]),
+            groups=tuple(part["group"].to_list()),
         )
     lossy = frozenset(name for name, setup in setups.items() if exceeds_lossy_share(1.0 - setup.received_share))
     columns = case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True)
@@ -228,6 +228,7 @@ def _answer(case: Kind, rankings: Mapping[str, Ranking], confidence: float, loss
             p99_ns=setup.estimates["p99"].interval.value,
             letters_p50=median.letters[name],
             letters_p99=tail.letters[name] if tail else "",
+            groups=setup.groups,
         )
         for name, setup in case.setups.items()
     }

@@ -110,6 +110,7 @@ class Contender:
         p99_ns: p99, likewise; None where all messages do not support it.
         letters_p50: letters of its tiers at the median: two setups share one exactly if their medians are not shown to differ.
         letters_p99: the same at p99; empty where not all setups have an interval for it.
+        groups: rows of `summary`; several where only numbers of domains differ.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Contender:
     p99_ns: float | None = None
     letters_p50: str = ""
     letters_p99: str = ""
+    groups: tuple[int, ...] = ()
 
     @property
     def lost(self) -> float:

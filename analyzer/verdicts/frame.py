@@ -12,7 +12,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
 from ..model.names import device_pair, group_words, varying_parameters
-from ..model.parameters import BRIDGE_MATCH_COLUMNS, MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
 from ..statistics.intervals import Basis
 from .answers import CaseAnswer
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row
@@ -74,12 +74,9 @@ def judge_own_nodes(answers: Iterable[CaseAnswer], summary: pl.DataFrame) -> Ite
 
     `value` is that cost in ns: half of the difference of `own_cost_ns`, which is of a round trip.
     """
-    own_ns = {tuple(key): cost_ns for *key, cost_ns in summary.select(*MATCH_COLUMNS, "own_cost_ns").rows()}
+    own_ns = summary["own_cost_ns"].to_list()
     for answer in answers:
-        times_ns: dict[str, tuple[float | None, float | None]] = {}
-        for setup in answer.contenders:
-            key = (setup.setting.get(name, getattr(answer, name, None)) for name in MATCH_COLUMNS)
-            times_ns[setup.name] = setup.p50_ns, own_ns.get(tuple(key))
+        times_ns = {one.name: (one.p50_ns, own_ns[one.groups[-1]] if one.groups else None) for one in answer.contenders}
         proven = [row for row in answer.judgements if row.verdict == PROVEN and row.statistic == "latency_p50"]
         judged = [_own_nodes(row, times_ns, answer.words) for row in proven if row.claim in _DIFFERENT]
         yield from sorted(judged, key=lambda row: row.verdict != PROVEN)[:1]

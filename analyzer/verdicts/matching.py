@@ -58,7 +58,7 @@ class SetupRuns:
         received: of each message of each run whether it came back; `outside` without the ones that an outage of the sweep took.
         repeats: of the sweep, of each run; empty where two are equal or one is unknown.
         starts_ns: of the runs, by one clock; empty where one is unknown.
-        group: first row of `summary`.
+        groups: rows of `summary`.
         published: messages that were sent.
         unfinished: runs without an end, the fragments that are left out included.
         bound_ns: largest error of the times of a topic.
@@ -72,7 +72,7 @@ class SetupRuns:
     starts_ns: tuple[int, ...] = ()
     survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
     setting: Mapping[str, ParameterValue] = field(default_factory=dict)
-    group: int = 0
+    groups: tuple[int, ...] = ()
     published: int = 0
     unfinished: int = 0
     is_topic: bool = False
@@ -94,6 +94,10 @@ class SetupRuns:
             is_topic=heard,
             bound_ns=bound_ns if isinstance(bound_ns, int) else 0,
         )
+
+    @property
+    def group(self) -> int | None:
+        return self.groups[0] if self.groups else None
 
     def without_rows(self) -> SetupRuns:
         return replace(self, runs=(), _made={})

@@ -11,10 +11,9 @@ import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.model.names import device_pair
-from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
-from dds_trace.analyzer.verdicts.cases import CONDITIONS, Contender, with_conditions
+from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
@@ -23,8 +22,8 @@ from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio
 from .numbers import Intervals
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
 
-Key = tuple[object, ...]
-"""Values of `CASE_COLUMNS`, the conditions, then values of `CONTENDER_COLUMNS`: one setup with one message."""
+Late = Mapping[int, tuple[int, int, int]]
+"""Group -> late messages, judged ones, and the ones that may be late."""
 
 
 TYPICAL_RUN, ALL_MESSAGES = "a typical run", "all messages"
@@ -104,9 +103,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
     labels = contender_labels(answers, vendors)
     columns = _columns(answers, labels)
     rates = _shown_rates(answers)
-    late, groups = _late_by_key(analysis), dict[Key, int | None]()
-    for group, key in enumerate(_keys(analysis)):
-        groups[key] = None if key in groups else group
+    late = _late_by_group(analysis)
     answers_at: dict[str, list[CaseAnswer]] = {}
     for answer in sorted(answers, key=_order):
         answers_at.setdefault(place_of(answer), []).append(answer)
@@ -118,7 +115,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         rates=f"at {format_rate(next(iter(rates.values())))}"
         if len(set(rates.values())) == 1
         else ", ".join(f"{data_type_label(data_type)} at {format_rate(rate)}" for data_type, rate in rates.items()),
-        places=tuple(_place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()),
+        places=tuple(_place_rows(name, cases, columns, rates, late) for name, cases in answers_at.items()),
         whose=TYPICAL_RUN if any(answer.fewest_runs >= MIN_RUNS for answer in answers) else ALL_MESSAGES,
     )
 
@@ -140,12 +137,7 @@ def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
 
 
 def _place_rows(
-    name: str,
-    cases: Sequence[CaseAnswer],
-    columns: Sequence[tuple[str, str]],
-    rates: Mapping[str, float],
-    late: Mapping[Key, tuple[int, int, int]],
-    groups: Mapping[Key, int | None],
+    name: str, cases: Sequence[CaseAnswer], columns: Sequence[tuple[str, str]], rates: Mapping[str, float], late: Late
 ) -> PlaceRows:
     by_message: dict[tuple[str, int, float], list[CaseAnswer]] = {}
     for case in cases:
@@ -153,11 +145,7 @@ def _place_rows(
     rows: list[SizeRow] = []
     further: list[SizeRow] = []
     for (data_type, payload_bytes, rate_hz), answers_of in by_message.items():
-        cells = {
-            (case.domain_mode, setup.name): _cell(case, setup, groups)
-            for case in answers_of
-            for setup in case.contenders
-        }
+        cells = {(case.domain_mode, setup.name): _cell(case, setup) for case in answers_of for setup in case.contenders}
         row = SizeRow(
             f"{data_type_label(data_type)} {format_size(payload_bytes)}",
             format_rate(rate_hz),
@@ -169,18 +157,7 @@ def _place_rows(
     return PlaceRows(name, thresholds, tuple(rows), tuple(further), devices, name.removeprefix(f"{devices}, "))
 
 
-def _keys(analysis: Analysis) -> list[Key]:
-    columns = (*CASE_COLUMNS, CONDITIONS, *CONTENDER_COLUMNS)
-    summary = with_conditions(analysis.summary)
-    return list(zip(*(summary[name].to_list() for name in columns), strict=True))
-
-
-def _key(case: CaseAnswer, setup: Contender) -> Key:
-    settings = (setup.setting[column] for column in CONTENDER_COLUMNS)
-    return (*(getattr(case, field) for field in CASE_COLUMNS), case.conditions, *settings)
-
-
-def _cell(case: CaseAnswer, setup: Contender, groups: Mapping[Key, int | None]) -> SizeCell:
+def _cell(case: CaseAnswer, setup: Contender) -> SizeCell:
     lost = 1.0 - (1.0 if setup.received.value is None else setup.received.value)
     return SizeCell(
         p50=_time(setup.p50_ns),
@@ -188,7 +165,7 @@ def _cell(case: CaseAnswer, setup: Contender, groups: Mapping[Key, int | None]) 
         leads_p50=case.leader_p50 == setup.name,
         leads_p99=case.leader_p99 == setup.name,
         lost=f"{format_ratio(lost)} lost" if lost > 0 else "",
-        group=groups.get(_key(case, setup)),
+        group=setup.groups[0] if len(setup.groups) == 1 else None,
         p50_ns=setup.p50_ns,
         p99_ns=setup.p99_ns,
     )
@@ -207,7 +184,7 @@ def _deadline_words(details: Details) -> str:
     return f"{metric} within {format_duration(details.deadline_ns)}"
 
 
-def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
+def _late_by_group(analysis: Analysis) -> Late:
     details = analysis.details
     if not _deadline_words(details):
         return {}
@@ -217,23 +194,18 @@ def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
         .join(analysis.summary.with_row_index("group").select("group", "unsent"), on="group")
         .with_columns(pl.col("missed", "judged") + pl.col("unsent").fill_null(0))
     )
-    keys = _keys(analysis)
-    late: dict[Key, tuple[int, int, int]] = {}
-    for group, *numbers in counts.select("group", "missed", "judged", "unsure").iter_rows():
-        missed, judged, unsure = (a + b for a, b in zip(late.get(keys[group], (0, 0, 0)), numbers, strict=True))
-        late[keys[group]] = missed, judged, unsure
-    return late
+    rows = counts.select("group", "missed", "judged", "unsure").iter_rows()
+    return {group: (missed, judged, unsure) for group, missed, judged, unsure in rows}
 
 
-def _threshold(
-    cases: Sequence[CaseAnswer], column: tuple[str, str], late: Mapping[Key, tuple[int, int, int]]
-) -> Threshold | None:
+def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late) -> Threshold | None:
     mode, name = column
     judged = [
-        (case, late[key])
+        (case, [sum(numbers) for numbers in zip(*of_groups, strict=True)])
         for case in cases
         for setup in case.contenders
-        if (case.domain_mode, setup.name) == (mode, name) and (key := _key(case, setup)) in late
+        if (case.domain_mode, setup.name) == (mode, name)
+        and (of_groups := [late[group] for group in setup.groups if group in late])
     ]
     if not judged:
         return None

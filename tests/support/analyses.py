@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from kept import kept
 from paired_by_hand import paired
-from roundtrip_frames import PLAIN, rows_by_group
+from roundtrip_frames import PLAIN
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
@@ -204,6 +204,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
     """By the functions of the analyzer where they take rows; by hand what rests on other events."""
     rows = _by_group(roundtrips)
     held = paired(rows)
+    judged = _judged(ordered, _three_runs(rows).sort("group", "run_id", "relay_id", "sequence"))
     return Details(
         intervals=_intervals(rows, ordered),
         one_way=_one_way(rows),
@@ -217,13 +218,23 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         bridge_costs=bridge_cost(
             _three_runs(roundtrips), CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
         ),
-        interference=find_interference(rows_by_group(_three_runs(roundtrips))),
-        head_of_line=find_head_of_line(rows_by_group(_three_runs(roundtrips))),
+        interference=find_interference(judged),
+        head_of_line=find_head_of_line(judged),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
         **{name: pl.DataFrame(schema=schema) for name, schema in FAN_OUT_FRAMES.items()},
         **no_wire_frames()._asdict(),
-        answers=find_answers(rows_by_group(_three_runs(roundtrips))),
+        answers=find_answers(judged),
     )
+
+
+def _judged(ordered: Sequence[Measured], rows: pl.DataFrame) -> RowStore:
+    """Three runs of each row of the summary that has messages."""
+    counts = dict(rows.group_by("group").len().iter_rows())
+    parameters = [{**one.parameters(), "published": counts.get(group, 0)} for group, one in enumerate(ordered)]
+    schema = {name: dtype for name, dtype in schema_of(SUMMARY_COLUMNS).items() if name in (*PLAIN, "published")}
+    store = RowStore.of(rows.drop("group"), pl.DataFrame(parameters, schema))
+    store.groups = store.groups.filter(pl.col("published") > 0)
+    return store
 
 
 def _by_group(roundtrips: pl.DataFrame) -> pl.DataFrame:

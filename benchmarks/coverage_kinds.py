@@ -122,7 +122,7 @@ def _led(samples: int, draw: Draw, shape: tuple[int, int, int]) -> tuple[int, in
         tail = 0.7 * median + math.sqrt(1 - 0.7**2) * draw(generator, shape)
         rankings = [ranking for of_kind in rank_setups(kinds_of(median, tail)) for ranking in of_kind.values()]
         led += any(ranking.leader for ranking in rankings)
-        dependent += any(ranking.reason is Reason.DEPENDENT for ranking in rankings)
+        dependent += any(ranking.lead.reason == Reason.DEPENDENT.value for ranking in rankings)
     return led, dependent
 
 

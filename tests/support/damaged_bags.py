@@ -19,6 +19,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from dds_trace.tracefile.reading.sqlite_rows import SQLITE_TABLES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 START_NS = 1_700_000_000 * 10**9
@@ -279,6 +280,11 @@ def damage(good: Good, rng: random.Random, how: str = "") -> tuple[bytes, set[Ke
         "flips": [(0, a), _flipped(good, a), (a + 1, b), _flipped(good, b), (b + 1, size)],
         "flip": [(0, at), _flipped(good, at), (at + 1, size)],
     }.get(how, [(0, at), new, (end, size)])
+    return joined(good, parts)
+
+
+def joined(good: Good, parts: Sequence[Range | bytes]) -> tuple[bytes, set[Key]]:
+    """Return ranges of a recording and other bytes one after the other, and the messages that are whole."""
     content = b"".join(part if isinstance(part, bytes) else good.content[slice(*part)] for part in parts)
     kept = [part for part in parts if not isinstance(part, bytes)]
 

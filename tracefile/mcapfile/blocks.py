@@ -1,26 +1,21 @@
-"""A MCAP file cut into blocks of about two megabytes, each a job that unpacks, checks and sorts its records.
-
-Headers are walked from front to back, without an index, which might be wrong. The summary serves only to resume after a
-damaged record.
-"""
+"""Records of a MCAP file in blocks of about two megabytes, each unpacked, checked and sorted by a job in any thread."""
 
 from __future__ import annotations
 
 from bisect import bisect
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from operator import itemgetter
 
 from mcap.opcode import Opcode
 
-from dds_trace.base.units import counted
-
-from ..format.encoding import MAGIC
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
+from ..format.events import EVENT_RECORD_BYTES
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
-from .file import MAX_RECORD_BYTES, RecordFile, RecordHeader, Summary, TornRecordError
-from .records import Buffer, record_name
-from .scan import MESSAGES_AND_CHANNELS, ChannelEvents, Scan, scan_records, split_by_channel
+from .file import RecordFile
+from .records import Buffer
+from .scan import ChannelEvents, Scan, scan_records, split_by_channel
 
 BLOCK_BYTES = 2 << 20
 """Small chunks are read together up to this size."""
@@ -34,190 +29,122 @@ CHUNK_STEPS = 40
 LARGEST_FILE_RATIO = 200
 """Most bytes that all chunks up to an offset may unpack to, per byte of the file up to there."""
 
+LEAST_BYTES = {
+    Opcode.HEADER: 8,
+    Opcode.FOOTER: 20,
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+    Opcode.MESSAGE: MESSAGE_HEADER.size,
+    Opcode.CHUNK: 40,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.CHUNK_INDEX: 60,
+    Opcode.ATTACHMENT: 36,
+    Opcode.ATTACHMENT_INDEX: 40,
+    Opcode.STATISTICS: 46,
+    Opcode.METADATA: 8,
+    Opcode.METADATA_INDEX: 20,
+    Opcode.SUMMARY_OFFSET: 17,
+    Opcode.DATA_END: 4,
+}
+"""Least length of each kind of record."""
+
 _UNSUSPECTED_FILE_BYTES = 256 << 20
+_MOST_REUSED_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this is dropped
+
+_FREE: deque[UnpackMemory] = deque(maxlen=8)
+"""Memory for the next block of any file: touching fresh memory was a fifth of reading lz4. `append` and `pop` are atomic."""
+
+Record = tuple[int, int, int]
+"""Opcode, offset of the content in a block's data, length of the content."""
 
 
 def most_unpacked_bytes(end: int) -> int:
     return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
 
 
-_WALKED = MESSAGES_AND_CHANNELS | {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
-_FIRST_STRETCH_BYTES = 4096
-_BLOCK_CHUNKS = 1000
-_MOST_REUSED_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this is dropped
-
-_FREE: deque[UnpackMemory] = deque(maxlen=8)
-"""Memory for the next block of any file: touching fresh memory was a fifth of reading lz4. `append` and `pop` are atomic."""
-
-
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Records of neighbouring chunks, or a stretch of records outside of chunks, taken apart."""
+    """Records of neighbouring chunks, or, with no chunk, records outside of chunks from `at` in the file on.
+
+    Attributes:
+        chunks: each chunk, and the offset of its records in `data`.
+        unsound_at, unsound_why: offset in the file of the first chunk that cannot be believed; it and later ones are left out.
+        is_doubtful: a record out of a damaged chunk.
+    """
 
     data: Buffer
     scan: Scan
-    starts: list[tuple[int, int]]
-    chunked: bool
-    events: list[ChannelEvents]
-    notes: list[str] = field(default_factory=list)
+    at: int = 0
+    chunks: Sequence[tuple[int, PackedChunk]] = ()
+    events: list[ChannelEvents] = field(default_factory=list)
     memory: UnpackMemory | None = None
-    chunks: int = 0
+    unsound_at: int | None = None
+    unsound_why: str = ""
+    is_doubtful: bool = False
 
     @property
     def steps(self) -> int:
-        return BLOCK_STEPS + CHUNK_STEPS * self.chunks + self.scan.steps
+        return BLOCK_STEPS + CHUNK_STEPS * len(self.chunks) + self.scan.steps
 
     def offset(self, position: int) -> int:
-        start, offset = self.starts[bisect(self.starts, position, key=lambda start: start[0]) - 1]
-        return offset if self.chunked else offset + position - start
+        """Return where a record is in the file: of one in a chunk, the chunk."""
+        if not self.chunks:
+            return self.at + position
+        return self.chunks[bisect(self.chunks, position, key=itemgetter(0)) - 1][1].offset
+
+    def parts(self) -> Iterator[tuple[PackedChunk | None, list[Record]]]:
+        """Yield the records of each chunk, or all that are outside."""
+        length = EVENT_RECORD_BYTES - RECORD_HEADER.size
+        records: list[Record] = [
+            (Opcode.MESSAGE, at + RECORD_HEADER.size, length)
+            for first, count in self.scan.runs
+            for at in range(first, first + count * EVENT_RECORD_BYTES, EVENT_RECORD_BYTES)
+        ]
+        records = sorted(records + self.scan.others, key=itemgetter(1)) if records else self.scan.others
+        end = len(records)
+        starts = [bisect(records, position, key=itemgetter(1)) for position, _ in self.chunks] + [end]
+        if not self.chunks:
+            yield None, records
+        for (_, chunk), start, stop in zip(self.chunks, starts, starts[1:], strict=False):
+            yield chunk, records[start:stop]
+
+    def give_back_memory(self) -> None:
+        if self.memory and self.memory.size <= _MOST_REUSED_BYTES:
+            _FREE.append(self.memory)
 
 
-@dataclass(slots=True)
-class BlockJobs:
-    file: RecordFile
-    summary: Summary | None
-    notes: list[str] = field(default_factory=list)
-    truncated: str | None = None
-    suspicion: str = ""
-    closed: bool = False
-    torn_bytes: int = 0
-    damaged_chunks: int = 0
-    skipped_bytes: int = 0
-    _chunks: list[PackedChunk] = field(default_factory=list)
-    _chunks_bytes: int = 0
-    _unpacked_bytes: int = 0
-    _stretch_bytes: int = _FIRST_STRETCH_BYTES
-    _at: int = 0
-    _chunk_offsets: list[int] | None = None
-
-    def take_back(self, block: Block) -> None:
-        if block.memory and block.memory.size <= _MOST_REUSED_BYTES:
-            _FREE.append(block.memory)
-
-    def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """Yield (size in bytes, job) of each block; a job may run in any thread."""
-        for header in self._headers():
-            if header.opcode == Opcode.CHUNK:
-                yield from self._add_chunk(header)
-            elif header.opcode in MESSAGES_AND_CHANNELS:
-                yield from self._chunks_so_far()
-                yield from self._outside(header)
-        yield from self._chunks_so_far()
-
-    def _headers(self) -> Iterator[RecordHeader]:
-        self._at = self.file.data_start
-        data_ended = False
-        while True:
-            header = self._next_header()
-            if header is None:
-                return
-            self._at = header.end
-            if header.opcode == Opcode.FOOTER:
-                self._check_end(header.end)
-                return
-            data_ended = data_ended or header.opcode == Opcode.DATA_END
-            if not data_ended:
-                yield header
-
-    def _next_header(self) -> RecordHeader | None:
-        while True:
-            try:
-                header = self.file.header_at(self._at, _WALKED)
-            except TornRecordError as torn:
-                self.skipped_bytes += torn.offset - self._at
-                resumed_at = self._resume_after(torn)
-            else:
-                self.skipped_bytes += header.offset - self._at
-                return header
-            if resumed_at is None:
-                return None
-            self._at = resumed_at
-
-    def _outside(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
-        if header.length > MAX_RECORD_BYTES:
-            name = record_name(header.opcode)
-            self.notes.append(
-                f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
-            )
-            return
-        # Double the read size: few bytes are wasted when records are sparse.
-        size = max(header.end - header.offset, min(self._stretch_bytes, self.file.size - header.offset))
-        data = self.file.read(header.offset, size)
-        scan = scan_records(data, 0, len(data), only=True)
-        self._stretch_bytes = min(max(2 * scan.end, _FIRST_STRETCH_BYTES), BLOCK_BYTES)
-        self._at = header.offset + scan.end
-        yield len(data), partial(_outside_block, data, scan, header.offset)
-
-    def _add_chunk(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
+def unpack_chunks(file: RecordFile, chunks: list[PackedChunk], *, skips_others: bool) -> Block:
+    """Unpack chunks up to the first that is damaged; one without a CRC is, if it has other records, unless these are skipped."""
+    memory = _free_memory()
+    data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
+    scan, sound, start, unsound_at, why = Scan(), list[tuple[int, PackedChunk]](), 0, None, ""
+    for chunk in chunks:
+        stop = start + chunk.unpacked_bytes
         try:
-            chunk = PackedChunk.at(self.file, header)
+            chunk_scan = _scan_chunk(file, chunk, memory, start, skips_others=skips_others)
         except DamagedChunkError as err:
-            self.notes.append(_left_out(header.offset, err))
-            self.damaged_chunks += 1
-            return
-        if not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc):
-            return
-        unpacked_bytes = self._unpacked_bytes + chunk.unpacked_bytes
-        if unpacked_bytes > most_unpacked_bytes(header.end):
-            why = f"with it the file unpacks to more than {LARGEST_FILE_RATIO} times its size"
-            self.notes.append(_left_out(header.offset, why))
-            self.suspicion = "it unpacks to far more than a recorder packs into so few bytes"
-            return
-        self._unpacked_bytes = unpacked_bytes
-        if self._chunks_bytes + chunk.unpacked_bytes > BLOCK_BYTES or len(self._chunks) == _BLOCK_CHUNKS:
-            yield from self._chunks_so_far()
-        self._chunks.append(chunk)
-        self._chunks_bytes += chunk.unpacked_bytes
+            unsound_at, why = chunk.offset, str(err)
+            break
+        scan.extend(chunk_scan)
+        sound.append((start, chunk))
+        start = stop
+    return Block(data, scan, 0, sound, split_by_channel(scan.events(data)), memory, unsound_at, why)
 
-    def _chunks_so_far(self) -> Iterator[tuple[int, Callable[[], Block]]]:
-        if self._chunks:
-            yield self._chunks_bytes, partial(self._unpack, self._chunks)
-            self._chunks, self._chunks_bytes = [], 0
 
-    def _unpack(self, chunks: list[PackedChunk]) -> Block:
-        memory = _free_memory()
-        data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
-        scan, starts, notes, start = Scan(), [(0, 0)], list[str](), 0
-        for chunk in chunks:
-            stop = start + chunk.unpacked_bytes
-            try:
-                chunk.unpack(self.file, memory, start)
-            except DamagedChunkError as err:
-                notes.append(_left_out(chunk.offset, err))
-                continue
-            chunk_scan = scan_records(data, start, stop)
-            if chunk_scan.end < stop:
-                notes.append(
-                    _left_out(
-                        chunk.offset,
-                        counted(stop - chunk_scan.end, "byte in it is no record", "bytes in it are no records"),
-                    )
-                )
-                continue
-            scan.extend(chunk_scan)
-            starts.append((start, chunk.offset))
-            start = stop
-        return Block(data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks))
+def _scan_chunk(file: RecordFile, chunk: PackedChunk, memory: UnpackMemory, start: int, *, skips_others: bool) -> Scan:
+    stop = start + chunk.unpacked_bytes
+    chunk.unpack(file, memory, start)
+    scan = scan_records(memory.records(stop), start, stop)
+    if not chunk.crc and scan.end < stop:
+        raise DamagedChunkError("a record in it is cut off")
+    is_odd = scan.skipped or any(length < LEAST_BYTES[Opcode(opcode)] for opcode, _, length in scan.others)
+    if not chunk.crc and not skips_others and is_odd:
+        raise DamagedChunkError("a record in it is damaged")
+    return scan
 
-    def _resume_after(self, torn: TornRecordError) -> int | None:
-        if self.summary is None:
-            self.torn_bytes = max(self.file.size - torn.offset, 0)
-            self.truncated = f"ends early, {torn}; everything complete before it is used"
-            return None
-        if self._chunk_offsets is None:
-            self._chunk_offsets = self.summary.chunk_offsets()
-        following = bisect(self._chunk_offsets, torn.offset)
-        resumed_at = self._chunk_offsets[following] if following < len(self._chunk_offsets) else None
-        end = self.summary.data_end if resumed_at is None else resumed_at
-        self.notes.append(f"damaged at {torn}; nothing is read from there up to byte {end}")
-        return resumed_at
 
-    def _check_end(self, at: int) -> None:
-        self.closed = True
-        if self.file.read(at, min(len(MAGIC), self.file.size - at)) != MAGIC:
-            self.truncated = f"ends early, byte {at}: the closing magic bytes are not there; every record is"
-        elif at + len(MAGIC) < self.file.size:
-            self.notes.append(f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored")
+def outside_block(data: bytes, at: int, scan: Scan) -> Block:
+    return Block(data, scan, at, (), split_by_channel(scan.events(data)))
 
 
 def _free_memory() -> UnpackMemory:
@@ -225,11 +152,3 @@ def _free_memory() -> UnpackMemory:
         return _FREE.pop()
     except IndexError:
         return UnpackMemory()
-
-
-def _outside_block(data: bytes, scan: Scan, offset: int) -> Block:
-    return Block(data, scan, [(0, offset)], False, split_by_channel(scan.events(data)))
-
-
-def _left_out(offset: int, why: object) -> str:
-    return f"the chunk at byte {offset} is damaged and left out: {why}"

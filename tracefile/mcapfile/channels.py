@@ -1,4 +1,4 @@
-"""The topics of MCAP channels that can have events."""
+"""The schemas and channels that a MCAP file declares, and the channels among them that can have events."""
 
 from __future__ import annotations
 
@@ -20,15 +20,22 @@ _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hun
 
 @dataclass(frozen=True, slots=True)
 class DeclaredChannel:
-    topic: str
+    record: Channel
     stage: Stage | None
     fault: str | None
 
+    @property
+    def topic(self) -> str:
+        return self.record.topic
+
 
 class ChannelTable:
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._schemas: dict[int, str] = {}
+    """Declarations by id. Of a trace of ours a damaged one is an error; elsewhere the last one of an id counts."""
+
+    def __init__(self, path: Path, *, is_trace: bool = True) -> None:
+        self._path, self._is_trace = path, is_trace
+        self._settled: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
+        self.schemas: dict[int, Schema] = {}
         self._channels: dict[int, DeclaredChannel] = {}
 
     def get(self, channel_id: int) -> DeclaredChannel | None:
@@ -37,22 +44,35 @@ class ChannelTable:
     def items(self) -> ItemsView[int, DeclaredChannel]:
         return self._channels.items()
 
-    def declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        """Add a Schema or Channel record at `offset` in the file."""
+    def settle(self) -> None:
+        """Let no later declaration replace one so far, if this is no trace of ours."""
+        if not self._is_trace:
+            self._settled = frozenset(self.schemas), frozenset(self._channels)
+
+    def add_missing(self, other: ChannelTable) -> None:
+        self.schemas = {**other.schemas, **self.schemas}
+        self._channels = {**other._channels, **self._channels}
+
+    def declare(self, opcode: int, content: Buffer, offset: int) -> str:
+        """Add a Schema or Channel record at `offset` in the file; return what is wrong with it."""
         try:
             is_long = len(content) > _MOST_CACHED_BYTES
             record = _parse(opcode, content) if is_long else _parsed_once(opcode, bytes(content))
         except ValueError as err:
-            name = record_name(opcode)
-            raise TraceFormatError(self._path, f"a {name} record is damaged ({err})", offset) from err
+            fault = f"a {record_name(opcode)} record is damaged ({err})"
+            if self._is_trace:
+                raise TraceFormatError(self._path, fault, offset) from err
+            return fault
         if isinstance(record, Schema):
-            self._schemas[record.id] = record.name
-        else:
+            if record.id not in self._settled[0]:
+                self.schemas[record.id] = record
+        elif record.id not in self._settled[1]:
             self._add(record, offset)
+        return ""
 
     def _add(self, channel: Channel, offset: int) -> None:
         declared = self._channels.get(channel.id)
-        if declared is not None and declared.topic != channel.topic:
+        if self._is_trace and declared is not None and declared.topic != channel.topic:
             if not declared.topic.startswith(TOPIC_PREFIX) and not channel.topic.startswith(TOPIC_PREFIX):
                 return  # of others, and beyond the 65,536 ids of a file: nothing of them is read
             raise TraceFormatError(
@@ -63,14 +83,14 @@ class ChannelTable:
             )
         stage = STAGE_OF_TOPIC.get(channel.topic)
         fault = self._fault(channel, stage.schema_name) if stage else None
-        self._channels[channel.id] = DeclaredChannel(channel.topic, stage, fault)
+        self._channels[channel.id] = DeclaredChannel(channel, stage, fault)
 
     def _fault(self, channel: Channel, expected: str) -> str | None:
         if channel.message_encoding != "cdr":
             return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
-        schema = self._schemas.get(channel.schema_id, expected)  # a lost schema is not another schema
-        if schema != expected:
-            return f"its schema is {schema!r}, not {expected!r}"
+        schema = self.schemas.get(channel.schema_id)  # a lost schema is not another schema
+        if schema is not None and schema.name != expected:
+            return f"its schema is {schema.name!r}, not {expected!r}"
         return None
 
 

@@ -5,28 +5,26 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Container, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Footer, Statistics
+from mcap.records import Footer, Statistics
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import read_into
 from dds_trace.base.units import counted
 
 from ..format.encoding import MAGIC, RECORD_HEADER
-from .records import OPCODES, ParsedRecord, crc32, parse_record, record_name
+from .records import ParsedRecord, crc32, parse_record, record_name
 from .scan import scan_records
 
 R = TypeVar("R", bound=ParsedRecord)
 
 
 _AHEAD_BYTES = 4096  # many small records at once
-
-_SEARCHED_BYTES = 1 << 20
 
 MAX_RECORD_BYTES = 64 << 20
 """Longest record, packed or unpacked, that is read whole; chunks have 0.7 to 8 MB."""
@@ -56,7 +54,36 @@ class RecordHeader:
         return self.content + self.length
 
 
-class RecordFile(AbstractContextManager["RecordFile"]):
+class Records:
+    """Records in memory."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self.size = data, len(data)
+
+    def read(self, offset: int, size: int) -> bytes:
+        """Return `size` bytes from `offset` on."""
+        return self._data[offset : offset + size]
+
+    def peek(self, offset: int, size: int) -> bytes:
+        """Return `size` bytes from `offset` on, perhaps reading ahead; only for the thread that walks headers."""
+        return self.read(offset, size)
+
+    def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
+        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`."""
+        while True:
+            if offset + RECORD_HEADER.size > self.size:
+                raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
+            opcode, length = RECORD_HEADER.unpack(self.peek(offset, RECORD_HEADER.size))
+            if opcode == 0:
+                raise TornRecordError(offset, "no record, but a zero byte")
+            if length > self.size - offset - RECORD_HEADER.size:
+                raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
+            if opcodes is None or opcode in opcodes:
+                return RecordHeader(opcode, offset, length)
+            offset += RECORD_HEADER.size + length
+
+
+class RecordFile(Records, AbstractContextManager["RecordFile"]):
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
         self._ahead, self._ahead_at = b"", 0
@@ -71,17 +98,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             self.close()
             raise TraceFormatError(self.path, "not a MCAP file: it is not a regular file")
 
-    @property
-    def data_start(self) -> int:
-        """Offset of the first record, after the first magic bytes of the file."""
-        begin = self.read(0, min(len(MAGIC), self.size))
-        if begin == MAGIC[: len(begin)]:
-            return len(MAGIC)
-        at = self.read(0, min(_SEARCHED_BYTES, self.size)).find(MAGIC)
-        if at < 0:
-            raise TraceFormatError(self.path, "not a MCAP file: it does not begin with MCAP's magic bytes", 0)
-        return at + len(MAGIC)
-
     def __exit__(self, *_exception: object) -> None:
         self.close()
 
@@ -89,7 +105,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         os.close(self._descriptor)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on."""
         data = bytearray(size)
         self.read_into(memoryview(data), offset)
         return bytes(data)
@@ -103,30 +118,11 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             raise TraceFormatError(self.path, "became shorter while it was read", offset + count)
 
     def peek(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on, and read ahead; only for the thread that walks headers."""
         at = offset - self._ahead_at
         if at < 0 or at + size > len(self._ahead):
             self._ahead = self.read(offset, max(size, min(_AHEAD_BYTES, self.size - offset)))
             self._ahead_at, at = offset, 0
         return self._ahead[at : at + size]
-
-    def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
-        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`."""
-        while True:
-            if offset + RECORD_HEADER.size > self.size:
-                raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
-            at = offset - self._ahead_at
-            if at < 0 or at + RECORD_HEADER.size > len(self._ahead):
-                self.peek(offset, RECORD_HEADER.size)
-                at = 0
-            opcode, length = RECORD_HEADER.unpack_from(self._ahead, at)
-            if opcode == 0:
-                raise TornRecordError(offset, "no record, but a zero byte")
-            if length > self.size - offset - RECORD_HEADER.size:
-                raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
-            if opcodes is None or opcode in opcodes:
-                return RecordHeader(opcode, offset, length)
-            offset += RECORD_HEADER.size + length
 
     def parse(self, kind: type[R], header: RecordHeader) -> R:
         name = record_name(header.opcode)
@@ -142,7 +138,7 @@ _FOOTER_LENGTH = 20
 _FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_LENGTH
 _CRC_BYTES = 4
 _MAX_BYTES = 32 << 20  # chunk indexes of half a million chunks
-_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX})
+_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,21 +154,13 @@ class Summary:
             if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
-    def parsed(self, kind: type[R]) -> Iterator[R]:
-        for opcode, start, length in self.records:
-            if opcode == OPCODES[kind]:
-                try:
-                    yield parse_record(kind, memoryview(self.data)[start : start + length])
-                except ValueError:
-                    continue
-
     def message_counts(self) -> dict[int, int] | None:
-        statistics = next(self.parsed(Statistics), None)
-        return None if statistics is None else statistics.channel_message_counts
-
-    def chunk_offsets(self) -> list[int]:
-        offsets = {index.chunk_start_offset for index in self.parsed(ChunkIndex)}
-        return sorted(offset for offset in offsets if offset < self.data_end)
+        for opcode, start, length in self.records:
+            if opcode == Opcode.STATISTICS:
+                with suppress(ValueError):
+                    content = memoryview(self.data)[start : start + length]
+                    return parse_record(Statistics, content).channel_message_counts
+        return None
 
 
 def read_summary(file: RecordFile) -> Summary | None:

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
+from mcap.records import Channel, Statistics
 
 from dds_trace.base.units import counted
 
@@ -16,26 +16,16 @@ try:  # reading lz4 spends a fifth of its time in this checksum; isal's is four 
 except ImportError:  # a device that only records, or a platform without a wheel of it
     from zlib import crc32
 
-__all__ = ["OPCODES", "ParsedRecord", "RecordContent", "crc32", "parse_record", "record_name"]
+__all__ = ["ParsedRecord", "RecordContent", "crc32", "parse_record", "record_name"]
 
 
 Buffer: TypeAlias = bytes | memoryview
 
 
-OPCODES: dict[type[object], Opcode] = {
-    Header: Opcode.HEADER,
-    Footer: Opcode.FOOTER,
-    Schema: Opcode.SCHEMA,
-    Channel: Opcode.CHANNEL,
-    ChunkIndex: Opcode.CHUNK_INDEX,
-    Statistics: Opcode.STATISTICS,
-}
-"""Opcode of each parsed record; `chunks` and `scan` read chunks and messages."""
-
 _MAX_MAP_RECORD_BYTES = 2 << 20
 """Longest record with a map: each of the 65,536 possible channels fits."""
 
-_HAS_MAP = frozenset({Channel, ChunkIndex, Statistics})
+_HAS_MAP = frozenset({Channel, Statistics})
 
 
 class ParsedRecord(Protocol):

@@ -43,6 +43,7 @@ class Scan:
     others: list[tuple[int, int, int]] = field(default_factory=list)
     end: int = 0
     steps: int = 0
+    skipped: int = 0
 
     def extend(self, following: Scan) -> None:
         joins = (
@@ -99,6 +100,8 @@ def scan_records(
             scan.others.append((opcode, content, length))
         elif only:
             break
+        else:
+            scan.skipped += 1
         at = content + length
     scan.end, scan.steps = at, steps
     return scan

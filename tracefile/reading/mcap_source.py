@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.threads import in_order
 from dds_trace.base.units import counted
 
 from ..format.descriptions import Session
-from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
 from ..format.events import TOPIC_PREFIX, Stage
-from ..mcapfile.blocks import Block, BlockJobs
-from ..mcapfile.channels import ChannelTable
+from ..mcapfile.blocks import Block
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.file import RecordFile, TornRecordError, read_summary
-from ..mcapfile.records import Buffer
+from ..mcapfile.file import RecordFile, TornRecordError
+from ..mcapfile.scan import MESSAGES_AND_CHANNELS
+from .mcap_walk import McapWalk
+from .recorded import UnreadableError
 from .source import Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
@@ -29,10 +27,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-_MOST_BLOCKS_AHEAD = 8
 _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed
-_BYTES_AHEAD = 32 << 20  # of all these blocks
 _SMALL_FILE_BYTES = 1 << 19  # read by the calling thread, before another has started
 
 MANY_RECORDS = "it has more small records than a recorder writes into so few bytes"
@@ -43,20 +39,18 @@ class McapSource:
 
     def __init__(self, path: Path, pool: Executor, shown_as: Path | None = None) -> None:
         self._path = shown_as or path
-        self._pool = pool
         self._file = RecordFile(path, shown_as)
-        self._channels = ChannelTable(self._path)
-        with ExitStack() as undo:
-            undo.callback(self.close)
-            self._start = self._file.data_start
-            self._summary = read_summary(self._file)
-            for declaration in self._summary.declarations() if self._summary else ():
-                self._declare(*declaration)
-            undo.pop_all()
-        self._claimed = self._summary.message_counts() if self._summary else None
-        self.jobs = BlockJobs(self._file, self._summary)
+        try:
+            self.walk = McapWalk(self._file, is_trace=True)
+        except TraceFormatError:
+            self.close()
+            raise
+        if self._file.size > _SMALL_FILE_BYTES:
+            self.walk.pool = pool
+        self._channels = self.walk.channels
         self._messages = Counter[int]()  # channel id -> number of its messages
         self.steps_left = 0
+        self.refusal = ""
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
     def close(self) -> None:
@@ -71,7 +65,7 @@ class McapSource:
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
-        counts = self._claimed
+        counts = self.walk.claimed
         most = self._file.size  # a claim of more than one event per packed byte is not believed
         if counts is None:
             return {}
@@ -86,30 +80,31 @@ class McapSource:
         if self._is_of_others():
             return
         self.steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
-        for block in self._blocks():
-            yield from self._batches_of(block)
-            self.jobs.damaged_chunks += len(block.notes)
-            self.steps_left -= block.steps
-            self.jobs.take_back(block)
-            if self.steps_left < 0:
-                self.jobs.truncated = f"is read up to byte {block.starts[-1][1]}: {MANY_RECORDS}"
-                break
-        yield Batch(notes=self._closing_notes(), truncated=self.jobs.truncated)
-
-    def _blocks(self) -> Iterator[Block]:
-        if self._file.size <= _SMALL_FILE_BYTES:
-            return (job() for _, job in self.jobs)
-        return in_order(self.jobs, self._pool, min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1), _BYTES_AHEAD)
+        truncated = None
+        try:
+            for block in self.walk:
+                yield from self._batches_of(block)
+                self.steps_left -= block.steps
+                if self.steps_left < 0:
+                    truncated = f"is read up to byte {block.offset(len(block.data))}: {MANY_RECORDS}"
+                    break
+        except UnreadableError as err:
+            if not self._messages and not self.topics:
+                raise TraceFormatError(self._path, str(err), 0) from err
+            self.refusal = str(err)
+            truncated = f"ends early, {err}"
+        if self.walk.torn:
+            truncated = f"ends early, {self.walk.torn}; everything complete before it is used"
+        yield Batch(notes=self._closing_notes(), truncated=truncated)
 
     def _batches_of(self, block: Block) -> Iterator[Batch]:
-        batch = Batch(notes=block.notes)
+        batch = Batch()
         singles: list[tuple[int, int]] = []
         for opcode, start, length in block.scan.others:
             if opcode == Opcode.MESSAGE:
                 singles.append((start, length))
-            else:
-                content = memoryview(block.data)[start : start + length]
-                self._declare(opcode, content, block.offset(start))
+            elif opcode in MESSAGES_AND_CHANNELS:
+                self.walk.declare(opcode, memoryview(block.data)[start : start + length], block.offset(start))
         for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage:
@@ -147,14 +142,11 @@ class McapSource:
         else:
             batch.texts.append(Text(channel.topic, log_time_ns, unpack_message(data), self._path, offset))
 
-    def _declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        self._channels.declare(opcode, content, offset)
-
     def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
         """Do nothing with a message of another program."""
 
     def _closing_notes(self) -> list[str]:
-        notes = list(self.jobs.notes)
+        notes = [*self.walk.damages, *self.walk.notes]
         for channel_id, count in sorted(self._messages.items()):
             channel = self._channels.get(channel_id)
             if channel is None:
@@ -166,7 +158,7 @@ class McapSource:
                 notes.append(
                     f"{counted(count, 'message')} of {channel.topic} {'is' if count == 1 else 'are'} not used: {channel.fault}"
                 )
-        for channel_id, claimed in (self._claimed or {}).items():
+        for channel_id, claimed in (self.walk.claimed or {}).items():
             channel = self._channels.get(channel_id)
             if channel and channel.stage and claimed != self._messages[channel_id]:
                 count = self._messages[channel_id]
@@ -177,7 +169,7 @@ class McapSource:
         return notes
 
     def _is_of_others(self) -> bool:
-        if self._claimed is None or not all(map(self._channels.get, self._claimed)):
+        if self.walk.claimed is None or not all(map(self._channels.get, self.walk.claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
@@ -185,7 +177,7 @@ class McapSource:
 def read_first_session(path: Path) -> Session | None:
     try:
         with RecordFile(path) as file:
-            chunk = PackedChunk.at(file, file.header_at(file.data_start, frozenset({Opcode.CHUNK})))
+            chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))
             return _session_in(chunk.unpack(file), path)
     except (TraceFormatError, TornRecordError, DamagedChunkError, ValueError):
         return None

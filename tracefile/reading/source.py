@@ -14,7 +14,7 @@ from ..format.encoding import CDR_HEADER
 from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE, Records, Stage
 from ..mcapfile.chunks import unpack_zstd
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
 
 
@@ -77,14 +77,14 @@ def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
     return Batch(arrays, unreadable=unreadable)
 
 
-def unpack_message(data: bytes) -> bytes:
+def unpack_message(data: bytes, most_bytes: int = _MESSAGE_BYTES) -> bytes:
     """Unpack a message that rosbag2 has compressed by itself; return any other, or a damaged one, unchanged.
 
     Serialized CDR begins with a zero byte, so it is never taken for a zstd frame.
     """
-    if data[:4] != ZSTD_MAGIC:
+    if data[:4] != _ZSTD_MAGIC:
         return data
     try:
-        return unpack_zstd(data, _MESSAGE_BYTES)
+        return unpack_zstd(data, most_bytes)
     except (zstandard.ZstdError, MemoryError):
         return data

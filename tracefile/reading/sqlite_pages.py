@@ -132,12 +132,14 @@ class _Pages:
         children = dict[int, int]()
         for start in range(0, len(self._data), _SEARCHED_BYTES):
             part = self._data[start : start + _SEARCHED_BYTES + self._stride + 3]
-            content = np.zeros(_SEARCHED_BYTES + self._stride + 3, np.uint32)
+            size = min(_SEARCHED_BYTES, len(self._data) - start)
+            content = np.zeros(size + self._stride + 3, np.uint32)
             content[: len(part)] = np.frombuffer(part, np.uint8)
             leading = content[:-3] << 24 | content[1:-2] << 16 | content[2:-1] << 8 | content[3:]
-            numbers, next_numbers = leading[:_SEARCHED_BYTES], leading[self._stride :]
-            pages_at = np.arange(start, start + _SEARCHED_BYTES) + self._number_bytes
-            is_aligned = alignments[pages_at % self._stride] & (pages_at <= len(self._data) - self._page_bytes)
+            numbers, next_numbers = leading[:size], leading[self._stride :]
+            pages_at = np.arange(start, start + size) + self._number_bytes
+            is_aligned = np.resize(np.roll(alignments, -int(pages_at[0])), size)
+            is_aligned &= pages_at <= len(self._data) - self._page_bytes
             is_page = (
                 (numbers > 0) & (numbers <= self._most) & (is_aligned | ((next_numbers == numbers + 1) & (numbers > 1)))
             )

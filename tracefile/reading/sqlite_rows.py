@@ -132,6 +132,7 @@ def _joined(database: Path, condition: Condition) -> Iterator[tuple[Path, list[P
             shutil.copyfile(file, copy.with_name(file.name))
         try:
             with closing(sqlite3.connect(copy)) as joined:
+                joined.execute("PRAGMA synchronous=OFF")
                 joined.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                 joined.execute("PRAGMA journal_mode=DELETE").fetchall()
         except sqlite3.Error as err:

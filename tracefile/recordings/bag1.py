@@ -18,9 +18,8 @@ from dds_trace.base.units import counted
 
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, unpack_records
-from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
+from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
 from ..reading.recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
-from .mcap_walk import UnpackedRecords
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -35,6 +34,12 @@ _NEEDED = {
 """Fields of each kind of record, and their bytes."""
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
+_USUAL_HEADER = re.compile(
+    rb"\t\0{3}conn=(.{4})(?:\x04\0{3}op=\x02)?\r\0{3}time=(.{8})(?:\x04\0{3}op=\x02)?", re.DOTALL
+)
+"""A message's header as ROS and rosbags write it."""
+
+_USUAL_BYTES = 38
 _OPCODE = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
 _MOST_HEADER_BYTES = 1 << 20
 _SEARCHED_BYTES, _SEARCHED_HEADER_BYTES = 1 << 20, 1024
@@ -48,7 +53,7 @@ class _Record(NamedTuple):
     at: int
     data_at: int
     end: int
-    unpacked: UnpackedRecords | None = None
+    unpacked: Records | None = None
 
 
 def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
@@ -78,7 +83,7 @@ class _Bag1Walk:
         finally:
             self._condition.topics |= set(self._topics.values())
 
-    def _messages(self, source: RecordFile | UnpackedRecords, at: int) -> Iterator[RawMessage]:
+    def _messages(self, source: Records, at: int) -> Iterator[RawMessage]:
         for record in self._records(source, at):
             if record.opcode == _BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
                 self._condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
@@ -112,7 +117,7 @@ class _Bag1Walk:
                 deque(ahead, 0)
             self._topics = {**ahead._topics, **self._topics}
 
-    def _records(self, source: RecordFile | UnpackedRecords, at: int) -> Iterator[_Record]:
+    def _records(self, source: Records, at: int) -> Iterator[_Record]:
         """Yield records that fit what follows them, or in which no other is found, and chunks that can be unpacked."""
         following = self._record_at(source, at)
         while at < source.size:
@@ -132,7 +137,7 @@ class _Bag1Walk:
                 following = self._record_at(source, record.end)
                 if following is not None or record.end == source.size:
                     data = source.read(next_at, record.end - next_at)
-                    yield record._replace(unpacked=UnpackedRecords(data))
+                    yield record._replace(unpacked=Records(bytes(data)))
                     at = record.end
                     continue
             following = self._record_at(source, next_at)
@@ -148,7 +153,7 @@ class _Bag1Walk:
                 yield record
             at = next_at
 
-    def _record_at(self, source: RecordFile | UnpackedRecords, at: int) -> _Record | None:
+    def _record_at(self, source: Records, at: int) -> _Record | None:
         if source.size - at < 2 * _LENGTH.size:
             return None
         (header_bytes,) = _LENGTH.unpack(source.peek(at, _LENGTH.size))
@@ -162,15 +167,15 @@ class _Bag1Walk:
         except (struct.error, ValueError):
             return None
         opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
-        is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {"op": 0}).items())
-        if is_short or (opcode == _CHUNK and "compression" not in fields):
+        is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {}).items())
+        if opcode not in _NEEDED or is_short or (opcode == _CHUNK and "compression" not in fields):
             return None
         is_container = opcode == _CHUNK and fields.get("compression") == b"none"
         if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
             return None
         return _Record(opcode, fields, at, data_at, end)
 
-    def _resume(self, source: RecordFile | UnpackedRecords, start: int, stop: int) -> int | None:
+    def _resume(self, source: Records, start: int, stop: int) -> int | None:
         """Return the first record in a range, by the opcode in its header and the fields around."""
         at = start
         while at < stop:
@@ -186,7 +191,7 @@ class _Bag1Walk:
             at += _SEARCHED_BYTES
         return None
 
-    def _unpacked(self, source: RecordFile | UnpackedRecords, record: _Record) -> _Record:
+    def _unpacked(self, source: Records, record: _Record) -> _Record:
         compression, size = record.fields["compression"].decode(errors="replace"), _number(record, "size")
         weight = _BZ2_WEIGHT if compression == "bz2" else 1
         try:
@@ -198,7 +203,7 @@ class _Bag1Walk:
         self._left_bytes -= weight * len(data)
         if self._left_bytes < 0:
             raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
-        return record._replace(unpacked=UnpackedRecords(data))
+        return record._replace(unpacked=Records(bytes(data)))
 
     def _add_topic(self, record: _Record, data: bytes) -> None:
         try:
@@ -224,6 +229,8 @@ def _number(record: _Record, field: str) -> int:
 
 
 def _fields(header: bytes) -> dict[str, bytes]:
+    if len(header) == _USUAL_BYTES and (usual := _USUAL_HEADER.fullmatch(header)):
+        return {"op": b"\x02", "conn": usual[1], "time": usual[2]}
     fields: dict[str, bytes] = {}
     at = 0
     while at < len(header):

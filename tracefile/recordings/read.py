@@ -4,30 +4,36 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Header, Metadata, Statistics
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.units import counted
 
 from ..format.bag_metadata import METADATA_NAME
-from ..format.encoding import MAGIC
+from ..format.encoding import MAGIC, MESSAGE_HEADER
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
-from ..mcapfile.chunks import unpack_zstd
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
-from ..reading.recorded import LATEST_NS, Condition, RawMessage, RecordedTopic, UnreadableError
-from ..reading.source import ZSTD_MAGIC
+from ..mcapfile.records import parse_record, record_name
+from ..reading.mcap_walk import McapWalk
+from ..reading.recorded import LATEST_NS, Budget, Condition, RawMessage, RecordedTopic, UnreadableError
+from ..reading.source import unpack_message
 from ..reading.sqlite_pages import SQLITE_MAGIC
 from ..reading.sqlite_rows import sqlite_messages
 from .bag1 import BAG1_MAGIC, bag1_messages
-from .mcap_walk import McapWalk, WalkedMessage
 from .recording_files import missing_messages, open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from mcap.records import Channel, Schema
+    from mcap.records import Channel
+
+    from ..mcapfile.blocks import Block, Record
+    from ..mcapfile.channels import ChannelTable, DeclaredChannel
+    from ..mcapfile.chunks import PackedChunk
 
 
 def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
@@ -71,13 +77,10 @@ class _UnpackedBytes:
         self._room_bytes = most_unpacked_bytes(size_bytes)
 
     def unpacked(self, message: RawMessage) -> bytes:
-        """Return the data; serialized CDR begins with a zero byte, so it is never taken for a zstd frame."""
-        if message.topic.encoding != "cdr" or message.data[:4] != ZSTD_MAGIC:
-            return message.data
-        try:
-            data = unpack_zstd(message.data, MAX_RECORD_BYTES + 1)
-        except (zstandard.ZstdError, MemoryError):
-            return message.data
+        is_cdr = message.topic.encoding == "cdr"
+        data = unpack_message(message.data, MAX_RECORD_BYTES + 1) if is_cdr else message.data
+        if data is message.data:
+            return data
         self._room_bytes -= len(data)
         if len(data) > MAX_RECORD_BYTES:
             raise UnreadableError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
@@ -98,33 +101,115 @@ def storage_kind(file: Path) -> str:
     return kinds[0]
 
 
+class WalkedMessage(NamedTuple):
+    channel: Channel
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+Item: TypeAlias = "WalkedMessage | Attachment | Metadata"
+
+
+class McapItems:
+    """One-time iterable of the items of a file, in file order; messages out of damaged chunks are `doubtful`, others without a checksum `unchecked`."""
+
+    def __init__(self, file: RecordFile) -> None:
+        self.walk = McapWalk(file)
+        self.channels = self.walk.channels
+        self.header: Header | None = self.walk.header
+        self.claims: dict[int, int] = {}
+        self.chunks: list[tuple[int, int, int]] = []
+        self.doubtful = 0
+        self.unchecked = 0
+        self._budget = Budget(file.size)
+        self._undeclared = Counter[int]()
+        self._impossible = 0
+
+    def __iter__(self) -> Iterator[Item]:
+        for block in self.walk:
+            for chunk, records in block.parts():
+                yield from self._items(block, chunk, records)
+        for channel_id, count in self._undeclared.items():
+            self.walk.damages.append(f"{counted(count, 'message')} of channel {channel_id}: its declaration is lost")
+        if self._impossible:
+            impossible = counted(self._impossible, "message has a time", "messages have times")
+            self.walk.damages.append(f"{impossible} that no clock shows (after the year 2262)")
+
+    def _items(self, block: Block, chunk: PackedChunk | None, records: list[Record]) -> Iterator[Item]:
+        data, header_bytes, times_ns, get = block.data, MESSAGE_HEADER.size, list[int](), self.channels.get
+        for opcode, start, length in records:
+            if opcode != Opcode.MESSAGE:
+                yield from self._other(opcode, bytes(data[start : start + length]), block.offset(start))
+                continue
+            if length < header_bytes:
+                continue
+            channel_id, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(data, start)
+            self._budget.take()
+            self._impossible += log_ns > LATEST_NS or publish_ns > LATEST_NS
+            declared = get(channel_id) or self._declared_later(channel_id)
+            if chunk is not None:
+                times_ns.append(log_ns)
+            elif declared is not None and self.walk.is_near(log_ns):
+                self.walk.saw(log_ns, log_ns)
+            if declared is None:
+                self._undeclared[channel_id] += 1
+                continue
+            self.doubtful += block.is_doubtful
+            self.unchecked += not block.is_doubtful and not (chunk and chunk.crc)
+            content = bytes(data[start + header_bytes : start + length])
+            yield WalkedMessage(declared.record, sequence, log_ns, publish_ns, content)
+        possible_ns = [time_ns for time_ns in times_ns if time_ns <= LATEST_NS]
+        if possible_ns:
+            self.chunks.append((min(possible_ns), max(possible_ns), len(times_ns)))
+            self.walk.saw(min(possible_ns), max(possible_ns))
+
+    def _declared_later(self, channel_id: int) -> DeclaredChannel | None:
+        self.walk.look_ahead()
+        return self.channels.get(channel_id)
+
+    def _other(self, opcode: int, content: bytes, offset: int) -> Iterator[Item]:
+        try:
+            if opcode == Opcode.HEADER:
+                self.header = self.header or parse_record(Header, content)
+            elif opcode == Opcode.STATISTICS:
+                self.claims = parse_record(Statistics, content).channel_message_counts
+            elif opcode == Opcode.ATTACHMENT:
+                yield parse_record(Attachment, content)
+            elif opcode == Opcode.METADATA:
+                yield parse_record(Metadata, content)
+            else:
+                self.walk.declare(opcode, content, offset)
+        except ValueError as err:
+            self.walk.damages.append(f"the {record_name(opcode)} record at byte {offset} is damaged ({err})")
+
+
 def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     with closing(RecordFile(path)) as file:
-        walk = McapWalk(file)
+        items = McapItems(file)
         topics: dict[int, tuple[Channel, RecordedTopic]] = {}
         try:
-            for item in walk:
+            for item in items:
                 if not isinstance(item, WalkedMessage):
                     continue
-                declared = topics.get(item.channel.id)
-                if declared is None or declared[0] is not item.channel:
-                    declared = item.channel, _topic_of(item.channel, walk.schemas.get(item.channel.schema_id))
-                    topics[item.channel.id] = declared
+                channel = item.channel
+                declared = topics.get(channel.id)
+                if declared is None or declared[0] is not channel:
+                    declared = topics[channel.id] = channel, _topic_of(channel, items.channels)
                 yield RawMessage(declared[1], item.log_ns, item.publish_ns, item.sequence, item.data)
         finally:
-            condition.damages += walk.damages
-            condition.notes += walk.notes
-            condition.chunks += walk.chunks
-            condition.topics |= {
-                _topic_of(channel, walk.schemas.get(channel.schema_id)) for channel in walk.channels.values()
-            }
-            for channel_id, count in walk.claims.items():
-                if channel_id in walk.channels:
-                    name = walk.channels[channel_id].topic
-                    condition.claimed[name] = condition.claimed.get(name, 0) + count
+            condition.damages += items.walk.damages
+            condition.notes += items.walk.notes
+            condition.chunks += items.chunks
+            condition.topics |= {_topic_of(known.record, items.channels) for _, known in items.channels.items()}
+            claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
+            for topic, count in [(known.topic, count) for known, count in claims if known]:
+                condition.claimed[topic] = condition.claimed.get(topic, 0) + count
 
 
-def _topic_of(channel: Channel, schema: Schema | None) -> RecordedTopic:
+def _topic_of(channel: Channel, declared: ChannelTable) -> RecordedTopic:
+    schema = declared.schemas.get(channel.schema_id)
     is_text = schema is not None and schema.encoding in TEXT_ENCODINGS
     return RecordedTopic(
         channel.topic,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
@@ -21,13 +21,13 @@ from dds_trace.base.version import __version__
 from ..format.bag_metadata import BagFile, TopicCount, write_bag_metadata
 from ..format.encoding import MAGIC
 from ..format.ring import RING_SUFFIX, ring_path
-from ..mcapfile.file import RecordFile, TornRecordError
+from ..mcapfile.file import RecordFile
+from ..reading.mcap_walk import McapWalk
 from ..reading.recorded import LATEST_NS, Condition, RecordedTopic, UnreadableError
 from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
 from ..reading.storage import ZSTD_SUFFIX
 from ..recordings.bag1 import bag1_messages
-from ..recordings.mcap_walk import McapWalk
-from ..recordings.read import storage_kind
+from ..recordings.read import McapItems, storage_kind
 from ..recordings.recording_files import open_recording
 from ..writing.event_chunks import LIBRARY
 
@@ -85,14 +85,11 @@ def is_of_others(path: Path) -> bool:
         return False
     if not trace.exists() or trace.suffix == ".db3":
         return True
-    try:
-        with closing(RecordFile(trace)) as file:
-            if file.size <= len(MAGIC):
-                return False
-            return not file.parse(Header, file.header_at(file.data_start)).library.startswith(LIBRARY)
-    except (TraceFormatError, TornRecordError):
-        with trace.open("rb") as stream:
-            return LIBRARY.encode() not in stream.read(_HEADER_BYTES)
+    with closing(RecordFile(trace)) as file:
+        header = McapWalk(file).header
+        if file.size <= len(MAGIC) or header is not None:
+            return header is not None and not header.library.startswith(LIBRARY)
+        return LIBRARY.encode() not in file.read(0, min(_HEADER_BYTES, file.size))
 
 
 def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:
@@ -150,12 +147,12 @@ def _joined_topics(files: list[_NewFile]) -> list[TopicCount]:
 
 def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
     with closing(RecordFile(source)) as file, new.path.open("xb") as stream:
-        walk = McapWalk(file)
-        items = iter(walk)
+        walked = McapItems(file)
+        items = iter(walked)
         item = next(items, None)  # now the header and the first chunk's compression are known
-        writer = Writer(stream, compression=CompressionType.NONE if walk.is_unpacked else CompressionType.ZSTD)
-        library = walk.header.library if walk.header else "unknown"
-        writer.start(_profile(walk), f"{library}; recovered by dds-trace {__version__}")
+        writer = Writer(stream, compression=CompressionType.NONE if walked.walk.is_unpacked else CompressionType.ZSTD)
+        library = walked.header.library if walked.header else "unknown"
+        writer.start(_profile(walked), f"{library}; recovered by dds-trace {__version__}")
         schemas, channels, left_out = dict[tuple[int, str], int](), dict[tuple[int, str, int], int](), 0
 
         def declared(channel: Channel) -> int | None:
@@ -164,7 +161,7 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
             if key not in channels:
                 if len(channels) == MOST_CHANNELS:
                     return None
-                schema = walk.schemas.get(channel.schema_id)
+                schema = walked.channels.schemas.get(channel.schema_id)
                 schema_id = 0
                 if schema is not None:
                     if (schema.id, schema.name) not in schemas:
@@ -198,12 +195,12 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                     writer.add_message(channel_id, item.log_ns, item.data, item.publish_ns, item.sequence)
                     new.count(item.channel.topic, item.log_ns)
             item = next(items, None)
-        unused = [channel for channel in walk.channels.values() if declared(channel) is None]
+        unused = [channel for _, channel in walked.channels.items() if declared(channel.record) is None]
         writer.finish()  # type: ignore[no-untyped-call]
-    new.unchecked = walk.unchecked
+    new.unchecked = walked.unchecked
     lost = f"{counted(left_out, 'message')} of further ones, and {counted(len(unused), 'channel')} without any, are left out"
     beyond = f"it declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have: {lost}"
-    return [*walk.damages, *[beyond] * (left_out + len(unused) > 0)], walk.doubtful
+    return [*walked.walk.damages, *[beyond] * (left_out + len(unused) > 0)], walked.doubtful
 
 
 def _definition(schema: Schema) -> bytes:
@@ -216,10 +213,10 @@ def _is_text(text: str) -> bool:
     return all(letter.isprintable() or letter.isspace() for letter in text)
 
 
-def _profile(walk: McapWalk) -> str:
-    encodings = {schema.encoding for schema in walk.schemas.values()}
+def _profile(walked: McapItems) -> str:
+    encodings = {schema.encoding for schema in walked.channels.schemas.values()}
     implied = "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
-    profile = walk.header.profile if walk.header else implied
+    profile = walked.header.profile if walked.header else implied
     return profile if profile in {"", "ros1", "ros2"} or not implied else implied
 
 

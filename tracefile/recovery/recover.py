@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
 
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
@@ -19,7 +17,7 @@ from dds_trace.base.units import counted
 
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
-from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.encoding import MESSAGE_HEADER, decode_string
 from ..format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
 from ..format.ring import (
     RING_SUFFIX,
@@ -31,8 +29,6 @@ from ..format.ring import (
     ring_path,
     salvage_ring,
 )
-from ..mcapfile.file import TornRecordError
-from ..mcapfile.records import Buffer, parse_record
 from ..reading.mcap_source import MANY_RECORDS, McapSource
 from ..reading.reader import read_trace_in_pieces
 from ..reading.source import Text
@@ -185,8 +181,8 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
             for item in salvage.items()
             if isinstance(item, Text) and item.topic == SESSION_TOPIC and (text := _text(item))
         ]
-        jobs = salvage.jobs
-    counts = _FileCounts(jobs.closed, salvage.events, salvage.written_events, jobs.torn_bytes, jobs.damaged_chunks)
+        walk = salvage.walk
+    counts = _FileCounts(walk.closed, salvage.events, salvage.written_events, walk.torn_bytes, walk.damaged_chunks)
     return counts, sessions
 
 
@@ -307,14 +303,17 @@ class _Salvage(McapSource):
     """One-time source of the events (`SLOT_DTYPE` without tickets), texts and payloads of a file that a recorder left."""
 
     def __init__(self, path: Path) -> None:
-        self._schemas: dict[int, Schema] = {}
         self._payload_topics: dict[int, PayloadTopic] = {}
         self._payloads: list[Payload] = []
         super().__init__(path, InlineExecutor())
         self.events = 0
 
     def items(self) -> Iterator[Slots | Text | Payload]:
-        self._check_origin()
+        library = self.walk.header.library if self.walk.header else LIBRARY  # a damaged header: the content decides
+        if not library.startswith(LIBRARY):
+            raise TraceFormatError(
+                self._path, f"was written by {library!r}, not by dds-trace; `mcap recover` closes such files"
+            )
         for batch in self.batches():
             for stage, records in batch.events:
                 self.events += len(records)
@@ -324,35 +323,17 @@ class _Salvage(McapSource):
             yield from batch.texts
             payloads, self._payloads = self._payloads, []
             yield from payloads
-        suspicion = self.jobs.suspicion
-        if self.steps_left < self.jobs.skipped_bytes // RECORD_HEADER.size:
-            suspicion = MANY_RECORDS
-        if suspicion:
-            raise TraceFormatError(self._path, f"{suspicion}; not recovered")
-
-    def _check_origin(self) -> None:
-        try:
-            library = self._file.parse(Header, self._file.header_at(self._start)).library
-        except TornRecordError:  # a damaged header: the content decides
-            return
-        if not library.startswith(LIBRARY):
-            raise TraceFormatError(
-                self._path, f"was written by {library!r}, not by dds-trace; `mcap recover` closes such files"
-            )
-
-    def _declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        super()._declare(opcode, content, offset)
-        if opcode == Opcode.SCHEMA:
-            schema = parse_record(Schema, content)
-            self._schemas[schema.id] = schema
-            return
-        channel = parse_record(Channel, content)
-        declared = self._schemas.get(channel.schema_id)
-        is_new = channel.id not in self._payload_topics and len(self._payload_topics) < MOST_TOPICS
-        if is_new and declared is not None and not channel.topic.startswith(TOPIC_PREFIX):
-            definition, encoding = declared.data.decode(errors="replace"), channel.message_encoding
-            self._payload_topics[channel.id] = PayloadTopic(channel.topic, declared.name, definition, encoding)
+        refusal = MANY_RECORDS if self.steps_left < self.walk.headers else self.refusal
+        if refusal:
+            raise TraceFormatError(self._path, f"{refusal}; not recovered")
 
     def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
-        if topic := self._payload_topics.get(channel_id):
+        topic, declared = self._payload_topics.get(channel_id), self._channels.get(channel_id)
+        if topic is None and declared is not None and len(self._payload_topics) < MOST_TOPICS:
+            channel, schema = declared.record, self._channels.schemas.get(declared.record.schema_id)
+            if schema is not None and not channel.topic.startswith(TOPIC_PREFIX):
+                definition = schema.data.decode(errors="replace")
+                topic = PayloadTopic(channel.topic, schema.name, definition, channel.message_encoding)
+                self._payload_topics[channel_id] = topic
+        if topic is not None:
             self._payloads.append(Payload(topic, bytes(content[MESSAGE_HEADER.size :]), log_time_ns))

@@ -7,7 +7,7 @@ import gc
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class PendingResult(Protocol[T_co]):
         """Keep the job from starting, if it has not."""
 
 
-def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int) -> Iterator[T]:
+def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int) -> Generator[T]:
     """Yield the results of (size, function that starts a job) pairs in order; a failing job raises here, perhaps before its turn.
 
     At most `most_jobs` jobs, with sizes of at most `most_size` in total, are started before their results are requested; a
@@ -47,7 +47,7 @@ def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_job
 
 def in_order(
     jobs: Iterable[tuple[int, Callable[[], T]]], pool: Executor, most_jobs: int, most_size: int
-) -> Iterator[T]:
+) -> Generator[T]:
     """Yield the results of (size, job) pairs in order; the waiting thread does jobs meanwhile, so that a pool needs one less."""
     waiting: deque[_SharedJob[T]] = deque()
 

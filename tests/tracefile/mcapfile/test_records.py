@@ -6,16 +6,17 @@ from pathlib import Path
 import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Header, Schema, Statistics
+from mcap.records import Channel, Header, Schema, Statistics
 
 import dds_trace.tracefile.mcapfile.channels
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.encoding import MESSAGE_HEADER
 from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage
-from dds_trace.tracefile.mcapfile.blocks import BlockJobs
 from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.file import RecordFile, read_summary
-from dds_trace.tracefile.mcapfile.records import OPCODES, parse_record, record_name
+from dds_trace.tracefile.mcapfile.records import parse_record, record_name
+from dds_trace.tracefile.mcapfile.scan import MESSAGES_AND_CHANNELS
+from dds_trace.tracefile.reading.mcap_walk import McapWalk
 
 CHANNEL = Channel(id=3, topic="/t", message_encoding="cdr", metadata={"a": "b"}, schema_id=1)
 
@@ -44,7 +45,7 @@ def test_a_text_that_is_no_utf8_is_an_error():
         parse_record(Schema, content.replace(b"ab", b"a\xff"))
 
 
-@pytest.mark.parametrize("kind", [Channel, ChunkIndex, Statistics])
+@pytest.mark.parametrize("kind", [Channel, Statistics])
 def test_a_map_that_no_file_needs_is_an_error(kind):
     with pytest.raises(ValueError, match="it has 2097153 bytes"):
         parse_record(kind, bytes((2 << 20) + 1))
@@ -56,7 +57,7 @@ def test_a_length_of_four_gigabytes_takes_no_memory():
 
 
 def test_names_are_those_of_the_specification():
-    assert {record_name(opcode) for opcode in OPCODES.values()} == {kind.__name__ for kind in OPCODES}
+    assert [record_name(opcode) for opcode in KINDS] == [kind.__name__ for kind in KINDS.values()]
     assert record_name(Opcode.MESSAGE_INDEX) == "MessageIndex"
     assert record_name(0x80) == "unknown (opcode 0x80)"
 
@@ -127,7 +128,7 @@ def test_topics_of_others_may_share_an_id_and_ours_may_not():
 
 
 SUITE = Path(__file__).parents[2] / "data" / "mcap-conformance.tar.xz"
-KINDS = {OPCODES[kind]: kind for kind in (Schema, Channel, Statistics, ChunkIndex)}
+KINDS = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.STATISTICS: Statistics}
 IN_DATA = {"Schema", "Channel", "Message"}
 IN_SUMMARY = {kind.__name__ for kind in KINDS.values()}
 
@@ -169,20 +170,20 @@ def expected_of(file):
 
 def in_data(path):
     with RecordFile(path) as file:
-        jobs = BlockJobs(file, read_summary(file))
-        records = [record for _, job in jobs for record in records_of(job())]
-    assert (jobs.notes, jobs.truncated) == ([], None)
+        walk, summary = McapWalk(file), read_summary(file)
+        records = [record for block in walk for record in records_of(block, summary.data_end)]
+    assert (walk.notes, walk.damages) == ([], [])
     return records
 
 
-def records_of(block):
-    for opcode, start, length in block.scan.others:
+def records_of(block, end):
+    for opcode, start, length in (record for _, records in block.parts() for record in records):
         content = bytes(block.data[start : start + length])
         if opcode == Opcode.MESSAGE:
             names = ("channel_id", "sequence", "log_time", "publish_time")
             fields = dict(zip(names, MESSAGE_HEADER.unpack_from(content), strict=True))
             yield "Message", as_listed({**fields, "data": content[MESSAGE_HEADER.size :]})
-        else:
+        elif opcode in MESSAGES_AND_CHANNELS and block.offset(start) < end:
             yield KINDS[opcode].__name__, as_listed(vars(parse_record(KINDS[opcode], content)))
 
 

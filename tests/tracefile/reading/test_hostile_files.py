@@ -13,7 +13,6 @@ from trace_files import TWELVE, write_pair
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
-from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading import mcap_source, recorded, sqlite_rows
 from dds_trace.tracefile.reading.reader import read_trace
@@ -80,15 +79,6 @@ def test_work_is_bounded_and_what_came_before_is_kept(whole, hostile, data, monk
         assert everything.events[stage].sequence.tolist() == columns.sequence.tolist()
     stepped_over = data in (chunk(b"") * 30_000, UNKNOWN * 50_000)  # in the walk over the file's own bytes
     assert ("small records" in found.truncated) is not stepped_over
-
-
-def test_a_file_of_small_bombs_is_not_unpacked_whole(hostile, monkeypatch):
-    monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
-    bomb = chunk(record(5, struct.pack("<HIQQ", 9, 0, 0, 0) + bytes(1_000_000)), b"zstd")
-    found = read_trace(hostile(bomb * 200))
-    left_out = [note for note in found.notes if "unpacks to more than 200 times" in note]
-    assert left_out
-    assert any("more notes like these" in note for note in found.notes)
 
 
 def test_few_bytes_are_read_for_records_outside_of_chunks(hostile, monkeypatch):

@@ -3,7 +3,7 @@ import re
 
 import pytest
 from bags import imu, text, write_bag2
-from damaged_bags import HOWS, KINDS, damage, make_good, read_recovered
+from damaged_bags import HOWS, KINDS, damage, joined, make_good, read_recovered
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
@@ -39,6 +39,20 @@ def test_every_whole_message_of_a_damaged_file_is_kept_and_read_by_all(tmp_path,
         if kind in {"mcap zstd", "mcap lz4", "mcap unpacked"}:  # they have checksums
             assert len(kept - good.needs.keys()) <= report.doubtful + len(report.damages)
         report.recovered.unlink()
+
+
+DISORDERED = {
+    "bag": [(0, 13991), (42724, 65150), (13991, 42724), (65150, None)],
+    "mcap unpacked": [(0, 9313), (69113, 79213), (10923, 69113), (9313, 10923), (79213, None)],
+}
+
+
+@pytest.mark.parametrize("kind", DISORDERED)
+def test_the_first_and_the_last_message_of_a_piece_are_kept(tmp_path, kind):
+    good = make_good(kind, tmp_path, 21)
+    content, whole = joined(good, [(start, stop or len(good.content)) for start, stop in DISORDERED[kind]])
+    messages = read_messages(good.write(tmp_path, content), Condition())
+    assert whole <= {(message.topic.name, message.log_ns, message.data) for message in messages}
 
 
 @pytest.mark.parametrize("how", ["first bytes", "no first bytes", "before the magic", "short"])

@@ -411,7 +411,7 @@ SMALL_RECORD = struct.pack("<BQ", 0x80, 0)
         pytest.param(packed_chunk(b"") * 200, "small records", id="empty chunks"),
         pytest.param(SMALL_RECORD * 5000, "small records", id="records outside of chunks"),
         pytest.param(packed_chunk(SMALL_RECORD * 5000), "small records", id="records of a chunk"),
-        pytest.param(packed_chunk(bytes(1 << 20)) * 3, "unpacks to far more", id="bombs"),
+        pytest.param(packed_chunk(bytes(1 << 20)) * 3, "unpacks to more", id="bombs"),
     ],
 )
 def test_a_file_made_to_keep_the_recovery_busy_is_refused(trace, tmp_path, monkeypatch, hostile, why):

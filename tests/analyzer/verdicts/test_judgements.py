@@ -64,7 +64,7 @@ def test_links_bridges_own_nodes_and_a_job_are_rows_of_the_frame():
         if row["claim"] not in ("leads", "takes longer")
     }
     assert numbers == {
-        ("takes longer over", "wireless", "wired", "proven"): pytest.approx(2, rel=0.01),
-        ("takes longer through", "builtin", "the same domain", "proven"): pytest.approx(3, rel=0.01),
+        ("differs over", "wireless", "wired", "proven"): pytest.approx(2, rel=0.01),
+        ("differs through", "builtin", "the same domain", "proven"): pytest.approx(3, rel=0.01),
         ("differs by less than our own nodes", "zenoh", "fastdds", "open"): 0.0,
     }

@@ -69,7 +69,7 @@ def judged(report):
     for row in report["judgements"]:
         if row["claim"] == "lossy":
             yield from (format_ratio(row["value"]), format_count(row["lost"]), format_count(row["messages"]))
-        if row["claim"].startswith(("leads", "takes longer")):
+        if row["claim"].startswith(("leads", "takes longer", "differs ")):
             yield from (format_number(row["value"] or 0), str(row["needs"]))
             for end in ("value", "low", "high"):
                 yield f"{100 * ((row[end] or 1) - 1):.3g} %"

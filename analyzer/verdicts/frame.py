@@ -99,7 +99,7 @@ def judged_costs(bridge_costs: pl.DataFrame, interference: pl.DataFrame) -> Iter
     for row in bridge_costs.iter_rows(named=True):
         yield _judged_change(Claim.THROUGH, f"{row['bridge']}; {group_words(row, names)}", row, "the same domain")
     for row in interference.iter_rows(named=True):
-        yield replace(_judged_change(Claim.WITH, row["with_flows"], row, row["flow"] or "without"), group=row["group"])
+        yield replace(_judged_change(Claim.WITH, row["with_flows"], row, row["flow"]), group=row["group"])
 
 
 def _judged_change(claim: Claim, subject: str, row: Row, base: str) -> Judgement:

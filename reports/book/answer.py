@@ -118,21 +118,21 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         *_level_remarks(usable, values, metric),
         *([] if losses or forged else ["Every message was received."]),
     )
-    verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements.filter(has_latency)
+    verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
         (PointKind.FORGED, forged_sentence(analysis, groups)),
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
-        *((PointKind.INTERFERENCE, text) for text in interference_sentences(analysis, usable)),
+        *((PointKind.INTERFERENCE, text) for text in interference_sentences(judged, usable)),
         (PointKind.LOSS, losses),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
-        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged)),
-        (PointKind.PLACE, place_sentence(judged)),
+        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged) if has_latency else ""),
+        (PointKind.PLACE, place_sentence(judged) if has_latency else ""),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),

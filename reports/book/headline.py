@@ -94,16 +94,14 @@ def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
     )
 
 
-def interference_sentences(analysis: Analysis, groups: Groups) -> list[str]:
+def interference_sentences(judged: pl.DataFrame, groups: Groups) -> list[str]:
     vendors = {group.index: groups.series_of(group).vendor_label for group in groups.groups}
     cases: dict[str, dict[tuple[str, str], list[float]]] = {}
-    for row in analysis.details.interference.filter(pl.col("group").is_in(list(vendors))).iter_rows(named=True):
-        case = (
-            f"The flow {row['flow']} with {row['with_flows']}" if row["flow"] else f"A message with {row['with_flows']}"
-        )
-        factors = cases.setdefault(case, {})
-        if row["verdict"] in ("worse", "better") and row["ratio"] is not None and math.isfinite(row["ratio"]):
-            factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["ratio"])
+    for row in judged.filter(pl.col("group").is_in(list(vendors)), claim=Claim.WITH.value).iter_rows(named=True):
+        who = f"The flow {row['base']}" if row["base"] else "A message"
+        factors = cases.setdefault(f"{who} with {row['subject']}", {})
+        if row["verdict"] == PROVEN and row["value"] is not None and math.isfinite(row["value"]):
+            factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["value"])
     return [
         printable(f"{case} takes {'; '.join(_as_long(*factor) for factor in factors.items()) or _NOT_LONGER}.")
         for case, factors in cases.items()
@@ -115,7 +113,7 @@ _NOT_LONGER = "as long as without, as far as can be shown"
 
 def _as_long(vendor_statistic: tuple[str, str], factors: Sequence[float]) -> str:
     vendor, statistic = vendor_statistic
-    return f"{factor_words(factors)} as long {dict(PERCENTILES)[statistic]} ({vendor})"
+    return f"{factor_words(factors)} as long {dict(PERCENTILES)[statistic.removeprefix('latency_')]} ({vendor})"
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:

@@ -9,13 +9,13 @@ import sys
 import unicodedata
 import xml.etree.ElementTree as ET
 from dataclasses import fields, replace
-from functools import cache
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 from jsonschema import Draft202012Validator
+from page_reader import render_report, rendered
 from report_schemas import REPORT, closed
 from wording import numbers
 
@@ -38,11 +38,6 @@ from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_rep
 from dds_trace.reports.terminal import INLINE_BAR, MOST_LINES
 
 
-@cache
-def rendered(name, kind):
-    return load_reporter(kind).render(Book(EVERY_ANALYSIS[name]()))
-
-
 @pytest.fixture(scope="module", params=EVERY_ANALYSIS)
 def name(request):
     return request.param
@@ -50,7 +45,7 @@ def name(request):
 
 @pytest.mark.parametrize("kind", REPORT_MODULES)
 def test_every_reporter_accepts_every_analysis_and_repeats_itself(name, kind):
-    assert load_reporter(kind).render(Book(EVERY_ANALYSIS[name]())) == rendered(name, kind)
+    assert render_report(name, kind) == rendered(name, kind)
 
 
 @pytest.mark.parametrize(("kind", "file_name"), [("html", "report.html"), ("md", "report.md"), ("json", "report.json")])

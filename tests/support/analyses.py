@@ -28,7 +28,7 @@ from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.model.metrics import schema_of
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
-from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run as Series
 from dds_trace.analyzer.run_statistics.runs import Statistic
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
@@ -113,14 +113,15 @@ class Measured:
         }
 
     def rows(self, run_id: int) -> list[dict[str, Any]]:
-        return [self._row(run_id, sequence, message) for sequence, message in enumerate(self.messages)]
+        same: dict[str, Any] = dict.fromkeys(ROUNDTRIPS)
+        same.update(self.parameters(), run_id=run_id, relay_id=7 if self.relayed else 0)
+        same.update(outcome="completed", duplicates=0, reordered=False)
+        return [self._row(same, sequence, message) for sequence, message in enumerate(self.messages)]
 
-    def _row(self, run_id: int, sequence: int, message: int | str) -> dict[str, Any]:
+    def _row(self, same: dict[str, Any], sequence: int, message: int | str) -> dict[str, Any]:
         scheduled = 10**9 + round(sequence / self.rate_hz * 1e9)
         publish = scheduled + self.late_ns
-        row: dict[str, Any] = dict.fromkeys(ROUNDTRIPS)
-        row.update(self.parameters(), run_id=run_id, relay_id=7 if self.relayed else 0, sequence=sequence)
-        row.update(scheduled_ns=scheduled, publish_ns=publish, outcome="completed", duplicates=0, reordered=False)
+        row = {**same, "sequence": sequence, "scheduled_ns": scheduled, "publish_ns": publish}
         if isinstance(message, str):
             row["outcome"] = message
             return row
@@ -184,19 +185,20 @@ def make_analysis(
             {**{name: row.get(name) for name in TIMELINE}, "group": group, "elapsed_s": row["sequence"] / one.rate_hz}
             for row in rows
         ]
+    frame = pl.DataFrame(roundtrips, schema=ROUNDTRIPS)
     return Analysis(
         title=title,
         sources=(Source("ping.mcap", "read", "", 2 * len(roundtrips)),) if ordered else (),
         sessions=_sessions(ordered),
         runs=tuple(_run(group, one, number) for group, one in enumerate(ordered) for number in range(one.runs)),
-        rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
+        rows=RowStore.of(frame),
         summary=pl.DataFrame(summary, schema=schema_of(SUMMARY_COLUMNS)),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
-        run_times=run_frame(*paired(_by_group(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)))),
+        run_times=run_frame(*paired(_by_group(frame))),
         timeline=pl.DataFrame(timeline, schema=TIMELINE),
         timeline_decimated=False,
         findings=tuple(findings),
-        details=_details(ordered, pl.DataFrame(roundtrips, schema=ROUNDTRIPS), watched),
+        details=_details(ordered, frame, watched),
     )
 
 
@@ -257,12 +259,18 @@ def _three_runs(roundtrips: pl.DataFrame) -> pl.DataFrame:
 
 def _intervals(rows: pl.DataFrame, ordered: Sequence[Measured]) -> pl.DataFrame:
     found = []
-    for (group,), part in rows.group_by(["group"], maintain_order=True):
+    metrics = ("rtt", "intermediate", "latency", "response")
+    asked = [Statistic(quantile) for quantile in QUANTILES.values()]
+    held = rows.select("group", *(f"{metric}_ns" for metric in metrics))
+    for (group,), part in held.group_by(["group"], maintain_order=True):
         factors = RUN_FACTORS[: ordered[int(str(group))].runs]
-        for metric in ("rtt", "intermediate", "latency", "response"):
+        for metric in metrics:
             values = part[f"{metric}_ns"].drop_nulls().to_numpy()
-            for name, quantile in QUANTILES.items() if len(values) else ():
-                interval = interval_of_runs([Series(values * factor) for factor in factors], Statistic(quantile))
+            if not len(values):
+                continue
+            estimates = estimates_of_runs([Series(values * factor) for factor in factors], asked)
+            for (name, quantile), estimate in zip(QUANTILES.items(), estimates, strict=True):
+                interval = estimate.interval
                 found.append(
                     {
                         "group": group,
@@ -283,7 +291,7 @@ def _intervals(rows: pl.DataFrame, ordered: Sequence[Measured]) -> pl.DataFrame:
 
 def _one_way(rows: pl.DataFrame) -> pl.DataFrame:
     found = []
-    for (group,), part in rows.group_by(["group"], maintain_order=True):
+    for (group,), part in rows.select("group", "outbound_ns", "return_ns").group_by(["group"], maintain_order=True):
         for metric in ("outbound", "return"):
             values = part[f"{metric}_ns"].drop_nulls().to_list()
             if values:

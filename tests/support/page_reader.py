@@ -2,14 +2,29 @@
 
 import shutil
 from contextlib import contextmanager
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from analyses import EVERY_ANALYSIS
 from four_campaigns import CAMPAIGNS
+from kept import kept
+
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
+
+
+def render_report(name, kind):
+    return load_reporter(kind).render(Book(EVERY_PAGE[name]()))
+
+
+@cache
+def rendered(name, kind):
+    return kept(partial(render_report, name, kind), f"{kind} of {name}")()
+
 
 FLAGS = (
     "--headless",

@@ -1,13 +1,7 @@
 """One browser, one tab and one set of pages for all browser tests of a worker."""
 
-from functools import partial
-
 import pytest
-from kept import kept
-from page_reader import EVERY_PAGE, Reader, open_browser
-
-from dds_trace.reports.book.book import Book
-from dds_trace.reports.reporters import load_reporter
+from page_reader import Reader, open_browser, rendered
 
 
 @pytest.fixture(scope="session")
@@ -31,8 +25,7 @@ def show(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pages(show):
     """Name of an analysis -> the address of its report, until the next is asked for."""
-    rendered = {name: kept(partial(_rendered, name), f"page of {name}") for name in EVERY_PAGE}
-    return lambda name: show(rendered[name]())
+    return lambda name: show(rendered(name, "html"))
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +56,3 @@ def read_with(tab):
 @pytest.fixture
 def reader(read_with):
     return read_with()
-
-
-def _rendered(name):
-    return load_reporter("html").render(Book(EVERY_PAGE[name]()))

@@ -95,7 +95,6 @@ def test_commands_run_among_packages_with_the_names_of_our_rooms(environment, ho
         env={**os.environ, "PYTHONPATH": hostile},
         capture_output=True,
         text=True,
-        timeout=120,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -111,7 +110,6 @@ def test_a_bridge_that_runs_as_a_module_is_started_among_them_too(environment, h
         env={**os.environ, "PYTHONPATH": hostile},
         capture_output=True,
         text=True,
-        timeout=60,
         check=False,
     )
     assert "imported" not in done.stderr

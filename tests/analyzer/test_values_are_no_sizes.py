@@ -63,7 +63,7 @@ def test_the_memory_of_a_command_is_bounded_by_the_bytes_that_it_reads(tmp_path,
     folder = HOSTILE[values](tmp_path / "traces")
     read = sum(file.stat().st_size for file in folder.iterdir())
     command = [sys.executable, "-c", _MEASURED, str(folder), "--out", str(tmp_path / "out")]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     peak = int(result.stdout.split()[-1])
     assert peak < BASE_BYTES + BYTES_PER_BYTE * read, f"{peak >> 20} MiB for {read} bytes"

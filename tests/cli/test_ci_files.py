@@ -21,8 +21,6 @@ from dds_trace.recorder.sweep.against import against_seconds
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.reports.comparison.markdown import SIGNATURE
 
-pytestmark = pytest.mark.timeout(300)
-
 ROOT = Path(__file__).parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text())
 STEPS = {step["id"]: step for step in ACTION["runs"]["steps"]}

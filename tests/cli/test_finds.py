@@ -159,7 +159,6 @@ def run_as_process(folder, command, arguments):
         cwd=folder,
         capture_output=True,
         check=False,
-        timeout=120,
     )
     return done.returncode, done.stderr.decode(errors="backslashreplace")
 

@@ -10,7 +10,7 @@ from processes import run
 
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.middleware
 
 RUN = """
 [run]

@@ -176,7 +176,6 @@ def small(plan, domain):
 
 
 @pytest.mark.middleware
-@pytest.mark.timeout(400)
 @pytest.mark.parametrize(
     ("page", "made"),
     [

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from waiting import read_past
+from waiting import PATIENCE_S, read_past
 
 from dds_trace.recorder.applied.applied import Applied
 from dds_trace.recorder.applied.asked import Asked
@@ -30,8 +30,6 @@ needs_large_buffers = pytest.mark.skipif(
 )
 """Of tests in which `--tuned` must be applied; with less it is the difference `kernel_limit`."""
 
-PATIENCE_S = 90.0
-"""No test is about time; this only ends one that hangs."""
 PAYLOAD_BYTES, MESSAGES = 502_000, 30
 
 

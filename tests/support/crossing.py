@@ -14,8 +14,9 @@ import time
 from dataclasses import dataclass
 from threading import Event
 
+from waiting import PATIENCE_S
+
 CDR_HEADER = b"\x00\x01\x00\x00"
-TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def watch_crossing(first, second, topics, *, until, count=5, reliability="reliab
         {"first": first, "second": second, "topics": topics, "until": until, "count": count, "reliability": reliability}
     )
     ran = subprocess.run(
-        [sys.executable, __file__, order], capture_output=True, text=True, timeout=TIMEOUT_S + 30, check=False
+        [sys.executable, __file__, order], capture_output=True, text=True, timeout=PATIENCE_S + 30, check=False
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     return Crossing(**json.loads(ran.stdout))
@@ -80,7 +81,7 @@ def main(*, first, second, topics, until, count, reliability):
         for node in (sender, listener, echoer):
             node.start()
         pause = Event()
-        deadline = time.monotonic() + TIMEOUT_S
+        deadline = time.monotonic() + PATIENCE_S
         while any(seen[kind][name] < count for kind, names in until.items() for name in names):
             assert time.monotonic() < deadline, f"not seen in time: {seen}"
             for topic, publisher in publishers:

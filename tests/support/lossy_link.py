@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from waiting import read_past
+from waiting import PATIENCE_S, read_past
 from wire_truth import truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}
 """The tests' own environment keeps to this machine; a namespace may look around."""
-_PATIENCE_S = 60
 _counter = itertools.count(1000)  # not a number of `NamespacePair`, which clears stale names of this pattern away
 
 
@@ -60,7 +59,7 @@ class LossyLink:
         return said[0]
 
     def stop(self) -> None:
-        self.forwarder.communicate(timeout=_PATIENCE_S)
+        self.forwarder.communicate(timeout=PATIENCE_S)
 
 
 @contextmanager
@@ -143,12 +142,12 @@ def running_session(link: LossyLink, side: int, *command: object) -> Iterator[su
         yield session
     finally:
         session.terminate()
-        session.communicate(timeout=_PATIENCE_S)
+        session.communicate(timeout=PATIENCE_S)
 
 
 def _end(process: subprocess.Popen[str]) -> None:
     if process.poll() is None:
-        process.communicate(timeout=_PATIENCE_S)
+        process.communicate(timeout=PATIENCE_S)
 
 
 def _remove(side: Side) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from forgetful_disk import ForgetfulDisk
+from waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +31,6 @@ RATE_HZ = 500
 SURVIVING = (0.0, 0.5, 0.9)
 """Share of the unflushed sectors that survive, of one cut after the other."""
 
-PATIENCE_S = 60.0
 SLEEP_S = 0.01
 DDS_RECORD = str(Path(sys.executable).with_name("dds-record"))
 

@@ -10,15 +10,13 @@ from pathlib import Path
 import psutil
 import pytest
 from campaigns import assert_same_results
-from waiting import wait_until
+from waiting import PATIENCE_S, wait_until
 
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer.engines import local, processes
 from dds_trace.analyzer.engines.processes import can_start_processes
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceError, TraceFormatError
-
-PATIENCE_S = 60
 
 # Each batch, one a group, is a worker process that sleeps; it says which one it is.
 COMMAND = """

@@ -26,10 +26,7 @@ SECOND_NS = 1_000_000_000
 STAGES = {"ping": (Stage.T1, Stage.T2), "relay": (Stage.T3, Stage.T4)}
 
 
-pytestmark = [
-    pytest.mark.timeout(600),
-    pytest.mark.skipif(missing_for_a_disk() is not None, reason=str(missing_for_a_disk())),
-]
+pytestmark = [pytest.mark.skipif(missing_for_a_disk() is not None, reason=str(missing_for_a_disk()))]
 
 
 def take_the_power(folder, domain_id, seed, cuts, messages, *options):

@@ -38,7 +38,6 @@ def test_the_page_names_the_addresses_and_every_section_has_its_commands():
 
 
 @pytest.mark.middleware
-@pytest.mark.timeout(400)
 @needs_devices
 def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
     for package in ("rclpy", "zenoh", "polars"):

@@ -14,7 +14,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.choices import Security
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [pytest.mark.middleware, needs_secured_cyclone, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.middleware, needs_secured_cyclone]
 
 LEVELS = [level.value for level in Security]
 PLAN = """

@@ -7,7 +7,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [pytest.mark.middleware, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.middleware
 
 PLAN = """
 [run]

@@ -26,7 +26,7 @@ from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.reporters import load_reporter
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
+pytestmark = pytest.mark.browser
 
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 

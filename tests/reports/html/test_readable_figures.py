@@ -6,7 +6,7 @@ from dds_trace.reports.figures.costs import domain_difference_info
 from dds_trace.reports.figures.figure import MOST_LINES
 from dds_trace.reports.figures.lines import LATENCY_BY_RATE, LATENCY_BY_SIZE
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
+pytestmark = pytest.mark.browser
 
 # Every line of every panel as plotly is told to draw it: figure, panel, line, look. A symbol counts only where marks are drawn, a dash
 # only where a line is; a hollow mark and a bar crossed out are lost messages, and no look of a line.

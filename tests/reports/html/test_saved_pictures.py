@@ -4,7 +4,7 @@ from zipfile import ZipFile
 
 import pytest
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
+pytestmark = pytest.mark.browser
 
 PAGE_PX = 933
 """247 mm."""

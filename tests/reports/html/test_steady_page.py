@@ -5,7 +5,7 @@ from four_campaigns import CAMPAIGNS
 
 from dds_trace.analyzer.verdicts.job import make_job
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
+pytestmark = pytest.mark.browser
 
 # What plotly is told to draw before the page lets the browser paint; a part of a closed fold is not visible.
 DRAWN = """async () => {

@@ -163,7 +163,6 @@ def test_a_file_is_only_made_where_nothing_is(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.skipif(missing_for_a_disk() is not None, reason=str(missing_for_a_disk()))
 @pytest.mark.parametrize(("options", "words"), [(["--fsync"], "check the disk"), ([], "the file system is read-only")])
 def test_the_ring_keeps_what_a_dead_disk_refuses(tmp_path, options, words):

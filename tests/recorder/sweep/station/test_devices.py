@@ -14,8 +14,6 @@ from dds_trace.recorder.sweep.station import programs, ssh
 from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice
 from dds_trace.recorder.sweep.station.ssh import SshDevice
 
-PATIENCE_S = 60.0
-
 # Instead of the two programs of the other device, so that these tests need no middleware there.
 RECORD = """#!/bin/sh
 out=
@@ -76,7 +74,7 @@ def test_relay_is_started_and_stopped_over_ssh_and_its_trace_fetched(remote, tmp
     device = remote()
     device.prepare()
     relay = device.start(["--role", "relay", "--label", "two words"], "1-1.mcap")
-    wait_until((there(tmp_path) / "1-1.mcap").exists, PATIENCE_S)
+    wait_until((there(tmp_path) / "1-1.mcap").exists)
     assert relay.failure is None
     relay.stop()
     fetched = device.collect("1-1.mcap")
@@ -91,7 +89,7 @@ def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_oth
     device = remote(RECORD.replace("exit 0' TERM", f'chmod {there} "$out"; exit 0\' TERM'))
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_until((tmp_path / "home/.cache/dds-trace/my sweep/1-1.mcap").exists, PATIENCE_S)
+    wait_until((tmp_path / "home/.cache/dds-trace/my sweep/1-1.mcap").exists)
     relay.stop()
     if os.geteuid() != 0 and there == "0000":
         pytest.skip("who may not read a file cannot fetch it")
@@ -109,7 +107,7 @@ def test_half_of_a_bridge_runs_next_to_the_relay_of_the_other_device(remote, tmp
     relay = device.start([], "1-1.mcap")
     half = device.start_half(["zenoh-bridge-dds", "--half", "relay"], "1-1.mcap")
     said = tmp_path / "home/half"
-    wait_until(lambda: said.exists() and said.read_text() == "bridge zenoh-bridge-dds --half relay\n", PATIENCE_S)
+    wait_until(lambda: said.exists() and said.read_text() == "bridge zenoh-bridge-dds --half relay\n")
     half.stop()
     relay.stop()
     assert said.read_text() == "half closed\n"
@@ -123,7 +121,7 @@ def test_relay_ends_when_this_side_is_killed_and_is_fetched_whole_later(remote, 
     device = remote(shell=shell)
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_until((there(tmp_path) / "1-1.mcap").exists, PATIENCE_S)
+    wait_until((there(tmp_path) / "1-1.mcap").exists)
     relay._process.kill()
     relay.stop()
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
@@ -177,7 +175,7 @@ def test_endless_log_of_a_device_ends_its_program(remote, monkeypatch):
     device = remote(record="#!/bin/sh\nexec yes\n")
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_until(lambda: relay.exit_code is not None, PATIENCE_S)
+    wait_until(lambda: relay.exit_code is not None)
     assert relay.log.stat().st_size <= 1 << 20
     relay.stop()
 
@@ -222,7 +220,7 @@ def test_relay_that_fails_on_the_other_device_gives_its_reason(remote):
     device = remote(record=BROKEN_RECORD)
     device.prepare()
     relay = device.start([], "1-1.mcap")
-    wait_until(lambda: relay.exit_code is not None, PATIENCE_S)
+    wait_until(lambda: relay.exit_code is not None)
     assert (relay.exit_code, relay.failure) == (7, "rmw_nowhere is not installed")
     relay.stop()
     assert device.collect("1-1.mcap") is None
@@ -254,7 +252,7 @@ def test_local_relay_writes_into_the_folder_and_leaves_nothing_when_discarded(tm
     device = LocalDevice(tmp_path / "parts", ["sh", str(script)])
     (tmp_path / "parts").mkdir()
     relay = device.start([], "1-1.mcap")
-    wait_until((tmp_path / "parts/1-1.mcap").exists, PATIENCE_S)
+    wait_until((tmp_path / "parts/1-1.mcap").exists)
     relay.stop()
     assert device.collect("1-1.mcap").read_text() == "open\nclosed\n"
     device.discard("1-1.mcap")

@@ -3,7 +3,7 @@
     python udp_echo.py serve
     python udp_echo.py ask ADDRESS BYTES COUNT TIMEOUT_S
 
-`ask` prints one round-trip time in milliseconds per line, or `lost`.
+`ask` prints `ready`, waits for a line, and prints begin and end of each round trip in nanoseconds, or `lost`.
 """
 
 import socket
@@ -25,6 +25,8 @@ def serve():
 def ask(address, size_bytes, count, timeout_s):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout_s)
+        print("ready", flush=True)
+        sys.stdin.readline()
         for number in range(count):
             data = number.to_bytes(4, "little").ljust(size_bytes, b"x")
             began_ns = time.monotonic_ns()
@@ -35,7 +37,7 @@ def ask(address, size_bytes, count, timeout_s):
             except TimeoutError:
                 print("lost", flush=True)
             else:
-                print((time.monotonic_ns() - began_ns) / 1e6, flush=True)
+                print(began_ns, time.monotonic_ns(), flush=True)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def cluster(bucket, tmp_path_factory):
                 "1",
                 "--local-directory",
                 str(folder),
-                env=bucket,
+                env={**bucket, "TMPDIR": str(folder)},  # a worker that is killed leaves its events there
             )
             for _ in range(2)
         ]

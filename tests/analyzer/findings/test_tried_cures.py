@@ -79,16 +79,22 @@ def quoted(pattern, finding):
 def record_with_a_stalling_relay(folder, domain_id, depth):
     folder.mkdir()
     options = local(domain_id, "--depth", depth)
+
+    def sent():
+        return len(read_trace(folder / "ping.mcap").events[Stage.T1])
+
     with (
         relaying(RunningCommand, folder, *options) as relay,
-        pinging(RunningCommand, folder, *options, "--rate", 100, "--messages", 450),
+        pinging(RunningCommand, folder, *options, "--rate", 100, "--messages", 100_000) as ping,
     ):
         wait_for_messages(folder / "relay.mcap")
         for _ in range(2):
+            before = sent()
             relay.send_signal(signal.SIGSTOP)
-            time.sleep(0.5)
+            wait_until(lambda before=before: sent() >= before + 50)
             relay.send_signal(signal.SIGCONT)
-            time.sleep(0.7)
+            wait_until(lambda before=before: sent() >= before + 120)
+        ping.send_signal(signal.SIGINT)
 
 
 @needs_ros2
@@ -118,7 +124,7 @@ def test_tuned_sockets_drop_less(tmp_path, domain_id):
     overflow = found(tmp_path / "untuned", "udp_buffer_overflow")
     option = quoted(r"record with (--tuned)", overflow[0])[1]
     record_large_ones(tmp_path / "tuned", domain_id, option)
-    assert found(tmp_path / "tuned", "udp_buffer_overflow") == []
+    assert dropped(tmp_path / "tuned") < dropped(tmp_path / "untuned") / 2
     p50 = [analyze(tmp_path / name).summary["rtt_p50_ns"][0] for name in ("untuned", "tuned")]
     assert p50[1] < p50[0]
 
@@ -279,7 +285,7 @@ def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
             sides = ("--domain", domain_id, "--discovery", "subnet", *options, reliability)
             with (
                 relaying(devices["relay"].start, folder, *sides),
-                pinging(devices["ping"].start, folder, *sides, *peer, "--size", "1MB", "--rate", 15, "--messages", 60),
+                pinging(devices["ping"].start, folder, *sides, *peer, "--size", "1MB", "--rate", 40, "--messages", 60),
             ):
                 pass
             kept[reliability] = received(folder)

@@ -146,7 +146,7 @@ STRANGERS = {
     "tcp": (socket_stranger, ("--backend", "socket")),
     "udp": (
         lambda *domains: socket_stranger(*domains, **UDP),
-        ("--backend", "socket", "--transport", "udp", "--reliability", "best_effort"),
+        ("--backend", "socket", "--transport", "udp", "--tuned", "--reliability", "best_effort"),
     ),
     "zenoh": (zenoh_stranger, ("--backend", "zenoh")),
     "cyclonedds": (ros2_stranger, ("--backend", "cyclonedds")),

@@ -1,6 +1,5 @@
 import json
 import socket
-import statistics
 import struct
 import subprocess
 import sys
@@ -17,7 +16,7 @@ from waiting import wait_until
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
-from dds_trace.recorder.backends.socket import BACKEND, tcp
+from dds_trace.recorder.backends.socket import BACKEND, tcp, udp
 from dds_trace.recorder.backends.socket.greeting import CROWD, HALF_OPEN, MALFORMED, MAX_PEERS, SLOW, TOO_LARGE
 from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_MESSAGE_BYTES
 from dds_trace.recorder.choices import Discovery, Transport
@@ -112,11 +111,10 @@ def test_a_known_delay_in_an_independent_relay_comes_back(domain_id, tmp_path):
     delay_ns = 10_000_000
     plain, delayed = independent_delays(domain_id, tmp_path, delay_ns / 1e9)
     assert all(delay_ns <= inside_ns <= rtt_ns for rtt_ns, inside_ns in delayed)
-    ways = [statistics.median(rtt_ns - inside_ns for rtt_ns, inside_ns in each) for each in (plain, delayed)]
-    # What is left of the RTT is the link's and the scheduler's; a sleeper wakes later than a busy one answers.
+    # The least of thirty, as other programs of the machine only add.
+    ways = [min(rtt_ns - inside_ns for rtt_ns, inside_ns in each) for each in (plain, delayed)]
     assert abs(ways[1] - ways[0]) < delay_ns / 2
-    rtts = [statistics.median(rtt_ns for rtt_ns, _ in each) for each in (plain, delayed)]
-    inside = [statistics.median(inside_ns for _, inside_ns in each) for each in (plain, delayed)]
+    rtts, inside = ([min(times_ns) for times_ns in zip(*each, strict=True)] for each in (plain, delayed))
     assert abs((rtts[1] - rtts[0]) - (inside[1] - inside[0])) < delay_ns / 2
 
 
@@ -275,6 +273,9 @@ def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends, monkeypatc
         shut_down(peer)
 
     monkeypatch.setattr(tcp._TcpPeer, "shut_down", dropping)
+    # Longer than a thread that reads is kept from running.
+    monkeypatch.setattr(tcp, "READER_PATIENCE_S", 2.0)
+    monkeypatch.setattr(tcp, "SENDER_PATIENCE_S", 4.0)
     with pair(domain_id, lambda *_: None) as (here, there, _):
         here.create_subscription(BINARY.relay_topic, BINARY.type_name, lambda *_: got.append(1))
         replies = there.create_publisher(BINARY.relay_topic, BINARY.type_name)
@@ -285,7 +286,7 @@ def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends, monkeypatc
                 replies.publish(bytes(500_000))
             wait_until(lambda: len(got) == 100 and there.strangers.counts)
         ((seconds, microseconds),) = map(tcp._TIME.unpack, patience)
-        assert seconds + microseconds / 1e6 == pytest.approx(1 if sends else 0.25, abs=0.02)  # in ticks of the kernel
+        assert seconds + microseconds / 1e6 == pytest.approx(4 if sends else 2, abs=0.02)  # in ticks of the kernel
         assert there.strangers.counts == {SLOW: 1}
 
 
@@ -327,10 +328,12 @@ def test_an_address_that_returns_no_cookie_gets_less_than_it_sent(domain_id, udp
         assert udp_relay.count_participants() == 1
 
 
-def test_addresses_are_bounded(domain_id, udp_relay):
+def test_addresses_are_bounded(domain_id, udp_relay, monkeypatch):
+    monkeypatch.setattr(udp, "FORGET_S", PATIENCE_S)
     port = BACKEND.port_of(domain_id)
     strangers = [udp_stranger() for _ in range(MAX_PEERS + 10)]
     for stranger in strangers:
+        stranger.settimeout(PATIENCE_S)
         stranger.sendto(UDP_HEAD + SUBSCRIBED, ("127.0.0.1", port))
         cookie = stranger.recv(1000)[len(UDP_HEAD) :].removeprefix(b"cookie ").decode()
         returned = {**json.loads(SUBSCRIBED), "cookie": cookie}

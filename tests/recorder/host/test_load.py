@@ -111,9 +111,8 @@ def test_four_fifths_of_the_relays_processor_are_taken_from_the_first_echo_on():
             assert os.sched_getscheduler(child) == os.SCHED_FIFO
             assert resource.prlimit(child, resource.RLIMIT_RTTIME) == (100_000, 200_000)
             assert os.sched_getaffinity(child) == {max(free)}
-            os.sched_setaffinity(
-                0, free - {max(free)}
-            )  # on the relay's processor it would be kept from reading both at once
+            # On the relay's processor this process would be kept from reading both numbers at once.
+            os.sched_setaffinity(0, free - {max(free)})
 
             def is_taken() -> bool:
                 first = load()["load"]

@@ -48,7 +48,7 @@ def test_messages_cross_in_tls_and_both_traces_say_so(domain_id, tmp_path, keys,
 def test_one_side_without_security_is_named(domain_id, tmp_path, keys, backend, secured):
     of_ping, of_relay = (keys, ()) if secured == "ping" else ((), keys)
     with relay(domain_id, tmp_path / "relay.mcap", "--backend", backend, *of_relay) as command:
-        done = ping(domain_id, tmp_path / "ping.mcap", "--backend", backend, *of_ping, *FEW, "--wait", 2)
+        done = ping(domain_id, tmp_path / "ping.mcap", "--backend", backend, *of_ping, *FEW, "--wait", 5)
         command.stop()
     assert done.status == 8
     assert ("without TLS" if secured == "ping" else "with TLS") in done.stderr

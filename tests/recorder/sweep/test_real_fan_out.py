@@ -10,7 +10,7 @@ from processes import sweep
 
 from dds_trace.analyzer.pipeline import analyze
 
-pytestmark = [pytest.mark.middleware, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.middleware
 
 HEAD = """
 [run]
@@ -33,7 +33,8 @@ def test_three_relays_answer_each_message(tmp_path, domain_id):
     pytest.importorskip("cyclonedds")
     sweep(
         tmp_path,
-        HEAD.format(domain=domain_id) + "[axes]\nbackend = 'cyclonedds'\nrate = 20\nsize = '1KB'\nrelays = 3\n",
+        HEAD.format(domain=domain_id)
+        + "[axes]\nbackend = 'cyclonedds'\nrate = 20\nsize = '1KB'\ndepth = 25\nrelays = 3\n",
     )
     details = analyze(tmp_path / "runs").details
     (row,) = details.fan_out.iter_rows(named=True)

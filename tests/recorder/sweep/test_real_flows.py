@@ -6,11 +6,11 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [pytest.mark.middleware, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.middleware
 
 FLOWS = """
 [run]
-seconds = 1
+seconds = 2
 warmup = 2
 settle_seconds = 0
 domain = {domain}
@@ -64,7 +64,7 @@ def test_two_flows_of_one_kind_of_data_share_a_relay_and_run_together(tmp_path, 
 
 
 def test_a_killed_relay_is_started_anew_and_the_first_reply_after_that_is_timed(tmp_path, domain_id):
-    sweep(tmp_path, OUTAGE.format(limit=8, domain=domain_id, network="", seconds=0.5, by="relay"))
+    sweep(tmp_path, OUTAGE.format(limit=15, domain=domain_id, network="", seconds=0.5, by="relay"))
     (row,) = analyze(tmp_path / "runs/p").details.recoveries.to_dicts()
     assert (row["by"], row["never"]) == ("relay", False)
     assert row["outage_ns"] >= 500_000_000
@@ -98,13 +98,12 @@ RawStampPlace.reply = stalled
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("backend", ["socket", "cyclonedds"])
 def test_a_stall_of_the_large_flow_is_found_in_the_small_one(tmp_path, domain_id, monkeypatch, backend):
     """A real relay that stands still for 100 ms at each image; the queues hold the odometry of a second."""
     if backend != "socket":
         pytest.importorskip(backend)
-    text = FLOWS.replace("seconds = 1\n", "seconds = 6\nrepeats = 3\n").replace("rate = 20", "rate = 2")
+    text = FLOWS.replace("seconds = 2\n", "seconds = 6\nrepeats = 3\n").replace("rate = 20", "rate = 2")
     text = text.replace('"socket"', f'"{backend}"\ndepth = 100').format(domain=domain_id)
     added_ns = []
     for name in ("sound", "stalled"):

@@ -241,8 +241,8 @@ def test_zenoh_topics_keys_and_nodes_of_ros_2_are_heard(tmp_path, domain_id):
 
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
 def test_a_tap_without_a_publisher_says_what_it_looked_for(tmp_path, domain_id, sentences):
-    with tapping(tmp_path / "tap.mcap", "ros2", domain_id, "/nothing") as (_, result):
-        time.sleep(0.5)
+    with tapping(tmp_path / "tap.mcap", "ros2", domain_id, "/nothing") as (watch, result):
+        wait_until(lambda: any(note.startswith("listening to") for note in watch.notes))
     error = result[0].error
     assert isinstance(error, NothingHeardError)
     sentences(str(error).replace(str(domain_id), "DOMAIN"))

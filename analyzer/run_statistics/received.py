@@ -123,18 +123,14 @@ class DeliveryChange(Change):
 
     smallest_drop: float | None = None
 
-    def verdict(self, same_within: float = 0.0, p_adjusted: float | None = None) -> Verdict:
-        """Return the verdict: the same if the difference is wholly within `+- same_within`.
-
-        `p_adjusted` replaces `p_value` where the change is one of several.
-        """
+    def verdict(self, same_within: float = 0.0) -> Verdict:
+        """Return the verdict: the same if the difference is wholly within `+- same_within`."""
         low, high = self.difference_low, self.difference_high
         if self.basis is Basis.WITHIN_RUN or low is None or high is None:
             return Verdict.INCONCLUSIVE
         if -same_within <= low and high <= same_within:
             return Verdict.SAME
-        p_value = self.p_value if p_adjusted is None else p_adjusted
-        if p_value is not None and p_value > 1 - self.base.confidence:
+        if self.p_value is not None and self.p_value > 1 - self.base.confidence:
             return Verdict.INCONCLUSIVE
         if high < 0:
             return Verdict.WORSE

@@ -177,7 +177,7 @@ def _measure_case(
     for part in partition_groups(case, CONTENDER_COLUMNS):
         setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
         group = SetupRuns.of(rows.frame(part, _ROW_COLUMNS))
-        estimates = group.estimate("latency", list(_STATISTICS.values()), confidence)
+        estimates = group.estimates_of("latency", list(_STATISTICS.values()), confidence)
         repeats = [passes[run.run_id] for run in group.runs if run.run_id in passes]
         starts_ns = [
             wall_offsets_ns[run.run_id] + first

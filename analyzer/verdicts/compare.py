@@ -382,7 +382,7 @@ def _estimates(
     base: SetupRuns, new: SetupRuns, metric: str, options: CompareOptions
 ) -> Iterator[tuple[str, Estimate, Estimate]]:
     statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
-    before, after = (side.estimate(metric, statistics, options.confidence) for side in (base, new))
+    before, after = (side.estimates_of(metric, statistics, options.confidence) for side in (base, new))
     return zip(options.statistics, before, after, strict=True)
 
 

@@ -111,7 +111,7 @@ class SetupRuns:
     def delivered(self, metric: str) -> Runs:
         return self._once(metric, lambda: Runs.of(delivered_runs(self.runs, metric)))
 
-    def estimate(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
+    def estimates_of(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
         key = metric, tuple(statistics), confidence
         return self._once(key, lambda: estimates_of_runs(self.delivered(metric), statistics, confidence))
 

@@ -162,10 +162,12 @@ def judge_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[list[J
     adjusted = holm_adjusted([*p_values, *[1.0] * (pairs - len(tests))])
     judged: list[list[Judgement]] = [[] for _ in kinds]
     for (index, name, most, change), p_adjusted in zip(tests, adjusted.tolist(), strict=False):
-        verdict = PROVEN if change.verdict(p_adjusted=p_adjusted) is Verdict.WORSE else OPEN
+        is_worse = change.verdict() is Verdict.WORSE and p_adjusted <= 1 - confidence
         ends = change.difference_low, change.difference_high
         numbers = change.difference, *ends, change.basis.value, change.p_value, p_adjusted
-        judged[index].append(Judgement(Claim.LOSES_MORE, name, "received_ratio", most, *numbers, verdict))
+        judged[index].append(
+            Judgement(Claim.LOSES_MORE, name, "received_ratio", most, *numbers, PROVEN if is_worse else OPEN)
+        )
     return judged
 
 

@@ -194,7 +194,7 @@ def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int
     return [
         (start, end)
         for start, end in pauses
-        if sum(any(_overlap(hole, start, end) for hole in loss.holes) for loss in regular) >= 2
+        if sum(any(hole.missing and _overlap(hole, start, end) for hole in loss.holes) for loss in regular) >= 2
     ]
 
 

@@ -17,7 +17,7 @@ LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
 _MOST_PUBLISHERS = 8
 _LARGEST_STEP = 100_000
 _STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
-_SILENT_PERIODS = 10
+_SILENT_PERIODS, _SILENT_COMMAND_PERIODS = 10, 5
 _MOST_SILENT = 0.5
 """Share of its time that a topic with a rhythm may be silent."""
 
@@ -115,7 +115,10 @@ class TopicTimes:
 
     def _is_silent(self, regularity: Regularity) -> bool:
         """Return whether the topic has a rhythm only while something happens."""
-        least_ns = max(_SILENT_PERIODS * regularity.period_ns, _STOPPED_NS)
+        period_ns = regularity.period_ns
+        least_ns = (
+            _SILENT_COMMAND_PERIODS * period_ns if self.is_command else max(_SILENT_PERIODS * period_ns, _STOPPED_NS)
+        )
         silent_ns = sum(hole.duration_ns for hole in regularity.holes if hole.duration_ns > least_ns)
         return silent_ns > (0 if self.is_command else _MOST_SILENT * float(self.log_ns[-1] - self.log_ns[0]))
 

@@ -67,8 +67,9 @@ def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
     chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
+    messages = counted(health.messages, "message", text=f"{health.messages:,}")
     return (
-        f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {health.messages:,} messages, "
+        f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {messages}, "
         f"{counted(topics, 'topic')}{chunks}; recording {health.coverage:.1%} of the time"
     )
 
@@ -176,7 +177,7 @@ def _topic_notes(row: Row, health: RecordingHealth) -> Iterator[str]:
     if (
         row["age_max_ns"] is not None
         and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
-        and abs(row["age_p50_ns"]) < OTHER_CLOCK_NS
+        and max(abs(row["age_p50_ns"]), row["age_max_ns"]) < OTHER_CLOCK_NS
         and not row["latched"]
     ):
         first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
@@ -188,7 +189,7 @@ def _topic_notes(row: Row, health: RecordingHealth) -> Iterator[str]:
         yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}{grows}"
     if row["stamps_backwards"]:
         yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
-    if row["age_negative"]:
+    if row["age_negative"] and -row["age_min_ns"] > (row["age_resolution_ns"] or 0):
         yield f"{counted(row['age_negative'], 'message')} logged before the header's stamp: two clocks, or a stamp of the future"
 
 

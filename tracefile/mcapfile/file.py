@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,19 +68,15 @@ class Records:
         """Return `size` bytes from `offset` on, perhaps reading ahead; only for the thread that walks headers."""
         return self.read(offset, size)
 
-    def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
-        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`."""
-        while True:
-            if offset + RECORD_HEADER.size > self.size:
-                raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
-            opcode, length = RECORD_HEADER.unpack(self.peek(offset, RECORD_HEADER.size))
-            if opcode == 0:
-                raise TornRecordError(offset, "no record, but a zero byte")
-            if length > self.size - offset - RECORD_HEADER.size:
-                raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
-            if opcodes is None or opcode in opcodes:
-                return RecordHeader(opcode, offset, length)
-            offset += RECORD_HEADER.size + length
+    def header_at(self, offset: int) -> RecordHeader:
+        if offset + RECORD_HEADER.size > self.size:
+            raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
+        opcode, length = RECORD_HEADER.unpack(self.peek(offset, RECORD_HEADER.size))
+        if opcode == 0:
+            raise TornRecordError(offset, "no record, but a zero byte")
+        if length > self.size - offset - RECORD_HEADER.size:
+            raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
+        return RecordHeader(opcode, offset, length)
 
 
 class RecordFile(Records, AbstractContextManager["RecordFile"]):

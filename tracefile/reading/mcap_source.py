@@ -11,11 +11,10 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted
 
 from ..format.descriptions import Session
-from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.encoding import MESSAGE_HEADER, decode_string
 from ..format.events import TOPIC_PREFIX, Stage
 from ..mcapfile.blocks import Block
-from ..mcapfile.chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.file import RecordFile, TornRecordError
+from ..mcapfile.file import RecordFile
 from ..mcapfile.scan import MESSAGES_AND_CHANNELS
 from .mcap_walk import McapWalk
 from .recorded import UnreadableError
@@ -177,18 +176,11 @@ class McapSource:
 def read_first_session(path: Path) -> Session | None:
     try:
         with RecordFile(path) as file:
-            chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))
-            return _session_in(chunk.unpack(file), path)
-    except (TraceFormatError, TornRecordError, DamagedChunkError, ValueError):
-        return None
-
-
-def _session_in(records: memoryview, path: Path) -> Session | None:
-    at = 0
-    while at + RECORD_HEADER.size <= len(records):
-        opcode, length = RECORD_HEADER.unpack_from(records, at)
-        at += RECORD_HEADER.size
-        if opcode == Opcode.MESSAGE:
-            return Session.from_json(decode_string(records[at + MESSAGE_HEADER.size : at + length]), path)
-        at += length
+            for block in McapWalk(file, is_trace=True):
+                for opcode, start, length in block.scan.others:
+                    if opcode == Opcode.MESSAGE and block.chunks:
+                        text = decode_string(memoryview(block.data)[start + MESSAGE_HEADER.size : start + length])
+                        return Session.from_json(text, path)
+    except (TraceFormatError, UnreadableError, ValueError):
+        pass
     return None

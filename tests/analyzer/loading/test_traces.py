@@ -13,7 +13,7 @@ from trace_files import Message, ping_events, ping_session, relay_events, relay_
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
-import dds_trace.tracefile.mcapfile.blocks
+import dds_trace.tracefile.reading.mcap_walk
 import dds_trace.tracefile.reading.reader
 from dds_trace.analyzer.loading import traces
 from dds_trace.analyzer.loading.spool import SpooledEvents, write_events
@@ -150,7 +150,7 @@ def runs_in_turns(tmp_path):
 @pytest.fixture
 def _in_pieces(monkeypatch):
     monkeypatch.setattr(dds_trace.tracefile.reading.reader, "PIECE_EVENTS", 10)
-    monkeypatch.setattr(dds_trace.tracefile.mcapfile.blocks, "_BLOCK_CHUNKS", 1)
+    monkeypatch.setattr(dds_trace.tracefile.reading.mcap_walk, "_BLOCK_CHUNKS", 1)
 
 
 @pytest.mark.usefixtures("_in_pieces")

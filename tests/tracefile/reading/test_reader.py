@@ -43,8 +43,7 @@ from dds_trace.tracefile.format.events import (
     Stage,
 )
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
-from dds_trace.tracefile.mcapfile import blocks
-from dds_trace.tracefile.reading import mcap_source, reader
+from dds_trace.tracefile.reading import mcap_source, mcap_walk, reader
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.reading.storage import open_source
 
@@ -211,7 +210,7 @@ def test_a_trace_in_pieces_is_the_whole_trace(tmp_path, monkeypatch, name):
         compression="none",
     )
     monkeypatch.setattr(reader, "PIECE_EVENTS", 50)
-    monkeypatch.setattr(blocks, "_BLOCK_CHUNKS", 1)
+    monkeypatch.setattr(mcap_walk, "_BLOCK_CHUNKS", 1)
     whole, pieces = read_trace(path), []
     trace = read_trace_in_pieces(path, pieces.append)
     assert all(0 < sum(map(len, piece.values())) <= 50 for piece in pieces)
@@ -226,7 +225,7 @@ def test_a_piece_is_read_into_the_memory_of_one_that_is_gone(tmp_path, monkeypat
     events = [event(n, n, scheduled_ns=n) for n in range(2000)]
     path = write_trace(tmp_path / "t.mcap", ping_session(), [run()], {Stage.T1: events}, chunk_bytes=2000)
     monkeypatch.setattr(reader, "PIECE_EVENTS", 50)
-    monkeypatch.setattr(blocks, "_BLOCK_CHUNKS", 1)
+    monkeypatch.setattr(mcap_walk, "_BLOCK_CHUNKS", 1)
     places: list[int] = []
 
     def take(piece):

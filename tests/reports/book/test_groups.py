@@ -178,6 +178,8 @@ def test_of_several_sessions_the_slowest_counts(sentences):
     assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20, 470_000),)
     assert numbers(facts(analysis)["Cost of measuring"]) == [900, 5, 400, 1.2, 70]
     sentences(facts(analysis)["Cost of measuring"])
+    sides = [replace(one, host={"middleware": {"executor": "events"}}) for one in analysis.sessions]
+    assert "events executor" in Book(replace(analysis, sessions=sides)).answer.sentences[-1][1]
 
 
 def test_of_several_middlewares_the_slowest_is_told_in_one_line(sentences):

@@ -32,7 +32,7 @@ from coverage_campaigns import (
 )
 from coverage_comparisons import default_table, looks_table, losses_table, results_table
 from coverage_intervals import interval_tables
-from coverage_kinds import advice_table, changes_table, dependent_table, kinds_table, late_table
+from coverage_kinds import advice_table, best_table, changes_table, dependent_table, kinds_table, late_table
 from simulated import Table
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ TABLES: dict[str, Callable[[int], Table]] = {
     "until": until_table,
     "leaders-kinds": kinds_table,
     "leaders-dependent": dependent_table,
+    "leaders-best": best_table,
     "comparisons-kinds": changes_table,
     "advice": advice_table,
     "deadlines-kinds": late_table,

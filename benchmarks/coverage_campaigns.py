@@ -118,7 +118,7 @@ def leaders_table(samples: int) -> Table:
                 cells = []
                 for kinds in counts:
                     generator = np.random.default_rng([SEED, repeats, setups, kinds])
-                    campaigns = samples // 5 if kinds * setups > MANY else samples
+                    campaigns = max(1, samples // 5) if kinds * setups > MANY else samples
                     false = sum(
                         any(ranking.leader for rankings in rank_setups(campaign) for ranking in rankings.values())
                         for campaign in (_campaign(generator, draw, (kinds, setups, repeats)) for _ in range(campaigns))
@@ -292,7 +292,7 @@ def deadlines_table(samples: int) -> Table:
                     name,
                     f"{100 * late:g} %",
                     str(repeats),
-                    table.at_most(bar, meets, seen, where),
+                    table.at_most(bar, meets, max(1, seen), where),
                     percent(misses, seen),
                     percent(unseen, samples),
                 )

@@ -172,10 +172,10 @@ def ends_of_units(values: Float64, confidence: float) -> tuple[float, float | No
     """
     scale = scale_of(values)
     if scale is Scale.NONE:
-        return _median(values), None, math.inf, None
+        return float(np.median(values)), None, math.inf, None
     if scale is Scale.RECIPROCAL:
         fastest = student_ends(1 / values, confidence)[2]
-        value = _median(values)
+        value = float(np.median(values))
         return value, min(value, 1 / fastest if fastest > 0 else math.inf), math.inf, None
     if scale is Scale.LINEAR:
         return (*student_ends(values, confidence)[:3], None)
@@ -190,12 +190,6 @@ def student_ends(values: Float64, confidence: float) -> tuple[float, float, floa
     deviation = math.sqrt(variance)
     reach = student_quantile((1 + confidence) / 2, count - 1) * deviation / math.sqrt(count)
     return mean, mean - reach, mean + reach, deviation
-
-
-def _median(values: Float64) -> float:
-    ordered = np.sort(values)
-    low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
-    return float(low if low == high else (low + high) / 2)
 
 
 def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:

@@ -272,15 +272,10 @@ def _logarithms(ends: Ends) -> Ends:
 
 @dataclass(frozen=True, slots=True)
 class DetectableChange:
-    """The smallest change of one statistic of one metric that the verdicts of a comparison would have detected.
+    """The smallest change of one statistic of one metric that the verdicts of a comparison would have detected, in `told` of `groups`.
 
-    Attributes:
-        told: groups with runs that allow a verdict and an estimate of the smallest change.
-        smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
-            have been called slower with a probability of at least 80 %; None without such an estimate.
-        least_ratio: the same of the group in which the least is found; in the others it takes more, up to `smallest_ratio`.
-        least_result: row of `Comparison.delivery` of that group.
-        most_result: row of the group in which it takes most.
+    A group that became slower by `smallest_ratio`, whichever it is and though no other did, would have been called slower with a
+    probability of at least 80 %; `least_ratio` is that of the group in which the least is found. Both groups are rows of `Comparison.delivery`.
     """
 
     metric: str

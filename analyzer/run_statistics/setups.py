@@ -20,7 +20,7 @@ from string import ascii_letters
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics.distributions import chi_square_cdf, incomplete_beta, student_cdf
+from ..statistics.distributions import special, student_cdf
 from ..statistics.intervals import MIN_RUNS
 from .two_samples import StudentTest
 
@@ -158,7 +158,7 @@ def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
         unlike = kinds * np.log(variances.mean()) - np.log(variances).sum()
         statistic += (repeats - 1) * float(unlike) / correction
         freedom += kinds - 1
-    return not freedom or 1 - chi_square_cdf(statistic, freedom) >= ALIKE_FROM
+    return not freedom or bool(special().chdtrc(freedom, statistic) >= ALIKE_FROM)
 
 
 def spreads_more(residuals: Float64, index: int) -> bool:
@@ -168,7 +168,7 @@ def spreads_more(residuals: Float64, index: int) -> bool:
         pooled_variance(part) for part in (residuals[index : index + 1], np.delete(residuals, index, axis=0))
     )
     share = others * others_degrees / (others * others_degrees + variance * degrees) if variance else 1.0
-    return incomplete_beta(share, others_degrees / 2, degrees / 2) <= MORE_UP_TO
+    return bool(special().betainc(others_degrees / 2, degrees / 2, share) <= MORE_UP_TO)
 
 
 def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -> dict[str, str]:

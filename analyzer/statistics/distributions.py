@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 _POWER_STEPS = 2000
 
 
+def special() -> Any:
+    from scipy import special
+
+    return special
+
+
 def student_cdf(t: float, degrees: float) -> float:
     """Return the probability of at most `t`; infinite degrees of freedom give the normal distribution."""
-    from scipy.special import ndtr, stdtr
-
-    return float(ndtr(t) if math.isinf(degrees) else stdtr(degrees, t))
+    return float(special().ndtr(t) if math.isinf(degrees) else special().stdtr(degrees, t))
 
 
 @lru_cache(maxsize=4096)
 def student_quantile(probability: float, degrees: float) -> float:
     """Return the inverse of `student_cdf`; `stdtrit` of scipy 1.8 has eight digits."""
-    from scipy.special import betaincinv, ndtri
-
     if not 0 < probability < 1:
         raise ValueError("a probability must be between 0 and 1, both excluded")
     if math.isinf(degrees):
-        return float(ndtri(probability))
-    beta = float(betaincinv(degrees / 2, 0.5, 2 * min(probability, 1 - probability)))
+        return float(special().ndtri(probability))
+    beta = float(special().betaincinv(degrees / 2, 0.5, 2 * min(probability, 1 - probability)))
     return math.copysign(math.sqrt(degrees * (1 - beta) / beta), probability - 0.5)
 
 
@@ -37,8 +40,6 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     The power is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable over its degrees of freedom (noncentral t,
     N. L. Johnson and B. L. Welch, 1940; the far side is left out).
     """
-    from scipy.special import ndtr
-
     threshold = student_quantile((1 + confidence) / 2, degrees)
     # log(chi-square) on a grid beyond which the probability is below 1e-9.
     spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
@@ -49,7 +50,7 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     roots = np.exp(logs / 2)
 
     def found(shift: float) -> float:
-        return float(weights @ ndtr(shift - threshold * roots))
+        return float(weights @ special().ndtr(shift - threshold * roots))
 
     low, high = 0.0, 2.0
     while found(high) < power:
@@ -63,32 +64,9 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
 @lru_cache(maxsize=1024)
 def poisson_limits(count: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return exact limits of a Poisson mean after `count` events, each with half of the error (F. Garwood, 1936)."""
-    from scipy.special import gammaincinv
-
-    tail = (1 - confidence) / 2
-    return float(gammaincinv(count, tail)) if count else 0.0, float(gammaincinv(count + 1, 1 - tail))
+    tail, limit = (1 - confidence) / 2, special().gammaincinv
+    return float(limit(count, tail)) if count else 0.0, float(limit(count + 1, 1 - tail))
 
 
 def poisson_cdf(count: int, mean: float) -> float:
-    from scipy.special import pdtr
-
-    return float(pdtr(count, max(mean, 0.0)))
-
-
-def binomial_cdf(count: int, messages: int, share: float) -> float:
-    from scipy.special import bdtr
-
-    return float(bdtr(count, messages, share))
-
-
-def chi_square_cdf(value: float, degrees: float) -> float:
-    from scipy.special import chdtr
-
-    return float(chdtr(degrees, value))
-
-
-def incomplete_beta(x: float, a: float, b: float) -> float:
-    """Return the regularized `I_x(a, b)`."""
-    from scipy.special import betainc
-
-    return float(betainc(a, b, x))
+    return float(special().pdtr(count, max(mean, 0.0)))

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .distributions import binomial_cdf
+from .distributions import special
 
 
 @lru_cache(maxsize=4096)
@@ -26,9 +26,9 @@ def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> 
     `P(B < l) <= a`, the upper the smallest rank u with `P(B >= u) <= a`, where B is binomial(n, quantile).
     """
     tail = (1 - confidence) / 2
-    lower = bisect_right(range(n + 1), tail, key=lambda k: binomial_cdf(k, n, quantile))
+    lower = bisect_right(range(n + 1), tail, key=lambda k: special().bdtr(k, n, quantile))
     # As many of the others, from the top on, so that a small probability is not the difference of two large ones.
-    upper = 1 + n - bisect_right(range(n + 1), tail, key=lambda k: binomial_cdf(k, n, 1 - quantile))
+    upper = 1 + n - bisect_right(range(n + 1), tail, key=lambda k: special().bdtr(k, n, 1 - quantile))
     return lower if lower >= 1 else None, upper if upper <= n else None
 
 

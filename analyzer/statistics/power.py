@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -98,13 +99,9 @@ def runs_to_decide(
 
 
 def _fewest(is_enough: Callable[[int], bool]) -> int | None:
-    if not is_enough(MOST_RUNS):
-        return None
-    too_few, enough = MIN_RUNS - 1, MOST_RUNS
-    while enough - too_few > 1:
-        middle = (too_few + enough) // 2
-        too_few, enough = (too_few, middle) if is_enough(middle) else (middle, enough)
-    return enough
+    counts = range(MIN_RUNS, MOST_RUNS + 1)
+    place = bisect_left(counts, True, key=is_enough)
+    return counts[place] if place < len(counts) else None
 
 
 def messages_to_close(interval: Interval, quantile: float) -> int | None:

@@ -1,4 +1,4 @@
-"""What each command costs before it does anything: `--help`, and an analysis of the smallest sample.
+"""What each command costs before it does anything: `--help`, an analysis of the smallest sample, a dry run of 5,000 results.
 
     python benchmarks/bench_startup.py             fifteen rounds: about a minute
     python benchmarks/bench_startup.py --rounds 5
@@ -25,9 +25,18 @@ from time import perf_counter
 
 BIN = Path(sys.executable).parent
 SAMPLE = Path(__file__).parents[1] / "sample_traces" / "losses"
-HELP_S, ANALYSIS_S = 0.2, 0.8
+HELP_S, ANALYSIS_S, DRY_RUN_S = 0.2, 0.8, 5.0
 BARE = "python -c pass"
 ANALYSIS = "dds-analyze sample_traces/losses"
+DRY_RUN = "sweep --dry-run of 5,000 results"
+PLAN = f"""
+[axes]
+backend = "socket"
+size = {[*range(1000, 11_000, 1000)]}
+rate = {[*range(10, 110, 10)]}
+depth = {[*range(1, 11)]}
+buffer = {[*range(100_000, 600_000, 100_000)]}
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +67,8 @@ def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
         "dds-analyze",
         *(f"dds-trace {name}" for name in ("record ping", "sweep", "bridge", "compare", "watch")),
     ]
+    plan = folder / "large.toml"
+    plan.write_text(PLAN)
     return {
         BARE: ([sys.executable, "-c", "pass"], None),
         "import numpy, polars, pyarrow": ([sys.executable, "-c", "import numpy, polars, pyarrow.parquet"], None),
@@ -66,6 +77,7 @@ def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
             for name in subcommands
         },
         ANALYSIS: ([str(BIN / "dds-analyze"), str(SAMPLE), "--out", str(folder / "out")], ANALYSIS_S),
+        DRY_RUN: ([str(BIN / "dds-trace"), "sweep", str(plan), "--dry-run", "--out", str(folder)], DRY_RUN_S),
     }
 
 

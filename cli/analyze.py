@@ -224,6 +224,8 @@ def _analyze(
     from dds_trace.analyzer.pairing.parquet import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
+    from dds_trace.reports.book.book import Book
+    from dds_trace.reports.card import write_card
     from dds_trace.reports.reporters import write_reports
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
@@ -238,7 +240,7 @@ def _analyze(
         reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
         exported = [path for kind in exports or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
-        cards = _write_card(analysis, folder) if card else []
+        cards = write_card(Book(analysis), folder, say) if card else []
         written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)
 
     earlier = read_provenance(target)
@@ -313,13 +315,6 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
     return parse_duration(time, "--deadline"), metric
 
 
-def _write_card(analysis: Analysis, folder: Path) -> list[Path]:
-    from dds_trace.reports.book.book import Book
-    from dds_trace.reports.card import write_card
-
-    return write_card(Book(analysis), folder, say)
-
-
 def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
     from dds_trace.analyzer.clocks.boots import ping_wall_offsets
     from dds_trace.analyzer.exports.foxglove import write_derived
@@ -330,7 +325,7 @@ def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
 
 
 SHARES = {"reading": 0.3, "pairing": 0.35, "judging": 0.2, "writing": 0.15}
-"""Share of the time that each step takes, of campaigns from 300 to 1,500 runs without a cache."""
+"""Share of the time of each step, of 300 to 1,500 runs."""
 
 
 class AnalysisBar:

@@ -1,11 +1,13 @@
-"""Options of a command that are rows of the table `recorder/option_table.py`, and why a configured default of one does not count."""
+"""Options of a command that are rows of `recorder/option_table.py`."""
 
 from __future__ import annotations
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from enum import Enum
 from typing import Annotated, Any, TypeVar
@@ -80,13 +82,46 @@ def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[
             sys.exit()
         if key not in rows or not equals:
             raise OptionError(f"-o {key}: write KEY=VALUE; {nearest(key, rows)}")
-        if rows[key].metavar:
-            options += [rows[key].name, value]
-        elif value in ("true", "false"):
-            options += [rows[key].name] if value == flag_of(rows[key]) else []
-        else:
-            raise OptionError(f"-o {key}={shown(value)}: write true or false")
+        row = rows[key]
+        if fault := _fault(row, value):
+            raise OptionError(f"-o {key}={shown(value)}: {fault}")
+        if row.metavar:
+            options += [row.name, value]
+        elif value == flag_of(row):
+            options.append(row.name)
     return options
+
+
+def _fault(row: Option, value: str) -> str:
+    choices = choices_of(row) if row.metavar else ["true", "false"]
+    if issubclass(row.kind, Enum) or not row.metavar:
+        return "" if value in choices else nearest(value, choices)
+    kind: Any = row.kind
+    with suppress(ValueError):
+        kind(value)
+        return ""
+    return "write a number"
+
+
+_OPTION = re.compile(r"(?P<name>--[a-z][a-z-]+)(?: (?P<value>'[^']*'|[^\s:]+)(?=: | is not ))?")
+
+
+def as_typed(text: str, role: Role) -> str:
+    """Return a sentence with each setting of the role as `-o KEY=VALUE`."""
+    rows = {
+        row.name: row
+        for row in OPTIONS.values()
+        if is_setting(row, role if role in (row.roles or Role) else row.roles[0])
+    }
+
+    def typed(match: re.Match[str]) -> str:
+        row = rows.get(match["name"])
+        if row is None:
+            return match[0]
+        value = match["value"] if row.metavar else flag_of(row)
+        return f"-o {key_of(row)}={value}" if value else f"-o {key_of(row)}"
+
+    return _OPTION.sub(typed, text)
 
 
 def _listed(rows: Mapping[str, Option], words: Sequence[str], role: Role | None) -> Iterator[str]:

@@ -100,7 +100,7 @@ class CommandOptions:
     keep: int | None = option(
         None,
         "--keep N",
-        "With --rotate: keep only the newest N files of this recording.",
+        "With rotate: keep only the newest N files of this recording.",
         kind=int,
         roles=(Role.RELAY, Role.TAP, Role.BEACON),
     )
@@ -136,13 +136,14 @@ OPTIONS: Mapping[str, Option] = {
 """Rows by field; no two records share a name."""
 
 
-_SHARED = ("out", "force", "json", "check", "duration", "backend", "rmw", "domain", "discovery", "peer")
-_PAIRED = (*_SHARED, "reliability", "depth", "configuration", "tuned", "wire")
+_SHARED = ("out", "force", "json", "duration", "backend", "rmw", "domain")
+_REACHED = (*_SHARED, "check", "discovery", "peer")
+_PAIRED = (*_REACHED, "reliability", "depth", "configuration", "tuned", "wire")
 OFTEN: Mapping[Role, tuple[str, ...]] = {
     Role.PING: (*_PAIRED, "data", "size", "rate", "messages", "bridge", "fail-if-lost"),
-    Role.RELAY: (*_PAIRED, "type", "rotate"),
-    Role.TAP: (*_SHARED, "topics", "live", "payload", "limits", "rotate"),
-    Role.BEACON: (*_SHARED, "rate", "rotate"),
+    Role.RELAY: (*_PAIRED, "type"),
+    Role.TAP: (*_SHARED, "topics", "live", "payload", "limits"),
+    Role.BEACON: (*_REACHED, "rate"),
 }
 """Options that `--help` of a role shows; a person gives any other as `-o KEY=VALUE`."""
 
@@ -151,8 +152,12 @@ def is_setting(row: Option, role: Role | None = None) -> bool:
     return all(row.name[2:] not in ("role", *OFTEN[user]) for user in ([role] if role else Role))
 
 
+def settings_of(role: Role) -> dict[str, Option]:
+    return {row.name: row for row in OPTIONS.values() if role in (row.roles or Role) and is_setting(row, role)}
+
+
 def typed_words(words: Sequence[str], role: Role) -> list[str]:
-    rows = {row.name: row for row in OPTIONS.values() if is_setting(row, role)}
+    rows = settings_of(role)
     typed, remaining = [], iter(words)
     for word in remaining:
         row = rows.get(word)
@@ -169,7 +174,6 @@ def key_of(row: Option) -> str:
 
 
 _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
-"""Tables of values, read at each call."""
 
 
 def choices_of(row: Option) -> list[str]:

@@ -78,7 +78,7 @@ class Rotation:
                 file_bytes = parse_size(part.strip(), "--rotate")
             else:
                 raise OptionError(
-                    f"--rotate {shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
+                    f"-o rotate={shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
                 )
         return cls(file_bytes, age_s)
 
@@ -88,10 +88,10 @@ class Rotation:
         limits.check(limits.RETAINED_FILES, self.keep, "--keep")
         if destination.is_bag:
             raise OptionError(
-                "--rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
+                "-o rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
             )
         if destination.force:
-            raise OptionError("--rotate overwrites nothing and numbers on from the last file; remove --force")
+            raise OptionError("-o rotate overwrites nothing and numbers on from the last file; remove --force")
 
 
 @dataclass(frozen=True, slots=True)

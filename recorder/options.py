@@ -161,12 +161,12 @@ class PingOptions:
                 limits.check(limits.LABEL_KEY, key, name)
                 limits.check(limits.TEXT, value, f"{name} {key}")
         if self.ping_share is not None and self.rate_hz != float("inf"):
-            raise OptionError("--ping-share needs --rate max; on a schedule every message is sent back")
+            raise OptionError("-o ping_share needs --rate max; on a schedule every message is sent back")
         joins_halves = self.bridge_listen is not None or bool(self.bridge_peers)
         if self.bridge == "none" and (self.bridge_running or joins_halves):
-            raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")
+            raise OptionError("-o bridge_running, bridge_listen and bridge_peer need --bridge NAME")
         if self.bridge_running and joins_halves:
-            raise OptionError("--bridge-running starts nothing; remove --bridge-listen and --bridge-peer")
+            raise OptionError("-o bridge_running starts nothing; remove bridge_listen and bridge_peer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +297,7 @@ class RecordOptions:
     strict: bool = detail(
         False,
         "--strict",
-        "Exit with 11 if the middleware does not use a requested setting (--transport, --tuned ...); without it, warn.",
+        "Exit with 11 if the middleware does not use a requested setting (-o transport, --tuned ...); without it, warn.",
     )
     wire: bool = option(
         False,
@@ -331,7 +331,7 @@ class RecordOptions:
         if self.ping is not None:
             self.ping.check()
             if len(self.flows) > 1:
-                raise OptionError(f"--flow {' --flow '.join(self.flows)}: a ping is one flow; start a ping for each")
+                raise OptionError(f"-o flow={' -o flow='.join(self.flows)}: a ping is one flow; start a ping for each")
         if self.tap is not None:
             self.tap.check()
         ping, node = self.ping or PingOptions(), self.node

@@ -122,7 +122,7 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
         if missing:
             yield Observation(
                 evidence.session_name(evidence.campaign.sessions[session_id]),
-                f"Of the {last} files of this recording (--rotate) some are not here: {some(missing)}.",
+                f"Of the {last} files of this recording (-o rotate) some are not here: {some(missing)}.",
             )
 
 

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer  # noqa: TC002 - it reads the annotation
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import OptionError, TraceError
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
-from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is_setting, key_of
+from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
 
 from ..program import Version, ask_about_folder, command, make_app, run_command
 from ..table_options import (
     SettingsOption,
+    as_typed,
     default_discovery,
     default_domain,
     given_values,
@@ -94,6 +95,15 @@ ping, relay, tap, beacon = (
 
 
 def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
+    try:
+        _record_role(context, chosen)
+    except TraceError as err:
+        if chosen.get("role"):
+            err.args = (as_typed(str(err), Role(chosen["role"])),)
+        raise
+
+
+def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
 
@@ -122,7 +132,9 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
             from ..limits_file import read_limits
 
             gates = read_limits(command.limits_path, of_recording=True)
-        record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates)
+        record_until_stopped(
+            options, role=command.role, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates
+        )
 
 
 def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:
@@ -164,16 +176,16 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
     if command.keep is None:
         return options
     if options.rotation is None:
-        raise OptionError("--keep counts the files of --rotate: give both, for example --rotate 1GB,1h --keep 20")
+        raise OptionError("-o keep counts the files of rotate: give both, for example -o rotate=1GB,1h -o keep=20")
     return replace(options, rotation=replace(options.rotation, keep=command.keep))
 
 
 def words_of_role(words: Sequence[str]) -> list[str]:
-    """Return the words of `dds-trace record ROLE` with its settings as options; what was an option of its own is said."""
+    """Return the words with settings as options; an option that became one is said."""
     role = next((role for role in Role if role.value in words[1:2]), None)
     if role is None:
         return list(words)
-    rows = {row.name: row for row in OPTIONS.values() if is_setting(row, role)}
+    rows = settings_of(role)
     for word in words:
         if (row := rows.get(word.partition("=")[0])) is not None:
             say(f"{row.name} is a setting now: -o {key_of(row)}={row.metavar or flag_of(row)}")

@@ -19,6 +19,7 @@ from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import MISSING, counted, format_duration
+from dds_trace.recorder.applied.memory import remove_own_segments
 from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
@@ -27,12 +28,14 @@ from dds_trace.recorder.roles.live import Health, LiveRow
 from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
 from ..program import print_error
+from ..table_options import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import NoReturn
 
     from dds_trace.analyzer.verdicts.gate import Gate
+    from dds_trace.recorder.choices import Role
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -121,7 +124,7 @@ LEAVE_S = 10.0
 
 
 def record_until_stopped(
-    options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
+    options: RecordOptions, *, role: Role, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
 ) -> NoReturn:
     stop = stop_at_signals()
     codes: list[int] = []
@@ -143,13 +146,14 @@ def record_until_stopped(
                     error = found
                 sys.stdout.flush()
             if isinstance(error, TraceError):
-                print_error(f": {error}")
+                print_error(f": {as_typed(str(error), role)}")
             codes.append(judged_code if error is None else error.exit_code if isinstance(error, TraceError) else 1)
             for number in STOP_SIGNALS:  # also while Python ends, when its own handlers are gone
                 signal.signal(number, signal.SIG_IGN)
             call_off = exit_after(LEAVE_S, codes[0])
             yield
             call_off()
+            remove_own_segments("zenoh")
             atexit.register(exit_after, LEAVE_S, codes[0])  # what the middleware does at the end of the process
 
         try:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import typer
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import plain_console
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import format_duration
 
 from ..program import command, make_app
@@ -22,7 +22,7 @@ from .against import say_missing
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
@@ -70,9 +70,23 @@ def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
 
     from .dry_run import dry_run
 
-    sides = 1 + max(len(bundles(vendor, plan)) for vendor in _cells_by_vendor(plan))
+    cells, sides = [], 1
+    for vendor, vendor_cells in _cells_by_vendor(plan).items():
+        known = bundles(vendor, plan)
+        if reason := _no_advice(plan, vendor, known):
+            say(f"{vendor} is not recorded: {reason}")
+        else:
+            cells += vendor_cells
+            sides = max(sides, 1 + len(known))
     repeats = sides * LOOKS + 2 * max(PROOFS, plan.run.repeats)
-    return dry_run(replace(plan, run=replace(plan.run, repeats=repeats)), out, None, None, as_json=as_json)
+    recorded = replace(plan, cells=tuple(cells), run=replace(plan.run, repeats=repeats))
+    return dry_run(recorded, out, None, None, as_json=as_json)
+
+
+def _no_advice(plan: Plan, vendor: str, known: Collection[object]) -> str:
+    if vendor == "fastdds" and plan.discovery == "localhost":
+        return "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
+    return "" if known else "no settings of it are known here"
 
 
 def _cells_by_vendor(plan: Plan) -> dict[str, list[Cell]]:
@@ -114,16 +128,12 @@ def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
 
 
 def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
-    from dds_trace.recorder.sweep.advice import write_bundles
+    from dds_trace.recorder.sweep.advice import bundles, write_bundles
     from dds_trace.recorder.sweep.plan.plan import Order
 
-    if vendor == "fastdds" and plan.discovery == "localhost":
-        return {
-            "reason": "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
-        }
+    if reason := _no_advice(plan, vendor, bundles(vendor, plan)):
+        return {"reason": reason}
     paths = write_bundles(vendor, plan, folder / "configurations")
-    if not paths:
-        return {"reason": "no settings of it are known here"}
     run = replace(plan.run, order=Order.ALTERNATING)
     looks = _look(replace(plan, run=replace(run, repeats=LOOKS, attempts=1)), paths, folder)
     best = min(paths, key=lambda path: looks.get(path.stem, math.inf))

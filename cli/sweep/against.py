@@ -16,12 +16,13 @@ from dds_trace.base.units import counted
 from ..compare import ComparisonReport, judge_sides
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.verdicts.false_alarms import FalseAlarms
     from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.sweep.against import AgainstOutcome
+    from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
 
     from ..compare import JudgedSides
@@ -64,13 +65,23 @@ def new_side(
     return NewSide(environment_name(text), base, command)
 
 
-def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
+def startable(plan: Plan, refused: Container[str]) -> Plan:
+    return replace(plan, cells=tuple(cell for cell in plan.cells if cell.name not in refused)) if refused else plan
+
+
+def startable_words(cells: Iterable[Cell], refused: Container[str]) -> str:
+    return f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
+
+
+def shown_sides(base: Plan, other: NewSide, refused: Container[str] = ()) -> tuple[dict[str, object], list[str]]:
     from dds_trace.recorder.sweep.against import against_seconds, interleave
 
-    turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
-    seconds = against_seconds(base, other.plan)
+    cells = [(turn.side, turn.group.cells[0]) for turn in interleave(base, other.plan)]
+    turns = [(side, cell.name) for side, cell in cells]
+    base_here, new_here = startable(base, refused), startable(other.plan, refused)
+    seconds = against_seconds(base_here, new_here)
     repeats = base.run.repeats + (base.run.repeats - 1) // 2
-    most = against_seconds(replace(base, run=replace(base.run, repeats=repeats)), other.plan)
+    most = against_seconds(replace(base_here, run=replace(base.run, repeats=repeats)), new_here)
     described: dict[str, object] = {
         "plan": _name(base, other),
         "seconds": seconds.seconds,
@@ -82,6 +93,7 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
     more = f" ({most} where the machine is busier on one side)" if repeats > base.run.repeats else ""
     lines.append(
         f"{up_to}plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}{more}"
+        + startable_words((cell for _, cell in cells), refused)
     )
     return described, lines
 
@@ -159,10 +171,10 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
         judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
 
 
-def say_missing(missing: Mapping[str, str], side: str = "") -> None:
+def say_missing(missing: Mapping[str, str], side: str = "", what: str = "") -> None:
     for reason in dict.fromkeys(missing.values()):
         first, *more = [name for name, cause in missing.items() if cause == reason]
-        say(f"{side}{first}{f' and {len(more)} more' if more else ''}: {reason}")
+        say(f"{side}{first}{f' and {len(more)} more' if more else ''}{what}: {reason}")
 
 
 def _name(base: Plan, other: NewSide) -> str:

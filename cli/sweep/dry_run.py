@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections import Counter, defaultdict
-from dataclasses import replace
-from functools import cache
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -16,10 +14,10 @@ from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 from dds_trace.recorder.choices import Role
 
-from .against import NewSide, shown_sides, side_folders
+from .against import NewSide, say_missing, shown_sides, side_folders, startable, startable_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.recorder.sweep.plan.cells import Cell
@@ -41,52 +39,43 @@ def dry_run(
     refused: dict[str, str] = {}
     for side, folder, command in sides:
         if rehearses:
-            refused |= rehearse_plan(side, folder, check_arguments, note=say, command=command)
+            refused |= rehearse_plan(side, folder, argument_check(), note=say, command=command)
         else:
-            refused |= check_plan(side, folder, check_arguments)
-    described, lines = shown_sides(plan, other) if other is not None else _shown(plan, until, refused)
-    if not as_json:
-        print("\n".join(lines))
-    if as_json:
-        print(json.dumps({**described, "cannot_start": refused}))
-    names = defaultdict(list)
-    for name, reason in refused.items():
-        names[reason].append(name)
-    for reason, cells in names.items():
-        more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
-        say(f"{cells[0]}{more} cannot start: {reason}")
+            refused |= check_plan(side, folder, argument_check())
+    described, lines = shown_sides(plan, other, refused) if other is not None else _shown(plan, until, refused)
+    print(json.dumps({**described, "cannot_start": refused}) if as_json else "\n".join(lines))
+    say_missing(refused, what=" cannot start")
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
-_FIELDS: set[str] = set()
-"""Fields of the options of the cells so far: a command with all options takes twice as long to read thousands of cells."""
-
-
-@cache
-def _record_command(role: Role, names: frozenset[str]) -> Any:
-    from ..record.command import role_app
-
-    return typer.main.get_command(role_app(role, names))
-
-
-def check_arguments(arguments: Sequence[str]) -> None:
+def argument_check() -> Callable[[Sequence[str]], None]:
+    """Return a check that declares options as they are named: all take twice as long."""
     from dds_trace.recorder.option_table import OPTIONS
     from dds_trace.recorder.recording import check_options
 
+    from ..record.command import role_app
     from ..table_options import settings_as_options
 
-    _, role, *words = arguments
-    options = settings_as_options(words, Role(role))
-    flags = {word.partition("=")[0] for word in options}
-    _FIELDS.update(name for name, row in OPTIONS.items() if row.name in flags)
-    try:
-        command = _record_command(Role(role), frozenset(_FIELDS))
-        command.main(options, f"dds-trace record {role}", standalone_mode=False, obj=check_options)
-    except Exception as err:  # the name of typer's errors differs between versions
-        message = getattr(err, "format_message", None)
-        if message is None:
-            raise
-        raise OptionError(str(message())) from err
+    flags = {row.name: name for name, row in OPTIONS.items()}
+    fields: set[str] = set()
+    commands: dict[tuple[Role, int], Any] = {}
+
+    def check(arguments: Sequence[str]) -> None:
+        role = Role(arguments[1])
+        options = settings_as_options(arguments[2:], role)
+        fields.update(flags[word] for word in (option.partition("=")[0] for option in options) if word in flags)
+        command = commands.get((role, len(fields)))
+        if command is None:
+            command = commands[role, len(fields)] = typer.main.get_command(role_app(role, fields))
+        try:
+            command.main(options, f"dds-trace record {role}", standalone_mode=False, obj=check_options)
+        except Exception as err:  # the name of typer's errors differs between versions
+            message = getattr(err, "format_message", None)
+            if message is None:
+                raise
+            raise OptionError(str(message())) from err
+
+    return check
 
 
 def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:
@@ -94,9 +83,8 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
 
     groups = schedule(plan)
     cells = [cell for group in groups for cell in group.cells]
-    plan_here = replace(plan, cells=tuple(cell for cell in plan.cells if cell.name not in refused))
+    plan_here = startable(plan, refused)
     seconds = plan_seconds(plan_here)
-    startable = f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
     described: dict[str, object] = {
         "plan": plan.name,
         "seconds": seconds.seconds,
@@ -114,7 +102,7 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
     lines += _remarks(plan)
     lines.append(
         f"plan {plan.name}: {counted(len(cells), 'recording')}, {len(plan.excluded)} left out, "
-        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{startable}"
+        f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{startable_words(cells, refused)}"
     )
     if until is not None:
         most = plan_seconds(plan_here, passes=until.max_passes)

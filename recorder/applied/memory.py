@@ -136,6 +136,17 @@ def _opened_names(process: Path) -> Iterator[str]:
                     yield target.name
 
 
+def remove_own_segments(vendor: str, folder: Path = SHM) -> None:
+    """Zenoh's locks are shared: the last process to give up its own locks exclusively."""
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            path = descriptor.readlink()
+            if path.parent == folder and memory_owner(path.name) == (vendor, SEGMENT):
+                fcntl.flock(int(descriptor.name), fcntl.LOCK_UN)
+                fcntl.flock(int(descriptor.name), fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+
+
 def _shared_memory(name: str, owner: tuple[str, str], mapped: _Mapped, opened: set[str], folder: Path) -> SharedMemory:
     vendor, role = owner
     try:

@@ -151,7 +151,7 @@ class Backend:
                 f"-o when_full={options.when_full.value}: the backend {self.name} has no such choice; leave it out"
             )
         if not options.multicast and not self.can_multicast:
-            raise OptionError(f"--no-multicast: the backend {self.name} sends no message to a group; leave it out")
+            raise OptionError(f"-o multicast=false: the backend {self.name} sends no message to a group; leave it out")
 
     def _check_sizes(self, options: NodeOptions) -> None:
         for name, size in options.sizes._asdict().items():

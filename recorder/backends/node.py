@@ -120,7 +120,7 @@ class NodeOptions:
     keys: str | None = detail(
         None,
         "--keys FOLDER",
-        "Keys for --security, the same for both sides. One that is not there is made, and removed at the end.",
+        "Keys for security, the same for both sides. One that is not there is made, and removed at the end.",
         limit=limits.TEXT,
     )
     priority: int | None = option(

@@ -86,7 +86,7 @@ class Upkeep:
     """A context manager: opens a recording's sink, and closes it on exit.
 
     Attributes:
-        sink: the sink; with `--rotate` its session's field `part` counts the files from 1.
+        sink: the sink; with `-o rotate` its session's field `part` counts the files from 1.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class Upkeep:
         self.destination = destination
         self._count += 1
         dropped = [] if rotation.keep is None else self._files.drop_oldest(rotation.keep)
-        deleted = f"; deleted {', '.join(path.name for path in dropped)} (--keep {rotation.keep})" if dropped else ""
+        deleted = f"; deleted {', '.join(path.name for path in dropped)} (-o keep={rotation.keep})" if dropped else ""
         self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:

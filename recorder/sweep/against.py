@@ -62,10 +62,9 @@ def interleave(base: Plan, new: Plan, repeats: Mapping[int, Sequence[Cell]] | No
 
 
 def against_seconds(base: Plan, new: Plan) -> Remaining:
-    starts = len(base.cells) * base.run.repeats
-    return Remaining(
-        sum(plan_seconds(side, passes=base.run.repeats, relay_starts=starts).seconds for side in (base, new))
-    )
+    repeats = base.run.repeats
+    sides = (plan_seconds(side, passes=repeats, relay_starts=repeats * len(side.cells)) for side in (base, new))
+    return Remaining(sum(side.seconds for side in sides))
 
 
 def run_against(

@@ -25,8 +25,8 @@ COMPLETE, INCOMPLETE, FULL, UNAVAILABLE, INTERRUPTED, KILLED = 0, 10, 6, 7, 130,
 OWN_FILES = {"state.json", ".lock", ".parts"}
 DONE = ("complete", "recorded")
 
-KEPT_MEMORY = ("*.zenoh", "lttng-ust-wait-*")
-"""Shared memory that libraries leave at a clean end, too: eclipse-zenoh 1.10 (the next process removes it), and LTTng of rclpy."""
+KEPT_MEMORY = ("lttng-ust-wait-*",)
+"""Shared memory that libraries leave at a clean end, too: LTTng of rclpy."""
 
 
 @dataclass(frozen=True, slots=True)

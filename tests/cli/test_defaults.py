@@ -9,7 +9,7 @@ from dds_trace.cli.defaults import _WITHOUT_DEFAULT, FILE_NAME, VARIABLE, config
 from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
-from dds_trace.cli.sweep.dry_run import check_arguments
+from dds_trace.cli.sweep.dry_run import argument_check
 from dds_trace.recorder.sweep.station.devices import printed_command
 from dds_trace.recorder.sweep.station.programs import Program
 
@@ -261,7 +261,7 @@ def test_a_sweep_has_defaults_and_its_recordings_have_none(home, run, monkeypatc
     assert folders == ["there"]
     assert VARIABLE not in os.environ
     monkeypatch.setattr("dds_trace.recorder.recording.check_options", checked.append)
-    check_arguments(["--role", "relay", "--out", "x.mcap"])
+    argument_check()(["--role", "relay", "--out", "x.mcap"])
     assert checked[0].node.qos.reliability == "reliable"
     program = Program(["env"], home / "env.log")
     assert program.wait(60) == 0

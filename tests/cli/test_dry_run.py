@@ -5,13 +5,14 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+import typer
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from namespaces import needs_namespaces
 from rich.console import Console
 
 from dds_trace.base.errors import OptionError
-from dds_trace.cli.sweep.dry_run import check_arguments
+from dds_trace.cli.sweep.dry_run import argument_check
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.rehearsal import rehearse_plan
 from dds_trace.recorder.sweep.run.progress import make_progress
@@ -107,26 +108,41 @@ def test_a_dry_run_runs_nothing_of_a_plan(call, plan, tmp_path, monkeypatch, ssh
     assert any(path.name.startswith("ran-") for path in tmp_path.iterdir())
 
 
-def test_a_dry_run_checks_options(call, plan, tmp_path):
-    code, _, err = call(plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path)
-    assert (code, "-o transport=shm" in err) == (10, True)
-
-
-def test_a_dry_run_names_what_is_not_here_and_counts_the_rest(call, plan, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "words", ["sweep", "sweep --against SAME", "capacity", "explain rates", "explain size 2KB", "advise"]
+)
+def test_a_dry_run_names_what_is_not_here_and_counts_the_rest(call, plan, tmp_path, monkeypatch, words):
     monkeypatch.setattr(
         "dds_trace.recorder.sweep.rehearsal.missing_here",
         lambda backend, _rmw: "zenoh is not here" if backend == "zenoh" else None,
     )
-    text = plan("[axes]\nbackend = ['socket', 'zenoh']\nsize = [100, 200, 300]\n")
-    code, out, err = call(text, "--dry-run", "--json", "--out", tmp_path)
-    both, socket = json.loads(out), plan("[axes]\nbackend = 'socket'\nsize = [100, 200, 300]\n")
-    assert code == 10
+
+    def shown(*backends):
+        path = plan(f"[axes]\nbackend = {json.dumps(backends)}\nrate = [10, 100]\nsize = [100, 200]\n")
+        command, *more = words.split()
+        code, out, err = call(*more, path, "--dry-run", "--json", "--out", tmp_path, command=command)
+        return code, json.loads(out), err
+
+    code, both, err = shown("cyclonedds", "zenoh")
+    _, here, _ = shown("cyclonedds")
+    assert (code, here["cannot_start"]) == (10, {}), err
     assert {name.partition("_")[0] for name in both["cannot_start"]} == {"zenoh"}
-    assert len(both["cells"]) == 6
-    assert "2 more recordings" in err
-    assert "zenoh is not here" in err
-    alone = json.loads(call(socket, "--dry-run", "--json", "--out", tmp_path)[1])
-    assert both["seconds"] == alone["seconds"]
+    assert both["seconds"] == here["seconds"]
+    assert f" and {len(both['cannot_start']) - 1} more cannot start: zenoh is not here" in err
+
+
+def test_a_dry_run_of_more_results_builds_no_more_commands(call, plan, tmp_path, monkeypatch):
+    get_command, built = typer.main.get_command, []
+    monkeypatch.setattr("typer.main.get_command", lambda app: built.append(app) or get_command(app))
+    counts = []
+    for sizes in (2, 40):
+        text = f"backend = 'socket'\nsize = {[*range(100, 100 + sizes)]}\ndepth = [1, 10]\nbuffer = [8192, 9000]\n"
+        code, out, _ = call(plan(f"[axes]\n{text}"), "--dry-run", "--json", "--out", tmp_path)
+        assert (code, len(json.loads(out)["cells"])) == (0, 4 * sizes)
+        counts.append(len(built) - sum(counts))
+    assert counts[0] == counts[1] < 10
+    code, _, err = call(plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path)
+    assert (code, "-o transport=shm" in err) == (10, True)
 
 
 @pytest.mark.parametrize("name", ["../elsewhere", "/etc/important", "a/b", "..", ".", "", "line\nbreak"])
@@ -147,32 +163,24 @@ def test_names_cannot_leave_out(call, tmp_path, name):
             "1,000,000,000 results",
         ),
         ("[run]\nrepeats = 1000000000\n[axes]\nrate = [1]\n", ""),
+        (SMALL := "[axes]\nrate = [1, 2]\n", ""),
         ("[[axes]]\nrate = 1\n" * 1001 + "[[matrix]]\nsize = 1\n" * 1000, "1,001,000 results"),
     ],
-    ids=["axes", "passes", "tables"],
+    ids=["axes", "passes", "further passes", "tables"],
 )
 def test_a_plan_of_a_billion_cells_ends_in_one_line(call, tmp_path, text, cells):
     path = tmp_path / "plan.toml"
     path.write_text(text)
-    code, out, err = call(path, "--rehearse")
+    more = () if text != SMALL else ("--until", "latency_p99:5%", "--max-passes", 10**9)
+    code, out, err = call(path, "--rehearse", *more)
     assert (code, out) == (OptionError.exit_code, "")
     assert len(err.splitlines()) == 1
     assert cells in err
 
 
-def test_a_billion_further_passes_end_in_one_line(call, tmp_path):
-    path = tmp_path / "plan.toml"
-    path.write_text("[axes]\nrate = [1, 2]\n")
-    code, _, err = call(path, "--rehearse", "--until", "latency_p99:5%", "--max-passes", 10**9)
-    assert (code, len(err.splitlines())) == (OptionError.exit_code, 1)
-
-
-def test_a_cell_whose_name_no_file_can_have_is_refused():
+def test_a_cell_whose_name_no_file_can_have_or_is_another_pass_of_one_is_refused(tmp_path):
     with pytest.raises(OptionError, match=r"has a name of 2\d\d bytes, which no file may have"):
         parse_plan(f"[axes]\ndata = 'file:{'x' * 200}'\n", "plan", "plan.toml")
-
-
-def test_a_cell_that_would_be_another_pass_of_one_is_refused(tmp_path):
     text = f"[run]\nrepeats = 2\n[axes]\nenvironment = ['', '{tmp_path / 'r2'}']\n"
     with pytest.raises(OptionError, match="would be repeat 2 of"):
         parse_plan(text, "plan", "plan.toml")
@@ -240,7 +248,7 @@ def _not_started(text, folder):
         plan = parse_plan(text, "plan", "plan.toml")
     except OptionError:
         return {}, 0
-    refused = rehearse_plan(plan, folder / "plan", check_arguments, note=str)
+    refused = rehearse_plan(plan, folder / "plan", argument_check(), note=str)
     passed = [cell for cell in plan.cells if cell.name not in refused][:2]
     if not passed:
         return {}, 0

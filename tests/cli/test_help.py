@@ -1,5 +1,6 @@
 """Commands load what they need and no more: looked up in `sys.modules` of a fresh process."""
 
+import ast
 import importlib
 import json
 import re
@@ -13,6 +14,8 @@ import typer
 from dds_trace.base.version import __version__
 from dds_trace.cli import analyze, trace
 from dds_trace.cli.record import command as record
+from dds_trace.recorder.choices import Role
+from dds_trace.recorder.option_table import OPTIONS, key_of, settings_of
 
 HEAVY = (
     *("numpy", "polars", "pyarrow", "scipy", "pandas", "plotly", "jinja2", "rich", "pygments", "markdown_it"),
@@ -41,7 +44,9 @@ except SystemExit as end:
     code = end.code
 print(json.dumps({"code": code, "loaded": [name for name in heavy if name in sys.modules]}))
 """
-SAMPLES = Path(__file__).parents[2] / "sample_traces"
+ROOT = Path(__file__).parents[2]
+ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
+SAMPLES = ROOT / "sample_traces"
 
 
 def called(module, *words, name="command"):
@@ -144,7 +149,7 @@ def test_a_recording_has_the_options_of_its_role():
     parameters = {role: command_of(f"dds-trace record {role}").params for role in ("ping", "relay", "tap", "beacon")}
     options = {role: {option for row in rows for option in row.opts} for role, rows in parameters.items()}
     shown = {role: sum(not row.hidden for row in rows) + 1 for role, rows in parameters.items()}  # and --help
-    assert shown == {"ping": 25, "relay": 21, "tap": 19, "beacon": 16}
+    assert shown == {"ping": 25, "relay": 20, "tap": 15, "beacon": 15}
     assert {"--rate", "--bridge"} <= options["ping"]
     assert {"--topics", "--live"} <= options["tap"]
     assert not {"--rate", "--bridge", "--topics", "--role"} & options["relay"]
@@ -180,7 +185,8 @@ def test_an_option_that_went_names_the_command_that_does_it(words, now, capsys, 
 
 def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
     taken = []
-    monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", lambda options, **_: taken.append(options))
+    take = "dds_trace.cli.record.run.record_until_stopped"
+    monkeypatch.setattr(take, lambda options, **_: (options.check(), taken.append(options)))
 
     def ends(*words):
         with pytest.raises(SystemExit) as ended:
@@ -197,11 +203,44 @@ def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
     assert (taken[1].node.buffer_bytes, taken[1].destination.fsync) == (2_000_000, True)
     for words, said in (
         (("-o", "bufer=1MB"), "did you mean 'buffer'"),
-        (("-o", "own_cost=no"), "true or false"),
-        (("-o", "buffer=x"), "--buffer 'x'"),
+        (("-o", "own_cost=no"), "one of true, false"),
+        (("-o", "buffer=x"), "-o buffer='x' is not"),
+        (("-o", "executor=sngle"), "-o executor='sngle': did you mean 'single'"),
+        (("-o", "wake=soon"), "-o wake='soon': write a number"),
     ):
         code, _, err = ends("ping", *words)
         assert (code, said in err) == (2, True), err
+    limited = [(role, row) for role in Role for row in settings_of(role).values() if row.metavar and row.limit]
+    assert len(limited) > 30
+    for role, row in limited:
+        bad = {str: "\udcff", float: "1e400"}.get(row.kind, "9" * 30)
+        topics = ["--topics", "/a"] if role is Role.TAP else []
+        code, _, err = ends(role.value, *topics, "-o", f"{key_of(row)}={bad}")
+        assert (code, f"-o {key_of(row)}" in err, row.name in err) == (2, True, False), err
+
+
+DEFINED = re.compile(r"--[a-z-]+(?: [A-Z][A-Z:=]*)?")
+
+
+def strings_of(text):
+    nodes = list(ast.walk(ast.parse(text)))
+    docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    strings = [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    return [node.value for node in strings if id(node) not in docstrings and not DEFINED.fullmatch(node.value)]
+
+
+def test_a_sentence_and_a_page_name_no_option_that_is_a_setting_or_went():
+    commands = map(command_of, ["dds-record", "dds-analyze", *(f"dds-trace {name}" for name in trace.COMMANDS)])
+    shown = {option for command in commands for row in command.params if not row.hidden for option in row.opts}
+    gone = {*(row.name for row in OPTIONS.values()), *(moved.split()[1] for moved in trace.MOVED)} - shown
+    assert {"--buffer", "--rotate", "--no-own-cost", "--explain-rates"} <= gone
+    modules = [path for room in ROOMS for path in (ROOT / room).rglob("*.py") if path.name != "trace.py"]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")]
+    texts = [(path, text) for path in modules for text in strings_of(path.read_text())]
+    texts += [(path, path.read_text()) for path in pages]
+    assert len(texts) > 10_000
+    named = [(path.name, option) for path, text in texts for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)]
+    assert [one for one in named if one[1] in gone] == []
 
 
 def test_typer_is_used_by_its_public_interface():
@@ -231,12 +270,9 @@ def test_one_program_runs_what_the_others_ran(tmp_path, monkeypatch, capsys, sen
     assert ends()[1] == ends("--help")[1]
 
 
-def test_python_m_is_the_one_program():
+def test_python_m_is_the_one_program_and_a_usage_error_loads_no_heavy_library():
     ran = subprocess.run([sys.executable, "-m", "dds_trace", "compair"], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr.split()[:2]) == (2, ["Usage:", "dds-trace"])
-
-
-def test_a_usage_error_loads_no_heavy_library():
     _, code, loaded = called("dds_trace.cli.trace", "sweep", "--unknown")
     assert (code, loaded) == (2, set())
 

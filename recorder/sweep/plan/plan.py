@@ -137,7 +137,7 @@ class DeviceSettings:
         "port at which the relay's half of a bridge waits for the ping's half; the default is Zenoh's",
     )
     options: tuple[str, ...] = plan_key(
-        (), limits.TEXT, 'further options of `dds-record` on the device, such as `["--realtime", "50"]`'
+        (), limits.TEXT, 'further options of `dds-record` on the device, such as `["-o", "realtime=50"]`'
     )
 
     @property

@@ -111,7 +111,7 @@ def check_traces(traces, away):
 
 def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", *SOCKET, "--rotate", "1s", "--keep", "2") as command:
-        command.wait_for_line("deleted relay.00002.mcap (--keep 2)")
+        command.wait_for_line("deleted relay.00002.mcap (-o keep=2)")
         command.stop(signal.SIGKILL)
     left = sorted(path.name for path in tmp_path.glob("relay.*"))
     assert "relay.00001.mcap" not in left

@@ -16,9 +16,9 @@ def blob(stamp_ns, size=8, frame="a"):
     return head + frame.encode() + b"\0" + bytes(size)
 
 
-def write(path, topics, *, schema=HEADER, chunk_size=1 << 20, metadata=None, sequences=None):
+def write(path, topics, *, schema=HEADER, metadata=None, sequences=None):
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk_size, compression=CompressionType.NONE)
+        writer = Writer(file, compression=CompressionType.NONE)
         writer.start("ros2")
         schema_id = writer.register_schema(*schema)
         channels = {name: writer.register_channel(name, "cdr", schema_id, metadata or {}) for name in topics}

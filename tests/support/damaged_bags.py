@@ -284,7 +284,6 @@ def damage(good: Good, rng: random.Random, how: str = "") -> tuple[bytes, set[Ke
 
 
 def joined(good: Good, parts: Sequence[Range | bytes]) -> tuple[bytes, set[Key]]:
-    """Return ranges of a recording and other bytes one after the other, and the messages that are whole."""
     content = b"".join(part if isinstance(part, bytes) else good.content[slice(*part)] for part in parts)
     kept = [part for part in parts if not isinstance(part, bytes)]
 

@@ -9,11 +9,13 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from campaigns import write_runs
+from card_bags import timer, write
 from four_campaigns import CAMPAIGNS
 from page_reader import AXE_RULES, EVERY_PAGE, Reader, violations
 from pyarrow.parquet import read_schema
 from roundtrip_frames import in_runs
 
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
@@ -25,6 +27,7 @@ from dds_trace.reports.comparison import page
 from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.topics.renderers import render_page
 
 pytestmark = pytest.mark.browser
 
@@ -426,6 +429,20 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(read_with, tmp
     tab.locator("#theme").click()
     assert tab.evaluate(ground) != before
     assert (one.complaints, one.requests) == ([], [path.as_uri()])
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_names_of_topics_are_whole_on_a_phone(read_with, show, tmp_path, width):
+    topics = ["/imu", "/robot_1/front_left_camera/image_rect_color/compressed", "/" + "very_long_name" * 6]
+    bag = write(tmp_path / "x.mcap", {name: timer(20, 30, without=[(5, 7)]) for name in topics})
+    one = read_with(viewport={"width": width, "height": 800})
+    one.tab.goto(show(render_page(analyze_topics(bag))))
+    script = "all => all.map(cell => [cell.firstChild.data, cell.getBoundingClientRect().right, cell.scrollWidth - cell.clientWidth])"
+    cells = one.tab.locator("tbody th, .hole-line").evaluate_all(script)
+    assert [text.strip() for text, *_ in cells if text.strip().startswith("/")] == topics
+    assert [text for text, right, hidden in cells if right > width or hidden > 0] == []
+    assert one.tab.evaluate("document.documentElement.scrollWidth") == width
+    assert (violations(one.tab, "document"), one.complaints) == ([], [])
 
 
 def test_the_summary_is_saved_as_parquet(reader, pages):

@@ -69,18 +69,16 @@ def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
     assert recover_recording(path).messages == len(whole) > 0
 
 
-def test_a_damaged_profile_is_that_of_the_schemas(tmp_path):
-    good = make_good("mcap zstd", tmp_path, 7)
-    path = tmp_path / "damaged.mcap"
-    path.write_bytes(good.content.replace(b"ros2", b"r\0s2", 1))
-    assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
+DEFINITION = (b"string data", b"string\0data", -1)
 
 
-@pytest.mark.parametrize("kind", ["mcap without chunks", "sqlite3"])
-def test_a_damaged_definition_is_left_out(tmp_path, kind):
+@pytest.mark.parametrize(
+    ("kind", "replaced"),
+    [("mcap zstd", (b"ros2", b"r\0s2", 1)), ("mcap without chunks", DEFINITION), ("sqlite3", DEFINITION)],
+)
+def test_a_damaged_profile_or_definition_costs_no_message(tmp_path, kind, replaced):
     good = make_good(kind, tmp_path, 7)
-    path = tmp_path / ("damaged.db3" if kind == "sqlite3" else "damaged.mcap")
-    path.write_bytes(good.content.replace(b"string data", b"string\0data"))
+    path = good.write(tmp_path, good.content.replace(*replaced))
     assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
 
 

@@ -166,9 +166,9 @@ paper-claims: setup
     {{bin}}/dds-trace sweep plans/paper-claims.toml --out runs
     {{bin}}/python scripts/quoted.py runs/paper-claims
 
-# The table of benchmarks/performance.md: our nodes and programs that do nothing else, in turn (half an hour)
-bench-node: setup
-    {{bin}}/python benchmarks/bench_node.py --rounds 5 --csv benchmarks/node.csv || true
+# The table of benchmarks/performance.md: our nodes and programs that do nothing else, in turn (half an hour; `--backend zenoh` renews its rows)
+bench-node *args: setup
+    {{bin}}/python benchmarks/bench_node.py --rounds 3 --seconds 1.5 --csv benchmarks/node.csv {{args}} || true
     {{bin}}/python scripts/quoted.py
 
 # Write the answers that README and the pages quote again from the traces of docs/results/ (a test fails where they differ)

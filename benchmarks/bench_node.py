@@ -349,9 +349,15 @@ def loads_of(sizes: Sequence[int], rates: Sequence[int] | None) -> list[tuple[in
 
 
 def write_csv(results: Sequence[Result], path: Path) -> None:
-    """Write a row for each result, all its rounds in one field."""
+    """Write a row for each result, all its rounds in one field; contests that did not run keep their rows."""
+    rows = [{**asdict(result), "ratios": " ".join(map(str, result.ratios))} for result in results]
+    measured = {(row["ours"], row["against"]) for row in rows}
+    if path.exists():
+        with path.open(encoding="utf-8", newline="") as file:
+            rows += [row for row in csv.DictReader(file) if (row["ours"], row["against"]) not in measured]
+    order = [(contest.label, contest.name) for contest in CONTESTS]
+    rows.sort(key=lambda row: (order.index((row["ours"], row["against"])), int(row["size_bytes"]), int(row["rate_hz"])))
     with path.open("w", encoding="utf-8", newline="") as file:
-        rows = [{**asdict(result), "ratios": " ".join(map(str, result.ratios))} for result in results]
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -400,8 +406,8 @@ def main() -> int:
                         f"{result.ours_us:>9.0f} us{result.theirs_us:>9.0f} us{result.ratio:>7.2f}  {bar}{missed}",
                         flush=True,
                     )
-    if options.csv:
-        write_csv(results, options.csv)
+            if options.csv and results:  # an interrupted run keeps what it measured
+                write_csv(results, options.csv)
     if options.json:
         print(json.dumps([asdict(result) for result in results], indent=2))
     return 0 if all(result.holds for result in results) else 1

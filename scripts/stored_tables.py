@@ -39,7 +39,7 @@ def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
         ends = sorted(map(float, row["ratios"].split()))
         shown = f"{float(row['ratio']):.2f}"
         is_missed = row["bar"] and float(row["ratio"]) > float(row["bar"])
-        span = f" ({ends[0]:.2f} to {ends[-1]:.2f})" if len(ends) > 1 else ""
+        span = f" ({ends[0]:.2f}-{ends[-1]:.2f})" if len(ends) > 1 else ""
         return (f"**{shown}**" if is_missed else shown) + span
 
     return markdown(

@@ -63,7 +63,7 @@ def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], 
         Fact("Quality of service", _listed(dict.fromkeys(qos_label(member) for member in groups.series))),
         Fact("Settings", setting_words(analysis)),
         Fact("Versions", version_words(analysis)),
-        Fact("Cost of measuring", cost_words(costs)),
+        Fact("Cost of measuring", cost_words(costs, analysis.sessions)),
     )
     return Overview(printable(analysis.title), tuple(fact for fact in facts if fact.value))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import polars as pl
 
@@ -177,26 +178,27 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
     return tuple(costs)
 
 
-def cost_words(costs: Sequence[OwnCost]) -> str:
+def cost_words(costs: Sequence[OwnCost], sessions: Sequence[Session]) -> str:
     parts = (
         ("recording an event", "record_median_ns", "record_p99_ns"),
         ("a message from a node to itself", "floor_median_ns", "floor_p99_ns"),
     )
     words = []
     for what, median, p99 in parts:
-        slowest = max(
-            (cost for cost in costs if getattr(cost, median) is not None),
-            key=lambda cost: getattr(cost, median),
-            default=None,
-        )
-        if slowest is not None:
+        measured = [cost for cost in costs if getattr(cost, median) is not None]
+        if measured:
+            slowest = max(measured, key=attrgetter(median))
             tail = getattr(slowest, p99)
             within = "" if tail is None else f" (p99 {format_duration(tail)})"
             words.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
     floors = [(cost.single_executor_ns, cost.floor_median_ns) for cost in costs]
     added_ns = [single - default for single, default in floors if single is not None and default is not None]
     words += [f"through rclpy with -o executor=single {format_added_ns(max(added_ns))}"] if added_ns else []
-    return f"{'; '.join(words)}; not subtracted" if words else ""
+    words += ["not subtracted"] if words else []
+    used_ns = zip(*(_numbers(sessions, "own_cost", name) for name in ("cpu_ns", "duration_ns")), strict=False)
+    shares = [cpu_ns / max(duration_ns, 1) for cpu_ns, duration_ns in used_ns]
+    words += [f"a tap {max(shares):.1%} of one core"] if shares else []
+    return "; ".join(words)
 
 
 def setting_words(analysis: Analysis) -> str:

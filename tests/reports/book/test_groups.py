@@ -173,10 +173,13 @@ def facts(analysis):
 
 def test_of_several_sessions_the_slowest_counts(sentences):
     slower = {"recorder_cost": {**COST, "record_p99_ns": 5000}, "client_library_floor": {**FLOOR, "messages": 20}}
-    slower |= {"single_executor_floor": {"median_ns": 470_000}}
+    slower |= {
+        "single_executor_floor": {"median_ns": 470_000},
+        "own_cost": {"cpu_ns": 35 * MS, "duration_ns": 1000 * MS},
+    }
     analysis = analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}, slower])
     assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20, 470_000),)
-    assert numbers(facts(analysis)["Cost of measuring"]) == [900, 5, 400, 1.2, 70]
+    assert numbers(facts(analysis)["Cost of measuring"]) == [900, 5, 400, 1.2, 70, 3.5]
     sentences(facts(analysis)["Cost of measuring"])
     sides = [replace(one, host={"middleware": {"executor": "events"}}) for one in analysis.sessions]
     assert "events executor" in Book(replace(analysis, sessions=sides)).answer.sentences[-1][1]

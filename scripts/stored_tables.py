@@ -29,7 +29,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
     """Return `bench_node.py --csv` as a table: a row for each contest, the ratio of each load with its extremes, misses bold."""
-    loads = dict.fromkeys((int(row["size_bytes"]), float(row["rate_hz"])) for row in rows)
+    loads = sorted({(int(row["size_bytes"]), float(row["rate_hz"])) for row in rows})
     ratios = {(row["ours"], row["against"], int(row["size_bytes"]), float(row["rate_hz"])): row for row in rows}
     contests = dict.fromkeys((row["ours"], row["against"], row["bar"]) for row in rows)
 
@@ -39,11 +39,11 @@ def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
         ends = sorted(map(float, row["ratios"].split()))
         shown = f"{float(row['ratio']):.2f}"
         is_missed = row["bar"] and float(row["ratio"]) > float(row["bar"])
-        span = f" ({ends[0]:.2f}-{ends[-1]:.2f})" if len(ends) > 1 else ""
+        span = f"<br>{ends[0]:.2f}-{ends[-1]:.2f}" if len(ends) > 1 else ""
         return (f"**{shown}**" if is_missed else shown) + span
 
     return markdown(
-        ["ours", "against", *(f"{format_size(size)} at {format_rate(rate)}" for size, rate in loads), "bar"],
+        ["ours", "against", *(f"{format_size(size)}<br>{format_rate(rate)}" for size, rate in loads), "bar"],
         (
             [ours, against, *(cell(ratios.get((ours, against, *load))) for load in loads), bar]
             for ours, against, bar in contests

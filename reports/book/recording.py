@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -21,6 +20,7 @@ from dds_trace.analyzer.model.applied import (
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import number_of
 
 from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
@@ -228,9 +228,7 @@ def version_words(analysis: Analysis) -> str:
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
     parts = [fields for session in sessions if isinstance(fields := session.extra.get(part), dict)]
-    values = (fields.get(name) for fields in parts)
-    numbers = (value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool))
-    return [round(value) for value in numbers if math.isfinite(value) and value >= 0]
+    return [round(value) for fields in parts if (value := number_of(fields.get(name))) is not None and value >= 0]
 
 
 MOST_COLUMNS = 16

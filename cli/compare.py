@@ -140,26 +140,27 @@ class JudgedSides(NamedTuple):
 
     def write(self, report: ComparisonReport, file: Path | None, title: str, *, shows_all: bool) -> None:
         from dds_trace.analyzer.exports.kinds import write_text_file
-        from dds_trace.reports.comparison import document, markdown, page, terminal
+        from dds_trace.reports.comparison import document
+        from dds_trace.reports.comparison.report import ComparisonReport as Contents
+        from dds_trace.reports.reporters import load_reporter
+        from dds_trace.reports.terminal import print_report
 
-        info = self.info
+        contents = Contents(self.info, self.comparison, title, shows_all=shows_all)
         if report is ComparisonReport.TERMINAL and file is None:
-            terminal.write(info, shows_all=shows_all)
+            print_report(contents)
             return
-        renders = {
-            ComparisonReport.TERMINAL: lambda: terminal.render(info, shows_all=shows_all),
-            ComparisonReport.MD: lambda: markdown.render(info, shows_all=shows_all),
-            ComparisonReport.JSON: lambda: document.render(info, self.comparison),
-            ComparisonReport.JUNIT: lambda: document.render_junit(info),
-            ComparisonReport.GITHUB: lambda: document.render_annotations(info),
-            ComparisonReport.BADGE: lambda: document.render_badge(info),
-            ComparisonReport.HTML: lambda: page.render(info, title),
+        for_ci = {
+            ComparisonReport.JUNIT: document.render_junit,
+            ComparisonReport.GITHUB: document.render_annotations,
+            ComparisonReport.BADGE: document.render_badge,
         }
+        render = for_ci.get(report)
+        text = render(self.info) if render else load_reporter(report.value).render(contents)
         if file is not None:
-            print(f"Wrote {write_text_file(file, renders[report]())}")
+            print(f"Wrote {write_text_file(file, text)}")
         else:
             method = "write_commands" if report is ComparisonReport.GITHUB else "write"
-            getattr(sys.stdout, method, sys.stdout.write)(renders[report]())
+            getattr(sys.stdout, method, sys.stdout.write)(text)
 
     def end(self, *, strict: bool) -> int:
         """Say the outcome, and return the exit code."""

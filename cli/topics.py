@@ -17,7 +17,9 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.card import topics_card, write_picture
-from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
+from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.terminal import print_report
+from dds_trace.reports.topics.report import BagReport
 from dds_trace.reports.topics.words import JudgedTopic
 
 from .limits_file import topic_limits_text, write_limits
@@ -29,11 +31,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.gate import Gate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
-_FILES = {
-    "html": ("topics.html", render_page),
-    "md": ("topics.md", render_markdown),
-    "json": ("topics.json", render_json),
-}
+_FILES = ("html", "md", "json")
 _EXPORTS = (*EXPORTERS, "perfetto")
 
 
@@ -52,12 +50,16 @@ def report_topics(
         raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report.topics, report.holes, gates))
-    print_topics(report, judged)
+    contents = BagReport(report, judged)
+    print_report(contents)
     for source in report.sources:
         if source.status != "read" or source.detail:
             say(f"{source.path}: {source.status}: {source.detail}")
-    files = [_FILES[kind] for kind in dict.fromkeys(kinds) if kind in _FILES]
-    written = [write_text_file(folder / name, render(report, judged)) for name, render in files]
+    written = [
+        write_text_file(folder / f"{contents.name}.{kind}", load_reporter(kind).render(contents))
+        for kind in dict.fromkeys(kinds)
+        if kind in _FILES
+    ]
     for kind in exports:
         if kind == "perfetto":
             written.append(write_file(folder / "topics.pftrace", partial(write_slices, topic_slices(report))))

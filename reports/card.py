@@ -23,7 +23,7 @@ from .book.groups import data_type_label
 from .book.outcomes import shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
-from .topics.renderers import STRIP_WIDTH, strip_blocks
+from .topics.report import STRIP_WIDTH, strip_parts
 from .topics.words import facts_words, topics_of, verdict_words
 
 WIDTH, HEIGHT, EDGE = 1200, 630, 56
@@ -166,7 +166,7 @@ def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:
     for number, (row, holes, strip) in enumerate(worst):
         y = 300 + 40 * number
         marks.append(_line(EDGE, y + 7, 20, printable(row["topic"]), LABELS - 12))
-        for start, width, kind, _ in strip_blocks(health, row, holes, strip):
+        for start, width, kind, _ in strip_parts(health, row, holes, strip):
             marks.append(Bar((left + start * scale, y, left + (start + width) * scale, y), _STRIP_COLORS[kind], 22))
         missing = "no rhythm" if row["missing"] is None else f"{row['missing']:,} missing"
         marks.append(Words(WIDTH - EDGE, y + 7, 20, missing, anchor="end"))

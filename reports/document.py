@@ -1,74 +1,34 @@
-"""JSON report for scripts: everything on the page, under the contract of `report.schema.json`."""
+"""The JSON report of whatever has a document, under the contract of its schema."""
 
 from __future__ import annotations
 
 import json
 from contextlib import suppress
-from pathlib import Path
 
 import polars as pl
 
-from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.saving.records import to_json
-from dds_trace.base.files import write_whole
 
-from .book.book import Book
-
-FILE_NAME = "report.json"
-FORMAT_VERSION = 1
-"""A field may be added without a new version."""
+from .blocks import Report
 
 _IDENTIFIERS = ("run_id", "session_id")
 """Columns written as hex digits: a JSON number has no 64 bits."""
 
 
-def render(book: Book) -> str:
-    parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
+def render(report: Report) -> str:
+    parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in report.document.items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
-
-
-def write(book: Book, folder: Path) -> Path:
-    return write_whole(folder / FILE_NAME, render(book))
-
-
-def _document(book: Book) -> dict[str, object]:
-    analysis = book.analysis
-    details = analysis.details
-    return {
-        "format": FORMAT_VERSION,
-        "title": analysis.title,
-        "measured": book.overview.facts,
-        "own_cost": book.own_costs,
-        "answer": book.answer,
-        "findings": analysis.findings,
-        "sources": analysis.sources,
-        "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
-        "runs": [json.loads(run.to_json()) for run in analysis.runs],
-        "groups": analysis.summary,
-        "topics": analysis.topics,
-        "topic_hops": analysis.topic_hops,
-        **{name: getattr(details, name) if details.requested else None for name in DETAIL_FRAMES},
-        "judgements": analysis.judgements if details.requested else None,
-        "answers": details.answers if details.requested else None,
-        "deadline_ns": details.deadline_ns,
-        "deadline_metric": details.deadline_metric,
-        "recommendation": details.recommendation,
-    }
 
 
 def _lines(value: object) -> str:
     if isinstance(value, pl.DataFrame):
-        lines = _rows(value)
+        template = ", ".join(f"{json.dumps(name)}: %s" for name in value.columns)
+        lines = ["{" + template % values + "}" for values in zip(*map(_column, value), strict=True)]
     elif isinstance(value, (list, tuple)):
         lines = [_text(element) for element in value]
     else:
         return _text(value)
     return "[\n" + ",\n".join(lines) + "\n]" if lines else "[]"
-
-
-def _rows(frame: pl.DataFrame) -> list[str]:
-    template = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
-    return ["{" + template % values + "}" for values in zip(*map(_column, frame), strict=True)]
 
 
 def _column(series: pl.Series) -> list[str]:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
+from . import blocks
+from .blocks import MARKDOWN, Span, Words
 from .book.book import Book
 from .book.findings import severity_counts
-from .book.sizes import HOW_TO_READ, PlaceRows, SizeCell, SizeTable
-from .book.verdicts import received_words
+from .book.report import size_rows
+from .book.sizes import HOW_TO_READ, PlaceRows, SizeTable
 from .comparison.info import comparison_info
-from .comparison.words import both_words, change_with_interval, statistic_words
+from .comparison.report import result_table
 from .plotting import line_figure
 from .reporters import write_reports
 
@@ -67,7 +69,7 @@ def _table(sizes: SizeTable, room: int) -> str:
     )
     bodies: list[str] = []
     for rows in sizes.places:
-        body = _body(rows, sizes.deadline, span)
+        body = _body(sizes, rows, span)
         if len(start) + sum(map(len, bodies)) + len(body) > room:
             break
         bodies.append(body)
@@ -82,28 +84,30 @@ def _table(sizes: SizeTable, room: int) -> str:
     return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
 
 
-def _body(rows: PlaceRows, deadline: str, span: int) -> str:
+def _body(sizes: SizeTable, rows: PlaceRows, span: int) -> str:
     lines = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(rows.place)}</th></tr>"]
-    if rows.thresholds:
-        outcomes = [
-            "" if threshold is None else f"<b>{escape(threshold.outcome)}</b> {escape(threshold.why)}"
-            for threshold in rows.thresholds
-        ]
-        lines.append(_row(deadline, outcomes))
-    lines += [_row(row.size, [_cell(cell) for cell in row.cells]) for row in rows.rows]
+    lines += [_row(row.cells) for row in size_rows(sizes, rows, separator="")]
     return f"<tbody>{''.join(lines)}</tbody>"
 
 
-def _row(name: str, cells: Sequence[str]) -> str:
-    columns = "".join(f"<td>{cell}</td>" for cell in cells)
-    return f"<tr style='{_CELL}'><th style='{_CELL}'>{escape(name)}</th>{columns}</tr>"
+def _row(cells: Sequence[Words]) -> str:
+    name, *others = map(_html, cells)
+    columns = "".join(f"<td>{cell}</td>" for cell in others)
+    return f"<tr style='{_CELL}'><th style='{_CELL}'>{name}</th>{columns}</tr>"
 
 
-def _cell(cell: SizeCell | None) -> str:
-    if cell is None:
-        return ""
-    times = " / ".join(f"<b>{escape(text)}</b>" if leads else escape(text) for text, leads in cell.times)
-    return f"{times} <span style='{_LOST}'>{escape(cell.lost)}</span>" if cell.lost else times
+def _html(words: Words) -> str:
+    if isinstance(words, (str, blocks.Figure)):
+        return escape(blocks.plain_text(words))
+    spans = words.spans if isinstance(words, blocks.Stack) else words
+    return ("<br>" if isinstance(words, blocks.Stack) else "").join(map(_span, spans))
+
+
+def _span(span: Span) -> str:
+    text = escape(span.text)
+    if span.tone == "bad":
+        return f" <span style='{_LOST}'>{text}</span>"
+    return f"<b>{text}</b>" if span.tone == "strong" or span.tone.startswith("verdict") else text
 
 
 def comparison_screen(comparison: Comparison) -> str:
@@ -114,22 +118,18 @@ def comparison_screen(comparison: Comparison) -> str:
         top = f"<p>{escape(info.said[: MOST_CHARACTERS // 8])} ...</p>"
     if not info.groups:
         return f"<div>{top}</div>"
-    labels = (f"{info.metric}, {statistic_words(row['statistic'])}" for row in info.groups[0].shown())
-    names = "".join(f"<th style='{_CELL}'>{escape(name)}</th>" for name in (*labels, "Received", "Verdict"))
+    columns, cells = result_table(info, len(info.groups)).seen(MARKDOWN)
+    names = "".join(f"<th style='{_CELL}'>{escape(column.name)}</th>" for column in columns)
     rows: list[str] = []
     room = MOST_CHARACTERS - len(top) - len(names) - _BELOW
-    for group in info.groups:
-        times = [f"{both_words(row)}<br>{change_with_interval(row)}" for row in group.shown()]
-        verdict = f"<b>{escape(group.verdict)}</b> {escape(group.where)}"
-        rows.append(_row(group.label, [*times, escape(received_words(group.delivery)), verdict]))
+    for _, texts in cells:
+        rows.append(_row(texts))
         if sum(map(len, rows)) > room:
             rows.pop()
             break
     remaining = len(info.groups) - len(rows)
     more = f"<p style='{_SOFT}'>And {counted(remaining, 'more result')}.</p>" if remaining else ""
-    return (
-        f"<div>{top}<table><thead><tr><th></th>{names}</tr></thead><tbody>{''.join(rows)}</tbody></table>{more}</div>"
-    )
+    return f"<div>{top}<table><thead><tr>{names}</tr></thead><tbody>{''.join(rows)}</tbody></table>{more}</div>"
 
 
 def plot(

@@ -1,4 +1,4 @@
-"""The table of report formats: one module each, with `render` and `write`."""
+"""The table of report formats: one module each that draws any `blocks.Report`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.files import write_whole
 
 if TYPE_CHECKING:
     import os
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
 
-    from .book.book import Book
+    from .blocks import Report
 
 REPORT_MODULES = {
     "html": "dds_trace.reports.html.page",
@@ -22,16 +23,14 @@ REPORT_MODULES = {
     "json": "dds_trace.reports.document",
     "terminal": "dds_trace.reports.terminal",
 }
+"""Kind, which is also the ending of its file, and module; a terminal's is printed."""
 
 
 class Reporter(Protocol):
     """A module of a report format."""
 
-    def render(self, book: Book) -> str:
+    def render(self, report: Report) -> str:
         """Return the report as text; equal input gives equal text."""
-
-    def write(self, book: Book, folder: Path) -> Path | None:
-        """Write the report below `folder` and return its path, or print it and return None."""
 
 
 def load_reporter(kind: str) -> Reporter:
@@ -58,8 +57,10 @@ def write_reports(
         OptionError: there is no such kind.
         OutputError: a file cannot be written.
     """
+    from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
+
     reporters = {kind: load_reporter(kind) for kind in kinds}
-    book = _book(analysis, shows_all=shows_all)
+    book = Book(analysis, shows_all=shows_all)
     return [_write(reporter, book, kind, Path(folder)) for kind, reporter in reporters.items()]
 
 
@@ -69,17 +70,18 @@ def render_report(analysis: Analysis, kind: str) -> str:
     Raises:
         OptionError: there is no such kind.
     """
-    return load_reporter(kind).render(_book(analysis))
-
-
-def _book(analysis: Analysis, *, shows_all: bool = False) -> Book:
     from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
 
-    return Book(analysis, shows_all=shows_all)
+    return load_reporter(kind).render(Book(analysis))
 
 
-def _write(reporter: Reporter, book: Book, kind: str, folder: Path) -> Path | None:
+def _write(reporter: Reporter, report: Report, kind: str, folder: Path) -> Path | None:
+    if kind == "terminal":
+        from .terminal import print_report  # noqa: PLC0415 - as above
+
+        print_report(report)
+        return None
     try:
-        return reporter.write(book, folder)
+        return write_whole(folder / f"{report.name}.{kind}", reporter.render(report))
     except OSError as err:
         raise OutputError(f"{folder}: cannot write the {kind} report ({err.strerror}); check the folder") from err

@@ -52,9 +52,8 @@ setup(
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.recorder.tap": ["*.html"],
         f"{PACKAGE}.reports": ["report.schema.json"],
-        f"{PACKAGE}.reports.comparison": ["comparison.schema.json", "assets/*.*"],
+        f"{PACKAGE}.reports.comparison": ["comparison.schema.json"],
         f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],
-        f"{PACKAGE}.reports.topics": ["assets/*.*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

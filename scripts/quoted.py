@@ -10,8 +10,6 @@ a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `tab
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import re
 import sys
@@ -28,8 +26,8 @@ from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.cli.sweep.advise import proof_of, shown
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
-from dds_trace.reports.terminal import render_brief
-from dds_trace.reports.topics.renderers import print_topics
+from dds_trace.reports.terminal import render, render_screen
+from dds_trace.reports.topics.report import BagReport
 
 TOP = Path(__file__).parents[1]
 PAGES = (TOP / "README.md", TOP / "benchmarks" / "performance.md", *sorted((TOP / "docs").rglob("*.md")))
@@ -64,14 +62,12 @@ def quote(kind: str, campaign: str) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         folder = unpack(campaign, Path(scratch))
         if kind == "topics":
-            here, shown_card = Path.cwd(), io.StringIO()
+            here = Path.cwd()
             os.chdir(scratch)  # the card names the path as it is given
             try:
-                with contextlib.redirect_stdout(shown_card):
-                    print_topics(analyze_topics([Path(campaign)]))
+                lines = render(BagReport(analyze_topics([Path(campaign)]))).splitlines()
             finally:
                 os.chdir(here)
-            lines = shown_card.getvalue().splitlines()
         elif kind == "advice":
             (path,) = folder.glob("*.xml")
             lines = shown({"vendor": "fastdds", **proof_of(path.stem, folder / "base", folder / "new")})
@@ -79,7 +75,7 @@ def quote(kind: str, campaign: str) -> str:
             book = Book(analyze(folder))
             if kind == "table":
                 return re.findall(r"(?:^\|.*\n)+", load_reporter("md").render(book), re.MULTILINE)[0]
-            lines = render_brief(book).splitlines()
+            lines = render_screen(book).splitlines()
     return "".join(f"{line.rstrip()}\n" for line in ["```text", *lines, "```"])
 
 

@@ -38,8 +38,8 @@ from dds_trace.analyzer.verdicts.ignoring import IGNORABLE_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Claim, Judgement, judgement_frame
 from dds_trace.analyzer.verdicts.recommend import Recommendation
-from dds_trace.reports import document
 from dds_trace.reports.book.answer import Conclusion
+from dds_trace.reports.book.book import FORMAT_VERSION
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.recording import OwnCost
 from dds_trace.reports.book.verdicts import DataVerdict
@@ -242,7 +242,7 @@ def report_schema() -> Schema:
     words = described(Details)
     without = "Null where the analysis was made without details"
     properties: Schema = {
-        "format": {"const": document.FORMAT_VERSION},
+        "format": {"const": FORMAT_VERSION},
         "title": {"type": "string", "description": "name of the analyzed folder"},
         "measured": a_list(of_record(Fact), "what was measured, in words"),
         "answer": of_record(Conclusion, "answer"),
@@ -275,7 +275,7 @@ def report_schema() -> Schema:
     }
     return {
         "$schema": DIALECT,
-        "title": f"dds-trace report, format {document.FORMAT_VERSION}",
+        "title": f"dds-trace report, format {FORMAT_VERSION}",
         "description": (
             "What `dds-trace analyze --report json` writes. Times are in ns, sizes in bytes; `group` is an index of `groups`; null "
             "means that there is no such number, never 0. A later version of the same format may add fields."

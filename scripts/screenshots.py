@@ -26,7 +26,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
-from dds_trace.reports.topics.renderers import render_page
+from dds_trace.reports.topics.report import BagReport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -122,7 +122,7 @@ def page_of(campaign: str) -> str:
             here = Path.cwd()
             os.chdir(title / BAG)  # the page names the path as it is given
             try:
-                return render_page(analyze_topics([Path(BAG)]))
+                return load_reporter("html").render(BagReport(analyze_topics([Path(BAG)])))
             finally:
                 os.chdir(here)
         return load_reporter("html").render(Book(analyze(title)))

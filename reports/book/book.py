@@ -1,114 +1,55 @@
-"""Contents of the reports of one analysis, computed once for every reporter and figure."""
+"""The reports of one analysis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cached_property
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
+from dds_trace.analyzer.analysis import DETAIL_FRAMES
 
-from .answer import Conclusion, answer_info
-from .facets import Facets, facets_info
-from .findings import FindingKind, findings_info
-from .groups import Groups, groups_info
-from .headline import Fastest, fastest_setups
-from .numbers import Curves, Intervals, Values, curves_info, intervals_info, values_info
-from .overview import Overview, overview_info
-from .recommendation import Advice, recommendation_info
-from .recording import (
-    OwnCost,
-    RecordedEnvironment,
-    RecordTable,
-    RunTime,
-    own_costs,
-    record_tables,
-    recorded_environment,
-    run_times,
-)
-from .sizes import Glance, SizeTable, glance_info, size_table
-from .topics import TopicTable, is_of_topics, topic_tables
+from ..blocks import Report, Section
+from .contents import Contents
+from .report import sections
+from .screen import screen
+
+FORMAT_VERSION = 1
+"""A field may be added without a new version."""
 
 
-class Book:
-    def __init__(self, analysis: Analysis, *, shows_all: bool = False) -> None:
-        self.analysis = analysis
-        self.shows_all = shows_all
+class Book(Contents, Report):
+    name = "report"
+    kicker = "Latency report"
 
-    @cached_property
-    def groups(self) -> Groups:
-        return groups_info(self.analysis)
+    @property
+    def document(self) -> Mapping[str, Any]:
+        analysis = self.analysis
+        details = analysis.details
+        return {
+            "format": FORMAT_VERSION,
+            "title": analysis.title,
+            "measured": self.overview.facts,
+            "own_cost": self.own_costs,
+            "answer": self.answer,
+            "findings": analysis.findings,
+            "sources": analysis.sources,
+            "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
+            "runs": [json.loads(run.to_json()) for run in analysis.runs],
+            "groups": analysis.summary,
+            "topics": analysis.topics,
+            "topic_hops": analysis.topic_hops,
+            **{name: getattr(details, name) if details.requested else None for name in DETAIL_FRAMES},
+            "judgements": analysis.judgements if details.requested else None,
+            "answers": details.answers if details.requested else None,
+            "deadline_ns": details.deadline_ns,
+            "deadline_metric": details.deadline_metric,
+            "recommendation": details.recommendation,
+        }
 
-    @cached_property
-    def facets(self) -> Facets:
-        return facets_info(self.groups)
+    @property
+    def sections(self) -> Sequence[Section]:
+        return sections(self)
 
-    @cached_property
-    def values(self) -> Values:
-        return values_info(self.analysis)
-
-    @cached_property
-    def intervals(self) -> Intervals:
-        return intervals_info(self.analysis)
-
-    @cached_property
-    def curves(self) -> Curves:
-        return curves_info(self.analysis)
-
-    @cached_property
-    def run_times(self) -> tuple[RunTime, ...]:
-        return run_times(self.analysis)
-
-    @cached_property
-    def bridge_loads(self) -> Mapping[int, float]:
-        spans = (
-            RunSpan(run.group, run.session.session_id, run.origin_ns, run.last_ns)
-            for run in self.run_times
-            if run.session is not None
-        )
-        return bridge_loads(self.analysis.details.host_samples, spans)
-
-    @cached_property
-    def own_costs(self) -> tuple[OwnCost, ...]:
-        return own_costs(self.analysis)
-
-    @cached_property
-    def overview(self) -> Overview:
-        return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
-
-    @cached_property
-    def fastest(self) -> list[Fastest]:
-        answers = self.analysis.details.answers if self.values.default_metric == "latency" else ()
-        return fastest_setups(answers, self.groups.vendors)
-
-    @cached_property
-    def answer(self) -> Conclusion:
-        return answer_info(self.analysis, self.groups, self.values, self.fastest)
-
-    @cached_property
-    def sizes(self) -> SizeTable | None:
-        return None if is_of_topics(self.analysis) else size_table(self.analysis, self.groups.vendors)
-
-    @cached_property
-    def glance(self) -> Glance | None:
-        return glance_info(self.sizes, self.intervals, self.facets)
-
-    @cached_property
-    def advice(self) -> Advice | None:
-        return recommendation_info(self.analysis.details.recommendation, self.groups.vendors)
-
-    @cached_property
-    def findings(self) -> tuple[FindingKind, ...]:
-        return findings_info(self.analysis, self.groups, self.values)
-
-    @cached_property
-    def record_tables(self) -> tuple[RecordTable, ...]:
-        return record_tables(self.analysis)
-
-    @cached_property
-    def topic_tables(self) -> tuple[TopicTable, ...]:
-        return topic_tables(self.analysis)
-
-    @cached_property
-    def environment(self) -> RecordedEnvironment | None:
-        return recorded_environment(self.analysis, self.groups)
+    @property
+    def screen(self) -> Sequence[Section]:
+        return screen(self)

@@ -59,31 +59,31 @@ class Facets:
 
 
 def facets_info(groups: Groups) -> Facets:
-    choice_of = [_apart_from_place(series) for series in groups.series]
-    choices = tuple(dict.fromkeys(choice_of))
+    apart = {series: _apart_from_place(series) for series in groups.series}
+    choices = tuple(dict.fromkeys(choice for choice, _ in apart.values()))
     names = dict(zip(choices, series_labels(choices), strict=True))
     bridging = len({choice.vendor_label for choice in choices if choice.domain_mode == "different"}) > 1
 
-    links = {(series.connectivity, _emulated(series).get("link")) for series in groups.series}
+    links = {(series.connectivity, apart[series][1].get("link")) for series in groups.series}
     several_links = len(links) > len({connectivity for connectivity, _ in links})
 
     def choice(series: Series) -> Value:
-        name, way = names[_apart_from_place(series)], domain_label(series)
+        name, way = names[apart[series][0]], domain_label(series)
         bridge = SHORT_BRIDGES.get(series.bridge, printable(series.bridge))
         brief = f"{series.vendor_label}, {bridge}" if bridging else bridge
         at_home = series.domain_mode == "same" or series.bridge == "none"
         short = name.replace(", same domain", "") if at_home else name.replace(f"{series.vendor_label}, {way}", brief)
-        return Value(_apart_from_place(series), name, short)
+        return Value(apart[series][0], name, short)
 
     def rest(series: Series) -> Value:
-        name = names[_apart_from_place(series)].removeprefix(series.vendor_label)
+        name = names[apart[series][0]].removeprefix(series.vendor_label)
         return _named(name.replace(f", {domain_label(series)}", "", 1).removeprefix(", "))
 
     def device(series: Series) -> Value:
-        return _named(", ".join(filter(None, (device_label(series), printable(_emulated(series).get(LOAD, ""))))))
+        return _named(", ".join(filter(None, (device_label(series), printable(apart[series][1].get(LOAD, ""))))))
 
     def link(series: Series) -> Value:
-        emulated = printable(_emulated(series).get("link", "")) if several_links else ""
+        emulated = printable(apart[series][1].get("link", "")) if several_links else ""
         return _named(", ".join(filter(None, (printable(series.connectivity), emulated))))
 
     values_of_cells: dict[str, Callable[[Cell], Value]] = {
@@ -135,13 +135,11 @@ def _named(label: str) -> Value:
     return Value(label, label)
 
 
-def _emulated(series: Series) -> Mapping[str, str]:
-    """Return the settings that stand in for a link and a device: part of the place, not of the choice."""
-    setting = parse_setting(series.setting).items()
-    return {key: value for key, value in setting if key == "link" or (key == LOAD and value.startswith("emulated-"))}
-
-
-def _apart_from_place(series: Series) -> Series:
-    emulated, setting = _emulated(series), parse_setting(series.setting)
+def _apart_from_place(series: Series) -> tuple[Series, Mapping[str, str]]:
+    """Return the choice, and the settings that are part of the place."""
+    setting = parse_setting(series.setting)
+    emulated = {
+        key: value for key, value in setting.items() if key == "link" or (key == LOAD and value.startswith("emulated-"))
+    }
     choice = write_setting({key: value for key, value in setting.items() if key not in emulated})
-    return replace(series, ping_device="", relay_device=None, connectivity="", setting=choice)
+    return replace(series, ping_device="", relay_device=None, connectivity="", setting=choice), emulated

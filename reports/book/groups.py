@@ -51,6 +51,13 @@ def format_added_ns(value_ns: float) -> str:
     return f"+{format_duration(value_ns)}" if value_ns > 0 else format_duration(value_ns)
 
 
+LOST = "lost"
+
+
+def time_words(value_ns: float | None) -> str:
+    return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
+
+
 def format_ratio(value: float | None) -> str:
     """Format a share to three digits, from 99 % on to two decimals; only exact values are `100 %` and `0 %`."""
     if value is None or not math.isfinite(value):

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import LEVELS, curves, lossy_shares, planned_shares, sustained_shares
+from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.base.units import MISSING, counted, finite
 
-from .groups import METRIC_LABELS, STATISTIC_LABELS
+from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
+from .verdicts import VERDICTS, received_words, runs_words
 
 Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
 
@@ -154,3 +157,58 @@ def _loss_text(share: float | None) -> str:
     if share is None:
         return ""
     return "< 1 %" if 0 < share < 0.01 else f"{math.floor(100 * share)} %"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Difference of one statistic in ns and its ratio, with their intervals and what these rest on."""
+
+    difference_ns: int
+    low_ns: int | None
+    high_ns: int | None
+    ratio: float | None
+    ratio_low: float | None
+    ratio_high: float | None
+    verdict: str
+    received: str
+    runs: str
+
+
+@dataclass(frozen=True, slots=True)
+class BridgedCell:
+    costs: Mapping[str, Cost]
+    bridge_cpu_percent: float | None
+
+
+def cost_of(row: Mapping[str, Any]) -> Cost | None:
+    difference_ns = whole_ns(row["difference_ns"])
+    if difference_ns is None:
+        return None
+    low_ns, high_ns = whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"])
+    ratios = (finite(row[name]) for name in ("ratio", "ratio_low", "ratio_high"))
+    ratio, low, high = (None if value is None else round(value, 4) for value in ratios)
+    verdict = VERDICTS[row["verdict"]]
+    return Cost(difference_ns, low_ns, high_ns, ratio, low, high, verdict, received_words(row), runs_words(row))
+
+
+def bridge_costs(
+    analysis: Analysis, groups: Groups, loads: Mapping[int, float]
+) -> tuple[Mapping[int, BridgedCell], int]:
+    """Return the groups with at least one cost, and how many lost too much for any."""
+    # The comparison pools domain ids, so a row belongs to the first of several groups.
+    first: dict[tuple[object, ...], int] = {}
+    for index, row in enumerate(analysis.summary.iter_rows(named=True)):
+        if row["domain_mode"] == "different":
+            first.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
+    costs: dict[int, dict[str, Cost]] = {}
+    compared: set[int] = set()
+    for row in analysis.details.bridge_costs.iter_rows(named=True):
+        group = first.get(tuple(row[name] for name in BRIDGED_COLUMNS))
+        if group is None:
+            continue
+        compared.add(group)
+        if row["metric"] == "latency" and (cost := cost_of(row)) is not None:
+            costs.setdefault(group, {})[row["statistic"]] = cost
+    ordered = (group.index for group in groups.in_order)
+    cells = {group: BridgedCell(costs[group], loads.get(group)) for group in ordered if group in costs}
+    return cells, len(compared - costs.keys())

@@ -1,4 +1,4 @@
-"""The recommendation in words: the job, which settings meet it, and what that rests on."""
+"""The recommendation in words."""
 
 from __future__ import annotations
 
@@ -73,12 +73,13 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         sentences.append(
             f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
         )
+    missing, commands = _missing(recommendation, full_names)
     return Advice(
         job=_job_words(recommendation.job),
         sentence=" ".join(sentences) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
-        missing=_missing_words(recommendation, full_names),
-        commands=_commands(recommendation),
+        missing=missing,
+        commands=commands,
     )
 
 
@@ -92,27 +93,19 @@ def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     return runs, math.ceil(max([needed, *(2 * messages for messages in enough)]) / runs)
 
 
-def _unclear(recommendation: Recommendation) -> list[int]:
+def _missing(recommendation: Recommendation, names: Sequence[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
     decided = (Fit.MEETS, Fit.MISSES)
-    return [index for index, candidate in enumerate(recommendation.candidates) if candidate.fit not in decided]
-
-
-def _missing_words(recommendation: Recommendation, names: Sequence[str]) -> str:
-    unclear = _unclear(recommendation)
+    unclear = [
+        (one, name) for one, name in zip(recommendation.candidates, names, strict=True) if one.fit not in decided
+    ]
     if not unclear:
-        return ""
+        return "", ()
+    first, name = unclear[0]
     runs, messages = _messages_of_run(recommendation)
     what = "it" if len(unclear) == 1 else "the unclear ones"
     of = "of" if len(unclear) == 1 else "with each setup, in turn; here"
-    return f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {names[unclear[0]]}:"
-
-
-def _commands(recommendation: Recommendation) -> tuple[tuple[str, str], ...]:
-    unclear = _unclear(recommendation)
-    if not unclear:
-        return ()
-    setting = recommendation.candidates[unclear[0]].setting
-    return recording_commands(setting, recommendation.job, _messages_of_run(recommendation)[1])
+    words = f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {name}:"
+    return words, recording_commands(first.setting, recommendation.job, messages)
 
 
 def _pair(candidate: Candidate) -> str:

@@ -22,6 +22,7 @@ from dds_trace.base.units import format_duration
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of
 
+from ..blocks import Block, Column, Fold, Row, Sentence, Table
 from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
@@ -55,27 +56,16 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
 
 
 MOST_ROWS = 200
-"""Most rows of a table; the JSON report has all of them."""
+"""The JSON report has all rows."""
 
 FLEETING = "wifi"
 
 
-@dataclass(frozen=True, slots=True)
-class RecordTable:
-    """Table of sessions or files, not escaped for a format; `left_out` counts the rows beyond `MOST_ROWS`."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    count: int
-    left_out: int
+def record_tables(analysis: Analysis) -> tuple[Fold, ...]:
+    return tuple(table for table in (_sessions(analysis), _sources(analysis)) if table.blocks)
 
 
-def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
-    return tuple(table for table in (_sessions(analysis), _sources(analysis)) if table.rows)
-
-
-def _sessions(analysis: Analysis) -> RecordTable:
+def _sessions(analysis: Analysis) -> Fold:
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for session in analysis.sessions:
@@ -100,7 +90,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
         *("Device", "Role", "Vendor", "Backend", "RMW", "Domain", "Link"),
         *("Sessions", "Dropped events", "End", "Host"),
     )
-    return _table("Recording sessions", columns, rows, len(analysis.sessions))
+    return _folded("Recording sessions", columns, rows, len(analysis.sessions))
 
 
 def applied_words(session: Session) -> list[str]:
@@ -118,17 +108,20 @@ _LONGEST_SETTING = 40
 _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 
 
-def _sources(analysis: Analysis) -> RecordTable:
+def _sources(analysis: Analysis) -> Fold:
     ordered = sorted(analysis.sources, key=lambda source: source.status == "read")
-    rows: list[tuple[str, ...]] = [
+    rows = [
         (printable(source.path), printable(source.status), format_count(source.events), printable(source.detail))
         for source in ordered
     ]
-    return _table("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
+    return _folded("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
 
 
-def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], count: int) -> RecordTable:
-    return RecordTable(title, columns, tuple(rows[:MOST_ROWS]), count, max(0, len(rows) - MOST_ROWS))
+def _folded(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], count: int) -> Fold:
+    parts: list[Block] = [Table([*map(Column, columns)], [*map(Row, rows[:MOST_ROWS])], label=title)] if rows else []
+    if len(rows) > MOST_ROWS:
+        parts.append(Sentence(f"{len(rows) - MOST_ROWS} more rows are in the JSON report (--report json).", "note"))
+    return Fold(f"{title} ({count})", parts)
 
 
 @dataclass(frozen=True, slots=True)

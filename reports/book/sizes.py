@@ -15,10 +15,10 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from .facets import Facets
-from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio
+from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, time_words
 from .numbers import Intervals
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
 
@@ -101,7 +101,10 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
     if not answers:
         return None
     labels = contender_labels(answers, vendors)
-    columns = _columns(answers, labels)
+    columns = sorted(
+        {(answer.domain_mode, setup.name) for answer in answers for setup in answer.contenders},
+        key=lambda column: (column[0] != "same", column[0], labels[column[1]], column[1]),
+    )
     rates = _shown_rates(answers)
     late = _late_by_group(analysis)
     answers_at: dict[str, list[CaseAnswer]] = {}
@@ -118,11 +121,6 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         places=tuple(_place_rows(name, cases, columns, rates, late) for name, cases in answers_at.items()),
         whose=TYPICAL_RUN if any(answer.fewest_runs >= MIN_RUNS for answer in answers) else ALL_MESSAGES,
     )
-
-
-def _columns(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> list[tuple[str, str]]:
-    columns = {(answer.domain_mode, setup.name) for answer in answers for setup in answer.contenders}
-    return sorted(columns, key=lambda column: (column[0] != "same", column[0], labels[column[1]], column[1]))
 
 
 def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
@@ -160,8 +158,8 @@ def _place_rows(
 def _cell(case: CaseAnswer, setup: Contender) -> SizeCell:
     lost = 1.0 - (1.0 if setup.received.value is None else setup.received.value)
     return SizeCell(
-        p50=_time(setup.p50_ns),
-        p99=_time(setup.p99_ns),
+        p50=time_words(setup.p50_ns),
+        p99=time_words(setup.p99_ns),
         leads_p50=case.leader_p50 == setup.name,
         leads_p99=case.leader_p99 == setup.name,
         lost=f"{format_ratio(lost)} lost" if lost > 0 else "",
@@ -169,12 +167,6 @@ def _cell(case: CaseAnswer, setup: Contender) -> SizeCell:
         p50_ns=setup.p50_ns,
         p99_ns=setup.p99_ns,
     )
-
-
-def _time(value_ns: float | None) -> str:
-    if value_ns is None:
-        return MISSING
-    return "lost" if math.isinf(value_ns) else format_duration(value_ns)
 
 
 def _deadline_words(details: Details) -> str:
@@ -246,7 +238,7 @@ class DotRow:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """Blocks of rows, by device pair or by size; `left_out` counts blocks that only the table has."""
+    """`left_out` counts blocks that only the table has."""
 
     message: str
     columns: tuple[str, ...]

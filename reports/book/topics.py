@@ -1,14 +1,14 @@
-"""Topics that taps heard, in words and tables."""
+"""Topics that taps heard."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
+from ..blocks import Column, Heading, Row, Section, Sentence, Table
 from .groups import format_count, format_ratio
 
 if TYPE_CHECKING:
@@ -41,15 +41,11 @@ TOPIC_COLUMNS = (
     "Clock",
     "Interval",
 )
+HOW_TO_READ_TOPICS = (
+    "One way: from publishing to the tap. Age: from the stamp of the header to the tap. Clock: the largest error of both by "
+    "the clocks. Interval: the median between two messages ± its robust deviation."
+)
 HOP_COLUMNS = ("Chain", "Hop", "p50", "p99", "Clock error")
-
-
-@dataclass(frozen=True, slots=True)
-class TopicTable:
-    title: str
-    how: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def is_of_topics(analysis: Analysis) -> bool:
@@ -94,23 +90,20 @@ def _clock(row: Mapping[str, Any]) -> str:
     return ", ".join(CLOCK_WORDS.get(word, word) for word in row["clock"].split(", "))
 
 
-def topic_tables(analysis: Analysis) -> tuple[TopicTable, ...]:
+def topic_sections(analysis: Analysis) -> tuple[Section, ...]:
+    topics = [*map(_topic_row, analysis.topics.head(MOST_ROWS).iter_rows(named=True))]
+    hops = [*_hop_rows(analysis.topic_hops.head(MOST_ROWS))]
     tables = (
-        TopicTable(
-            "Topics",
-            "One way: from publishing to the tap. Age: from the stamp of the header to the tap. Clock: the largest error of both by "
-            "the clocks. Interval: the median between two messages ± its robust deviation.",
-            TOPIC_COLUMNS,
-            tuple(_topic_row(row) for row in analysis.topics.head(MOST_ROWS).iter_rows(named=True)),
-        ),
-        TopicTable(
-            "Chains of topics",
-            "Messages that carry the same header stamp from topic to topic.",
-            HOP_COLUMNS,
-            tuple(_hop_rows(analysis.topic_hops.head(MOST_ROWS))),
-        ),
+        ("Topics", HOW_TO_READ_TOPICS, TOPIC_COLUMNS, topics),
+        ("Chains of topics", "Messages that carry the same header stamp from topic to topic.", HOP_COLUMNS, hops),
     )
-    return tuple(table for table in tables if table.rows)
+    return tuple(
+        Section(
+            [Heading(title), Table([*map(Column, columns)], [*map(Row, rows)], label=title), Sentence(how, "how soft")]
+        )
+        for title, how, columns, rows in tables
+        if rows
+    )
 
 
 def _topic_row(row: Mapping[str, Any]) -> tuple[str, ...]:

@@ -136,7 +136,6 @@ def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> di
 
 
 def setup_labels(settings: Mapping[Key, Mapping[str, ParameterValue]], vendors: VendorLabels) -> dict[Key, str]:
-    """Name setups by middleware and bridge, and setups of one name by what differs between them."""
     choices = [choice_of(str(setting["setting"])) for setting in settings.values()]
     word = setting_word(choices)
     parts: list[tuple[Rule, Callable[[Mapping[str, ParameterValue]], str]]] = [

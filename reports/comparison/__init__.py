@@ -1,1 +1,1 @@
-"""Reports of a comparison: `info` puts it into words, `words` formats numbers, the others `render` it."""
+"""A comparison: `info` puts it into words, `report` into blocks."""

@@ -1,4 +1,4 @@
-"""A comparison for programs: JSON under the contract of `comparison.schema.json`, and for CI JUnit XML (its classes stay the same whatever else is compared),
+"""A comparison for programs: the contents of `comparison.schema.json`, and for CI JUnit XML (its classes stay the same whatever else is compared),
 annotations of a GitHub job, a badge."""
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
-from dds_trace.analyzer.saving.records import to_json
 from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 
 
-def render(info: ComparisonInfo, comparison: Comparison) -> str:
-    document = {
+def comparison_document(info: ComparisonInfo, comparison: Comparison) -> dict[str, object]:
+    return {
         "format": FORMAT_VERSION,
         "said": info.said,
         "seen": info.seen,
@@ -50,7 +49,6 @@ def render(info: ComparisonInfo, comparison: Comparison) -> str:
         "notes": info.notes,
         "rules": info.rules,
     }
-    return json.dumps(to_json(document, not_finite=lambda _: None), indent=1, allow_nan=False) + "\n"
 
 
 def _group(group: ComparedGroup) -> dict[str, object]:

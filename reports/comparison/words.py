@@ -14,10 +14,8 @@ from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_number, three_digits
 
-from ..book.groups import ALL_METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
+from ..book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, format_ratio, joined, time_words
 from ..book.verdicts import episodes_words
-
-LOST = "lost"
 
 
 def tone_of(verdict: str) -> str:
@@ -43,10 +41,6 @@ def unjudged_words(statistics: Sequence[str]) -> list[str]:
     others = [with_article(name) for name in statistics if not name.startswith("p9")]
     reasons = (("the runs differ too much", others), ("there are too few messages", tails))
     return [f"{reason} to judge {joined(names)}" for reason, names in reasons if names]
-
-
-def time_words(value_ns: float | None) -> str:
-    return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
 
 
 def both_words(row: Mapping[str, Any]) -> str:

@@ -4,38 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from dds_trace.analyzer.groups.report_values import Planned, planned_percentiles
-from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS, SAME_SIDES_COLUMNS
-from dds_trace.base.units import counted, finite
+from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
+from dds_trace.base.units import counted
 
 from ..book.book import Book
 from ..book.groups import Groups
-from ..book.numbers import whole_ns
-from ..book.verdicts import VERDICTS, received_words, runs_words
+from ..book.numbers import BridgedCell, Cost, cost_of
 from .figure import FEW_GROUPS, Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, is_few
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Difference of one statistic in ns and its ratio, with their intervals and what these rest on."""
-
-    difference_ns: int
-    low_ns: int | None
-    high_ns: int | None
-    ratio: float | None
-    ratio_low: float | None
-    ratio_high: float | None
-    verdict: str
-    received: str
-    runs: str
-
-
-@dataclass(frozen=True, slots=True)
-class BridgedCell:
-    costs: Mapping[str, Cost]
-    bridge_cpu_percent: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,36 +24,9 @@ class BridgeCost(Faceted):
 
 
 def bridge_cost_info(book: Book) -> BridgeCost:
-    # The comparison pools domain ids, so a row belongs to the first of several groups.
-    first: dict[tuple[object, ...], int] = {}
-    for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
-        if row["domain_mode"] == "different":
-            first.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
-    costs: dict[int, dict[str, Cost]] = {}
-    compared: set[int] = set()
-    for row in book.analysis.details.bridge_costs.iter_rows(named=True):
-        group = first.get(tuple(row[name] for name in BRIDGED_COLUMNS))
-        if group is None:
-            continue
-        compared.add(group)
-        if row["metric"] == "latency" and (cost := cost_of(row)) is not None:
-            costs.setdefault(group, {})[row["statistic"]] = cost
-    loads, ordered = book.bridge_loads, (group.index for group in book.groups.in_order)
-    cells = {group: BridgedCell(costs[group], loads.get(group)) for group in ordered if group in costs}
+    cells, lost = book.bridge_costs
     facet = Facet("plane", "place")
-    panels = facet_panels(book, facet, cells.__contains__)
-    return BridgeCost(facet, panels, cells, len(compared - costs.keys()))
-
-
-def cost_of(row: Mapping[str, Any]) -> Cost | None:
-    difference_ns = whole_ns(row["difference_ns"])
-    if difference_ns is None:
-        return None
-    low_ns, high_ns = whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"])
-    ratios = (finite(row[name]) for name in ("ratio", "ratio_low", "ratio_high"))
-    ratio, low, high = (None if value is None else round(value, 4) for value in ratios)
-    verdict = VERDICTS[row["verdict"]]
-    return Cost(difference_ns, low_ns, high_ns, ratio, low, high, verdict, received_words(row), runs_words(row))
+    return BridgeCost(facet, facet_panels(book, facet, cells.__contains__), cells, lost)
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:

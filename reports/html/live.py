@@ -27,7 +27,6 @@ from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import open_regular
 from dds_trace.base.local_server import LocalServer
 from dds_trace.base.streams import say
-from dds_trace.base.units import clock_words
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly
@@ -51,7 +50,7 @@ _WAITING = (
 
 @dataclass(frozen=True, slots=True)
 class SweepStatus:
-    """Sweeps below a folder, taken together: recordings done and planned, time since the last change, and about what is left."""
+    """Sweeps below a folder, taken together."""
 
     done: int = 0
     planned: int = 0
@@ -66,8 +65,12 @@ class SweepStatus:
     def words(self) -> str:
         if self.age_s is None:
             return ""
-        left = f"{clock_words(self.age_s)} ago, about {clock_words(self.left_s)} left" if self.running else "complete"
+        left = f"{_rounded(self.age_s)} ago, about {_rounded(self.left_s)} left" if self.running else "complete"
         return f"{self.done} of {self.planned}, {left}"
+
+
+def _rounded(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def sweep_status(folder: Path) -> SweepStatus:

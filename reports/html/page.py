@@ -12,20 +12,20 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.base.files import asset, write_whole
+from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
 
+from ..blocks import PAGE, Report, visible
 from ..book.book import Book
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
-FILE_NAME = "report.html"
 MOST_LINKED = 40
 SCRIPTS = (
     "data.js",
@@ -75,6 +74,7 @@ SCRIPTS = (
     "group.js",
     "output/paper.js",
     "job.js",
+    "theme.js",
     "page.js",
 )
 """Scripts of the page, each after those that it needs."""
@@ -82,8 +82,21 @@ UNPACK_SCRIPT = "unpack.js"
 LIVE_SCRIPT = "live.js"
 
 
-def render(book: Book) -> str:
-    return _render(book, SCRIPTS)
+def render(report: Report) -> str:
+    if isinstance(report, Book):
+        return _render(report, SCRIPTS)
+    script = "\n".join(map(_asset, report.scripts))
+    sections = visible(report.sections, PAGE)
+    return _framed(
+        "page.html.j2",
+        policy=_policy(*filter(None, [script]), connect=""),
+        style=Markup(_asset("page.css") + _asset("blocks.css")),  # noqa: S704 - our own files
+        script=Markup(script),  # noqa: S704 - our own file
+        title=printable(report.title),
+        kicker=report.kicker,
+        begins=sections[0][0],
+        sections=sections,
+    )
 
 
 def render_live(book: Book, version: str) -> str:
@@ -103,8 +116,8 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     drawn = [(maker, figure) for maker, figure in figures if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
     unit = _common_unit(book.sizes)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(_asset("report.html.j2")).render(
+    return _framed(
+        "report.html.j2",
         policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
         version=version,
         style=Markup(_asset("page.css")),  # noqa: S704 - our own file
@@ -112,6 +125,9 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         plotly=packed_script(plotly),
         script=packed_script(script),
         island=packed(json_island(_island(book, [figure for _, figure in drawn]))),
+        title=book.overview.title,
+        kicker="Latency report",
+        begins="figures",
         overview=book.overview,
         formula=LATENCY_MEANING,
         answer=book.answer,
@@ -135,16 +151,20 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         left_out=[figure for _, figure in figures if isinstance(figure, LeftOut)],
         environment=book.environment,
         record_tables=book.record_tables,
-        topic_tables=book.topic_tables,
+        topic_sections=book.topic_sections,
     )
 
 
-def write(book: Book, folder: Path) -> Path:
-    return write_whole(folder / FILE_NAME, render(book))
+def _framed(template: str, version: str = "", **values: object) -> str:
+    environment = Environment(
+        loader=FunctionLoader(_asset), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals["PAGE"] = PAGE
+    return environment.get_template(template).render(version=version, **values)
 
 
 TINTS = (1.05, 1.25, 1.6, 2.5)
-"""Factors over the lowest median of a row from which on a cell is shaded more."""
+"""Factors over a row's lowest median."""
 
 
 def _common_unit(table: SizeTable | None) -> str:
@@ -179,9 +199,10 @@ _asset = partial(asset, __package__)
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
+    hashes = "".join(f" '{policy_hash(script)}'" for script in scripts)
+    allowed = f"script-src{hashes}; " if hashes else ""
     return (
-        f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "
+        f"default-src 'none'; {allowed}style-src 'unsafe-inline'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'" + (f"; connect-src {connect}" if connect else "")
     )
 

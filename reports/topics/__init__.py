@@ -1,1 +1,1 @@
-"""What `dds-trace bag` reports of recordings: terminal, Markdown, JSON and a page, each from a `TopicReport`."""
+"""What `dds-trace bag` reports of recordings."""

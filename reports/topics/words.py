@@ -14,7 +14,7 @@ from dds_trace.base.units import clock_words, counted, format_duration, format_r
 
 from ..book.overview import utc_words
 
-Row = Mapping[str, Any]
+TopicRow = Mapping[str, Any]
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
@@ -51,7 +51,7 @@ def seconds_words(seconds: float) -> str:
     return f"{int(seconds) // 60} min {int(seconds) % 60} s"
 
 
-def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
+def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     lacking = [row for row in rows if row["missing_low"]]
     missing = sum(row["missing"] for row in lacking)
     sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
@@ -84,11 +84,11 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
         yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
 
 
-def topic_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> list[str]:
+def topic_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> list[str]:
     return [*_hole_lines(row, holes, health), *_topic_notes(row, health)]
 
 
-def _hole_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> Iterator[str]:
+def _hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
     end_s = health.duration_ns / 1e9
     if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
@@ -114,7 +114,7 @@ def _hole_lines(row: Row, holes: Sequence[Row], health: RecordingHealth) -> Iter
         yield f"{elsewhere:,} {more}{'message is' if elsewhere == 1 else 'messages are'} missing, in short holes"
 
 
-def missing_words(row: Row) -> str:
+def missing_words(row: TopicRow) -> str:
     missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
     if missing is None:
         return "no rhythm"
@@ -126,7 +126,7 @@ def missing_words(row: Row) -> str:
     return f"{missing:,}{share}{interval}"
 
 
-def _age_words(row: Row) -> str:
+def _age_words(row: TopicRow) -> str:
     median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
     if median_ns is None:
         return ""
@@ -146,7 +146,7 @@ def _age_words(row: Row) -> str:
     return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
 
 
-def cells(row: Row, strip: Sequence[float]) -> tuple[str, ...]:
+def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
     rate_hz = row["expected_rate_hz"] or row["rate_hz"]
     return (
         printable(row["topic"]),
@@ -161,7 +161,7 @@ def cells(row: Row, strip: Sequence[float]) -> tuple[str, ...]:
     )
 
 
-def _topic_notes(row: Row, health: RecordingHealth) -> Iterator[str]:
+def _topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
         yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
     if row["missing_inside"]:
@@ -193,8 +193,8 @@ def _topic_notes(row: Row, health: RecordingHealth) -> Iterator[str]:
         yield f"{counted(row['age_negative'], 'message')} logged before the header's stamp: two clocks, or a stamp of the future"
 
 
-def topics_of(report: TopicReport, path: str) -> list[tuple[Row, list[Row], tuple[float, ...]]]:
-    holes: dict[str, list[Row]] = {}
+def topics_of(report: TopicReport, path: str) -> list[tuple[TopicRow, list[TopicRow], tuple[float, ...]]]:
+    holes: dict[str, list[TopicRow]] = {}
     for hole in report.holes.iter_rows(named=True):
         if hole["recording"] == path:
             holes.setdefault(hole["topic"], []).append(hole)

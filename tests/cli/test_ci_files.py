@@ -19,7 +19,7 @@ from wording import numbers
 
 from dds_trace.recorder.sweep.against import against_seconds
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
-from dds_trace.reports.comparison.markdown import SIGNATURE
+from dds_trace.reports.comparison.report import SIGNATURE
 
 ROOT = Path(__file__).parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text())

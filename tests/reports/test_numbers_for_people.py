@@ -10,6 +10,7 @@ from analyses import MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 from roundtrip_frames import in_runs, rows_by_group, steady
 from visible_text import visible_text
+from wording import comparison_as
 
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.compare import compare, compare_roundtrips
@@ -22,9 +23,6 @@ from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
 from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.comparison import document
-from dds_trace.reports.comparison import markdown as comparison_markdown
-from dds_trace.reports.comparison import page as comparison_page
-from dds_trace.reports.comparison import terminal as comparison_terminal
 from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.comparison.words import both_words, change_words
 from dds_trace.reports.notebook import MOST_CHARACTERS
@@ -95,11 +93,11 @@ def comparisons():
 @pytest.mark.parametrize("name", ["wild", "short", "equal", "a hairbreadth", "slow", "lossy", "one run"])
 def test_comparisons_and_gates_have_numbers_for_people(name):
     comparison, info = comparisons()[name]
-    said = json.loads(document.render(info, comparison))
+    said = json.loads(comparison_as("json", info, comparison))
     texts = [
-        comparison_terminal.render(info, shows_all=True),
-        html.unescape(comparison_markdown.render(info, shows_all=True)),
-        visible_text(comparison_page.render(info, "base → new")),
+        comparison_as("terminal", info, shows_all=True),
+        html.unescape(comparison_as("md", info, shows_all=True)),
+        visible_text(comparison_as("html", info, title="base → new")),
         html.unescape(document.render_junit(info)),
         "\n".join(
             [said["said"], said["seen"], *said["notes"], *said["rules"], *(gate["reason"] for gate in said["gates"])]
@@ -112,7 +110,7 @@ def test_what_too_few_messages_cannot_show_is_not_a_number():
     _, info = comparisons()["wild"]
     assert "too few messages to judge p99" in info.seen
     assert all("%" not in gated.line.partition("): ")[2] for gated in info.gates if "p99 > +10%" in gated.line)
-    assert "uncertain" in comparison_markdown.render(info)
+    assert "uncertain" in comparison_as("md", info)
 
 
 def test_a_folder_compared_with_itself_is_named_as_such():
@@ -123,7 +121,7 @@ def test_a_folder_compared_with_itself_is_named_as_such():
 
 def test_a_comparison_breaks_no_cell_of_numbers_at_80_columns():
     for _, info in comparisons().values():
-        lines = comparison_terminal.render(info, shows_all=True).splitlines()
+        lines = comparison_as("terminal", info, shows_all=True).splitlines()
         assert max(map(len, lines)) <= 80
         first = next(line for line in lines if line.startswith("Binary") and "→" in line)
         row, *others = info.groups[0].shown()
@@ -280,9 +278,9 @@ def test_a_comparison_is_in_the_words_of_a_report():
     comparison = compare_roundtrips(*sides)
     info = comparison_info(comparison, judge_gates(comparison, [parse_gate("latency_p50 > +10%")]))
     texts = [
-        comparison_terminal.render(info, shows_all=True),
-        comparison_markdown.render(info, shows_all=True),
-        visible_text(comparison_page.render(info, "main → branch")),
+        comparison_as("terminal", info, shows_all=True),
+        comparison_as("md", info, shows_all=True),
+        visible_text(comparison_as("html", info, title="main → branch")),
         document.render_junit(info),
     ]
     found = [set(OLD_WORDS.findall(html.unescape(text).lower())) for text in texts]

@@ -58,17 +58,11 @@ def render(book):
     return "".join(f"{group.index},{group.published}\n" for group in book.groups.groups)
 
 
-def write(book, folder):
-    path = folder / "report.toy"
-    path.write_text(render(book))
-    return path
-
-
 @pytest.fixture
 def toy_format(monkeypatch):
-    """A module with the two doors, as a new file would be: the number of messages of each group."""
+    """A module with the one door, as a new file would be: the number of messages of each group."""
     module = ModuleType("toy_report")
-    module.render, module.write = render, write
+    module.render = render
     monkeypatch.setitem(sys.modules, "toy_report", module)
     monkeypatch.setitem(REPORT_MODULES, "toy", "toy_report")
 

@@ -28,6 +28,7 @@ from dds_trace.reports import document, terminal
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_ratio, markdown
 from dds_trace.reports.book.numbers import intervals_info
+from dds_trace.reports.book.screen import MOST_LINES
 from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, render, write_card
 from dds_trace.reports.document import _lines
@@ -35,7 +36,7 @@ from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.html.page import json_island, unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
-from dds_trace.reports.terminal import INLINE_BAR, MOST_LINES
+from dds_trace.reports.terminal import INLINE_BAR
 
 
 @pytest.fixture(scope="module", params=EVERY_ANALYSIS)
@@ -62,7 +63,7 @@ def test_the_terminal_prints_the_answer_or_all_of_it_with_the_answer_last(tmp_pa
         assert write_reports(analysis, ["terminal"], tmp_path, shows_all=shows_all) == [None]
         printed.append("\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines()))
     brief, whole = printed
-    assert brief == terminal.render_brief(Book(analysis)).rstrip("\n")
+    assert brief == terminal.render_screen(Book(analysis)).rstrip("\n")
     assert whole == terminal.render(Book(analysis, shows_all=True)).rstrip("\n")
     *answer, hint = brief.splitlines()
     assert whole.splitlines()[-len(answer) :] == answer
@@ -71,13 +72,13 @@ def test_the_terminal_prints_the_answer_or_all_of_it_with_the_answer_last(tmp_pa
 
 
 def test_the_answer_is_at_most_18_lines_of_80_columns(name):
-    lines = terminal.render_brief(Book(EVERY_ANALYSIS[name]())).splitlines()
+    lines = terminal.render_screen(Book(EVERY_ANALYSIS[name]())).splitlines()
     assert len(lines) <= MOST_LINES
     assert max(map(len, lines)) <= 80
 
 
 def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
-    lines = terminal.render_brief(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
+    lines = terminal.render_screen(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
     binary = lines.index("Fastest in the same domain (Binary)")
     fact, bars = lines[binary + 1], next(line for line in lines[binary:] if "▇" in line)
     assert fact.startswith("✓ at every size: Zenoh (")
@@ -95,7 +96,7 @@ def test_a_deadline_has_a_mark_for_each_setup():
         replace(place, thresholds=(*OUTCOMES, *[None] * (len(book.sizes.choices) - 2))) for place in book.sizes.places
     )
     book.sizes = replace(book.sizes, deadline="latency within 20 ms", places=rows)
-    text = terminal.render_brief(book)
+    text = terminal.render_screen(book)
     passed, failed = book.sizes.choices[:2]
     assert f"✓ {passed}" in text
     assert f"✗ {failed}: 1 of 3 results" in text
@@ -399,9 +400,6 @@ def test_a_table_is_its_rows_as_json():
         },
     ]
     assert _lines(TABLE) == "[\n" + ",\n".join(json.dumps(row) for row in expected) + "\n]"
-
-
-def test_a_table_without_rows_is_an_empty_list():
     assert _lines(TABLE.head(0)) == "[]"
 
 
@@ -446,14 +444,11 @@ def test_markdown_reads_no_syntax(text, shown):
     assert markdown(text) == shown
 
 
-def test_an_island_cannot_end_its_element():
+def test_an_island_cannot_end_its_element_and_holds_no_nan():
     value = {"a": "</script><!--\u2028&", "b": [None, 1.5, "\ud800"]}
     text = json_island(value)
     assert not set("<>&\u2028\u2029") & set(text)
     assert json.loads(text) == value
-
-
-def test_an_island_holds_no_nan():
     with pytest.raises(ValueError, match="Out of range"):
         json_island(math.nan)
 

@@ -1,8 +1,15 @@
-"""Numbers of a sentence, which a test asserts; its words stand in tests/data/sentences.json."""
+"""Numbers of a sentence, which a test asserts; its words stand in tests/data/sentences.json; reports of comparisons."""
 
 import re
+
+from dds_trace.reports.comparison.report import ComparisonReport
+from dds_trace.reports.reporters import load_reporter
 
 
 def numbers(sentence: str) -> list[float]:
     """The numbers of a sentence in their order; none of those within a name, such as p99."""
     return [float(found.replace(",", "")) for found in re.findall(r"(?<![\w.#])[+-]?\d[\d,]*(?:\.\d+)?", sentence)]
+
+
+def comparison_as(kind, info, comparison=None, title="main → branch", **options) -> str:
+    return load_reporter(kind).render(ComparisonReport(info, comparison, title, **options))

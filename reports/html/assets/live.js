@@ -20,7 +20,7 @@ async function fetched(path, read) {
   }
 }
 
-/** `34 of 55, 00:03 ago, about 06:10 left` next to the title. */
+/** `34 of 55, 3 s ago, about 6 min left` next to the title. */
 function showProgress({ words }) {
   if (!words) return;
   let place = document.getElementById("progress");

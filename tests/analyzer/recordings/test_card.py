@@ -10,7 +10,9 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.analyzer.recordings.periods import find_regularity
 from dds_trace.analyzer.recordings.rows import qos_words
 from dds_trace.cli import trace
-from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
+from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
+from dds_trace.reports.terminal import print_report
+from dds_trace.reports.topics.report import BagReport
 from dds_trace.tracefile.recovery.recordings import recover_recording
 
 
@@ -27,12 +29,12 @@ def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
         (pytest.approx(10, abs=0.01), pytest.approx(2, abs=0.01), True),
         (pytest.approx(20, abs=0.01), pytest.approx(1, abs=0.01), False),
     ]
-    print_topics(report)
+    print_report(BagReport(report))
     shown = capsys.readouterr().out
     assert "nothing for 1 s at 00:20" in shown
     assert "all topics: nothing for" in shown
-    for render in (render_json, render_markdown, render_page):
-        assert "/imu" in render(report)
+    for kind in REPORT_MODULES:
+        assert "/imu" in load_reporter(kind).render(BagReport(report))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +47,7 @@ def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, sta
     assert report.holes.select("start_s", "duration_s").rows() == [pytest.approx((start_s, 20), abs=0.1)]
     assert sum(report.strips[0]) == pytest.approx(20, abs=0.2)  # of 60 parts
     assert sum(report.strips[1]) == 60
-    print_topics(report)
+    print_report(BagReport(report))
     assert words in capsys.readouterr().out
 
 
@@ -225,7 +227,7 @@ def test_two_readings_of_arrivals_are_within_the_interval(tmp_path):
     report, health, rows = card(write(tmp_path / "x.mcap", topics))
     assert (rows["/a"]["missing_low"], health.verdict) == (0, "whole")
     assert rows["/a"]["missing_high"] == pytest.approx(224, abs=2)
-    assert "are missing" not in render_markdown(report)
+    assert "are missing" not in load_reporter("md").render(BagReport(report))
 
 
 LONG, SHORT = [(2, 5), (20, 22.5), (41, 47)], [(2, 20), (20.5, 30), (30.4, 47)]
@@ -276,7 +278,7 @@ def test_each_change_of_an_age_has_its_own_sentence(tmp_path, name):
     notes = [note for note in health.notes if "another clock" not in note]
     assert len(notes) == 1
     assert words in notes[0]
-    assert ("| latched |" in render_markdown(report)) is (name == "latched")
+    assert ("| latched |" in load_reporter("md").render(BagReport(report))) is (name == "latched")
     assert ("recorder's clock" in notes[0]) is (name in {"the recorder", "one topic"})
     assert not any(row["missing_low"] for row in rows.values())
 
@@ -289,7 +291,7 @@ def test_bursts_and_units_of_stamps_are_said(tmp_path):
     assert (rows["/livox"]["expected_rate_hz"], rows["/livox"]["missing"]) == (pytest.approx(200), 0)
     assert (rows["/livox"]["burst_messages"], rows["/livox"]["burst_ns"]) == (20, 1.9 * MS)
     assert rows["/odom"]["age_resolution_ns"] == S
-    page = render_markdown(report)
+    page = load_reporter("md").render(BagReport(report))
     assert "then 98.1 ms" in page
     assert "below 1 s" in page
     assert (rows["/joints"]["age_negative"], "before the header's stamp" in page) == (167, False)

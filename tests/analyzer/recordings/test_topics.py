@@ -15,7 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.analyzer.recordings.messages import find_recordings
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.reports.topics.renderers import print_topics
+from dds_trace.reports.terminal import print_report
+from dds_trace.reports.topics.report import BagReport
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import recorded
 from dds_trace.tracefile.reading.recorded import Condition
@@ -177,7 +178,7 @@ def test_stamps_of_another_clock_are_named(tmp_path, capsys, age_s, is_other):
     write_mcap(tmp_path / "x.mcap", data, encoding="cdr", schema=schema)
     report = analyze_topics(tmp_path)
     assert ("another clock" in report.sources[0].detail) is is_other
-    print_topics(report)
+    print_report(BagReport(report))
     assert ("other clock" in capsys.readouterr().out) is is_other
 
 

@@ -1,6 +1,7 @@
 import pytest
 from campaigns import write_run
 from trace_files import Message, evenly, ping_session, relay_session, run, write_pair
+from wording import comparison_as
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import compare
@@ -13,7 +14,6 @@ from dds_trace.analyzer.verdicts.sides import (
     environment_of_group,
     recorded_apart,
 )
-from dds_trace.reports.comparison import markdown
 from dds_trace.reports.comparison.info import comparison_info
 
 OLD, NEWER = '"6.1"', '"6.6"'
@@ -56,7 +56,7 @@ def test_the_order_of_the_sides_stands_in_the_notes(tmp_path):
         messages = [Message(n, n * 100, n * 100, n * 100 + 10, n * 100 + 20, n * 100 + 30) for n in range(10)]
         write_pair(tmp_path / name, messages, ping=ping_session(wall_anchor_ns=second * 1_000_000_000))
     found = compare(analyze(tmp_path / "base", details=False), analyze(tmp_path / "new", details=False))
-    assert "Order: the base was recorded before" in markdown.render(comparison_info(found))
+    assert "Order: the base was recorded before" in comparison_as("md", comparison_info(found))
 
 
 def test_two_devices_that_change_places_are_not_alike():
@@ -115,9 +115,9 @@ def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):
     record(tmp_path / "new", 11, "6.6")
     found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
     assert found.delivery["environment"].to_list() == ["unlike: ping kernel"]
-    text = markdown.render(comparison_info(found), shows_all=True)
+    text = comparison_as("md", comparison_info(found), shows_all=True)
     row = next(line for line in text.splitlines() if line.startswith("| Binary"))
-    assert row.endswith("| unlike: ping kernel |")
+    assert row.startswith("| Binary 33 KB at 10 Hz, unlike: ping kernel |")
     assert "Unlike environments: kernel differs (ping of" in text
 
 

@@ -22,7 +22,7 @@ from dds_trace.reports.book.recommendation import PING_OPTIONS, SETTING_OPTIONS,
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
 from dds_trace.reports.terminal import render as render_terminal
-from dds_trace.reports.terminal import render_brief
+from dds_trace.reports.terminal import render_screen
 
 JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99, metric="latency")
 MIXED = [MS + (n * 37 % 101) * 1000 for n in range(1500)]
@@ -99,7 +99,7 @@ def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
     frame = pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
     recommendation = recommend_settings(frame, replace(JOB, metric="response"))
     book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
-    alone, whole = render_brief(book), render_terminal(book)
+    alone, whole = render_screen(book), render_terminal(book)
     assert whole.endswith(alone)
     assert max(map(len, alone.splitlines())) <= 80
     words = " ".join(alone.split())
@@ -180,8 +180,8 @@ def test_the_commands_stand_in_the_page_in_markdown_and_in_the_terminal():
     analysis = make_analysis(Measured([MS, MS]))
     recommendation = recommend_settings(steady(MIXED), JOB)
     book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
-    for text in (unescape(render_html(book)), render_markdown(book), render_brief(book).replace(" \\\n      ", " ")):
+    for text in (unescape(render_html(book)), render_markdown(book), render_screen(book).replace(" \\\n      ", " ")):
         for device, command in book.advice.commands:
             assert f"on {device}:" in text
             assert command in text
-    assert max(map(len, render_brief(book).splitlines())) <= 80
+    assert max(map(len, render_screen(book).splitlines())) <= 80

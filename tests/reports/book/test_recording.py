@@ -15,6 +15,10 @@ def analysis():
     return make_analysis(Measured([MS]))
 
 
+def cells_of(fold):
+    return [row.cells for row in fold.blocks[0].rows]
+
+
 def test_sessions_that_are_alike_are_one_row(analysis):
     ping, relay = analysis.sessions
     again = [
@@ -23,14 +27,14 @@ def test_sessions_that_are_alike_are_one_row(analysis):
     ]
     elsewhere = replace(ping, session_id=3, host={**ping.host, "kernel": "6.8"}, state="open")
     sessions, _ = record_tables(replace(analysis, sessions=(ping, relay, *again, elsewhere)))
-    assert (sessions.title, sessions.count, sessions.left_out) == ("Recording sessions", 5, 0)
-    shown = [(row[0], row[1], *row[7:10]) for row in sessions.rows]
-    assert shown == [
+    assert (sessions.summary, len(sessions.blocks)) == ("Recording sessions (5)", 1)
+    rows = cells_of(sessions)
+    assert [(row[0], row[1], *row[7:10]) for row in rows] == [
         ("pi-one", "ping", "3", "3", "clean"),
         ("pi-two", "relay", "1", "0", "clean"),
         ("pi-one", "ping", "1", "0", "cut off"),
     ]
-    assert sessions.rows[2][-1].endswith("kernel 6.8")
+    assert rows[2][-1].endswith("kernel 6.8")
 
 
 def test_what_a_process_was_seen_to_use_stands_beside_its_host(analysis, sentences):
@@ -46,7 +50,7 @@ def test_what_a_process_was_seen_to_use_stands_beside_its_host(analysis, sentenc
             ),
         )
     )
-    of_ping, of_relay = (row[-1] for row in sessions.rows)
+    of_ping, of_relay = (row[-1] for row in cells_of(sessions))
     assert "carried by lo" in of_ping
     assert of_ping.endswith(" 8,000,000 B")
     assert of_relay.endswith("payload carried by shared memory")
@@ -57,8 +61,9 @@ def test_of_many_files_those_that_were_not_read_come_first(analysis):
     sources = [Source(f"{n}.mcap", "read", "", 5) for n in range(MOST_ROWS + 10)]
     sources.append(Source("notes.txt", "skipped", "no trace", 0))
     _, files = record_tables(replace(analysis, sources=tuple(sources)))
-    assert files.rows[0] == ("notes.txt", "skipped", "0", "no trace")
-    assert (files.count, len(files.rows), files.left_out) == (MOST_ROWS + 11, MOST_ROWS, 11)
+    assert cells_of(files)[0] == ("notes.txt", "skipped", "0", "no trace")
+    assert (files.summary, len(cells_of(files))) == (f"Files ({MOST_ROWS + 11})", MOST_ROWS)
+    assert files.blocks[1].words.startswith("11 more rows")
 
 
 def test_nothing_recorded_has_no_table():

@@ -209,7 +209,7 @@ def test_the_status_tells_how_far_the_sweeps_are(watcher, tmp_path):
     assert (told["done"], told["planned"]) == (4, 10)
     assert 0 <= told["age_s"] < 60
     assert 540 <= told["left_s"] <= 660
-    assert live.SweepStatus(4, 10, 3.0, 370.0).words.split(", ")[1:] == ["00:03 ago", "about 06:10 left"]
+    assert live.SweepStatus(4, 10, 3.0, 370.0).words.split(", ")[1:] == ["3 s ago", "about 6 min left"]
     assert live.SweepStatus(10, 10, 3.0).words == "10 of 10, complete"
 
 

@@ -205,13 +205,18 @@ def _stall_notes(logged: Int64, losses: Sequence[Losses], pauses: Sequence[tuple
     per_ns = sum(rates_hz) / 1e9
     least_ns = max(_STALL_PERIODS * 1e9 / max(rates_hz), _PAUSE_MESSAGES / per_ns)
     steps_ns = np.diff(logged)
+    late_starts = [
+        hole for loss in losses for hole in loss.holes[:1] if hole.start_ns == logged[0] and not hole.missing
+    ]
     stalls: list[tuple[int, int, int]] = []
     for at in np.flatnonzero(steps_ns > least_ns).tolist():
         start, end = int(logged[at]), int(logged[at + 1])
         window_ns = (end - start) / 4
         came = int(np.searchsorted(logged, end + window_ns, "right")) - at - 1
         late = came - round(per_ns * window_ns)
-        if late > per_ns * (end - start) / 2 and not any(first < end and start < last for first, last in pauses):
+        is_start = any(_overlap(hole, start, end) for hole in late_starts)
+        is_pause = any(first < end and start < last for first, last in pauses)
+        if late > per_ns * (end - start) / 2 and not is_start and not is_pause:
             stalls.append((end - start, start, late))
     if stalls:
         longest_ns, start, _ = max(stalls)

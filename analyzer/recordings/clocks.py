@@ -104,17 +104,10 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
         at = clock_words((first.log_ns - max(first.size_ns, 0) - start_ns) / 1e9)
         size = format_duration(abs(first.size_ns))
         if first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS):
-            at = clock_words((first.log_ns - start_ns) / 1e9)
-            for name in dict.fromkeys(step.topic for step in same):
-                like = next(
-                    (other for other, stamps in topics.items() if other != name and _had_its_age_before(stamps, first)),
-                    "",
-                )
-                who = (
-                    f"like {like} before: of another publisher, a replay?"
-                    if like
-                    else "the clock that stamps them was set"
-                )
+            at, names = clock_words((first.log_ns - start_ns) / 1e9), dict.fromkeys(step.topic for step in same)
+            like = next((name for name in topics if name not in names and _has_its_age(topics[name], first)), "")
+            who = f"like {like}: of another publisher, a replay?" if like else "the clock that stamps them was set"
+            for name in names:
                 yield f"stamps of {name} jump 1 time against the log times, by {size} at {at}: {who}"
             continue
         moved = {step.topic for step in same}
@@ -138,9 +131,9 @@ def _is_same(step: _Step, other: _Step) -> bool:
     )
 
 
-def _had_its_age_before(stamps: Stamps, step: _Step) -> bool:
-    before_ns = stamps.age_ns[stamps.log_ns < step.log_ns]
-    return len(before_ns) > 0 and abs(float(np.median(before_ns)) - step.age_ns) < _SAME_STEP * abs(step.size_ns)
+def _has_its_age(stamps: Stamps, step: _Step) -> bool:
+    ages_ns = stamps.age_ns[stamps.log_ns < step.log_ns + _SAME_TIME_NS]
+    return len(ages_ns) > 0 and float((np.abs(ages_ns - step.age_ns) < _SAME_STEP * abs(step.size_ns)).mean()) > 0.5
 
 
 def _goes_on(log_ns: Int64, step: _Step) -> bool:

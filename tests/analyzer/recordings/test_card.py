@@ -55,7 +55,7 @@ def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path):
     started = [(START_NS + n * MS // 2, START_NS + n * MS // 2) for n in range(10)]
     late = {name: timer(hz, 20, since_ns=START_NS + 2 * S) for name, hz in (("/a", 60), ("/b", 10))}
     health = card(write(tmp_path / "x.mcap", {"/rosout": started, **late}))[1]
-    assert (health.verdict, health.pauses, health.coverage) == ("whole", (), 1)
+    assert (health.verdict, health.pauses, health.coverage, health.notes) == ("whole", (), 1, ())
 
 
 def test_a_counter_knows_more_than_the_period(tmp_path):

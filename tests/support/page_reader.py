@@ -10,6 +10,7 @@ import pytest
 from analyses import EVERY_ANALYSIS
 from four_campaigns import CAMPAIGNS
 from kept import kept
+from waiting import PATIENCE_S
 
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
@@ -70,7 +71,7 @@ class Reader:
         self.tab = tab
         tab.set_viewport_size(viewport)
         tab.emulate_media(color_scheme=color_scheme)
-        tab.set_default_timeout(90_000)  # a machine that is busy with other tests is slow, not wrong
+        tab.set_default_timeout(PATIENCE_S * 1000)  # a machine that is busy with other tests is slow, not wrong
         self.complaints = []
         self.requests = []
         self._notes = {

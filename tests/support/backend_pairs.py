@@ -3,6 +3,8 @@
 import numpy as np
 from processes import ping, relay
 
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -10,6 +12,10 @@ SIZES = {"binary": 33_000, "string": 1405, "imu": 296}
 MESSAGES, WARMUP = 20, 3
 ROOMY = ("--depth", 1000)
 """On a machine that is busy with other tests a node may sleep for longer than ten messages; keep_last 10 forgets then."""
+
+
+def options(domain_id, **more):
+    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
 
 
 def events(trace, stage, run_id):

@@ -2,14 +2,13 @@ import threading
 import time
 
 import pytest
-from backend_pairs import all_data_types
+from backend_pairs import all_data_types, options
 from processes import PATIENCE_S, ping, relay
 from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import cyclonedds, open_node
 from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_loopback
-from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import IMU, data_types
 from dds_trace.tracefile.format.descriptions import Qos
@@ -18,10 +17,6 @@ pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
 pytestmark = pytest.mark.middleware
 
 CYCLONE = ("--backend", "cyclonedds")
-
-
-def options(domain_id, **more):
-    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
 
 
 def test_all_data_types_go_there_and_back(domain_id, tmp_path):

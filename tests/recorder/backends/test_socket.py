@@ -9,13 +9,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from backend_pairs import all_data_types, events
+from backend_pairs import all_data_types, events, options
 from processes import PATIENCE_S, ping, relay
 from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.socket import BACKEND, tcp, udp
 from dds_trace.recorder.backends.socket.greeting import CROWD, HALF_OPEN, MALFORMED, MAX_PEERS, SLOW, TOO_LARGE
 from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_MESSAGE_BYTES
@@ -29,10 +28,6 @@ from dds_trace.tracefile.reading.reader import read_trace
 SOCKET = ("--backend", "socket")
 UDP = ("--transport", "udp", "--reliability", "best_effort")
 BEST_EFFORT = Qos(reliability="best_effort")
-
-
-def options(domain_id, **more):
-    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
 
 
 @contextmanager

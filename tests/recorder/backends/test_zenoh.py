@@ -1,12 +1,11 @@
 import threading
 
 import pytest
-from backend_pairs import all_data_types
+from backend_pairs import all_data_types, options
 from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.zenoh import BACKEND
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import BINARY, IMU
@@ -16,10 +15,6 @@ pytest.importorskip("zenoh", reason="no eclipse-zenoh here")
 pytestmark = pytest.mark.middleware
 
 ZENOH = ("--backend", "zenoh")
-
-
-def options(domain_id, **more):
-    return NodeOptions(domain_id=domain_id, **{"name": "one", "discovery": Discovery.LOCALHOST, **more})
 
 
 def test_all_data_types_go_there_and_back(domain_id, tmp_path):

@@ -34,9 +34,8 @@ _NEEDED = {
 """Fields of each kind of record, and their bytes."""
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
-_USUAL_HEADER = re.compile(
-    rb"\t\0{3}conn=(.{4})(?:\x04\0{3}op=\x02)?\r\0{3}time=(.{8})(?:\x04\0{3}op=\x02)?", re.DOTALL
-)
+_OP = rb"(?:\x04\0{3}op=\x02)?"
+_USUAL_HEADER = re.compile(_OP + rb"\t\0{3}conn=(.{4})" + _OP + rb"\r\0{3}time=(.{8})", re.DOTALL)
 """A message's header as ROS and rosbags write it."""
 
 _USUAL_BYTES = 38

@@ -46,11 +46,12 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             counts, about_file = Counter[str](), Condition()
             budget = _UnpackedBytes(file.stat().st_size)
             try:
-                for message in _READERS[storage_kind(file)](file, about_file):
-                    counts[message.topic.name] += 1
-                    log_ns = max(min(message.log_ns, LATEST_NS), -LATEST_NS)
-                    publish_ns = message.publish_ns if abs(message.publish_ns or 0) <= LATEST_NS else None
-                    yield message._replace(log_ns=log_ns, publish_ns=publish_ns, data=budget.unpacked(message))
+                for topic, log_ns, publish_ns, sequence, data in _READERS[storage_kind(file)](file, about_file):
+                    counts[topic.name] += 1
+                    log_within_ns = max(min(log_ns, LATEST_NS), -LATEST_NS)
+                    publish_within_ns = publish_ns if abs(publish_ns or 0) <= LATEST_NS else None
+                    unpacked = budget.unpacked(data) if topic.encoding == "cdr" else data
+                    yield RawMessage(topic, log_within_ns, publish_within_ns, sequence, unpacked)
             except UnreadableError as err:
                 raise TraceFormatError(name, f"the recording cannot be read on: {err}") from err
             finally:
@@ -76,10 +77,9 @@ class _UnpackedBytes:
     def __init__(self, size_bytes: int) -> None:
         self._room_bytes = most_unpacked_bytes(size_bytes)
 
-    def unpacked(self, message: RawMessage) -> bytes:
-        is_cdr = message.topic.encoding == "cdr"
-        data = unpack_message(message.data, MAX_RECORD_BYTES + 1) if is_cdr else message.data
-        if data is message.data:
+    def unpacked(self, packed: bytes) -> bytes:
+        data = unpack_message(packed, MAX_RECORD_BYTES + 1)
+        if data is packed:
             return data
         self._room_bytes -= len(data)
         if len(data) > MAX_RECORD_BYTES:

@@ -166,6 +166,12 @@ paper-claims: setup
     {{bin}}/dds-trace sweep plans/paper-claims.toml --out runs
     {{bin}}/python scripts/quoted.py runs/paper-claims
 
+# The claims' rows and table again from the traces that docs/results/study/claims/ keeps
+kept-claims: setup
+    rm -rf out/kept && mkdir -p out/kept/paper-claims
+    for traces in docs/results/study/claims/*.tar.xz; do tar -xJf $traces -C out/kept/paper-claims; done
+    {{bin}}/python scripts/quoted.py out/kept/paper-claims
+
 # The table of benchmarks/performance.md: our nodes and programs that do nothing else, in turn (half an hour; `--backend zenoh` renews its rows)
 bench-node *args: setup
     {{bin}}/python benchmarks/bench_node.py --rounds 3 --seconds 1.5 --csv benchmarks/node.csv {{args}} || true

@@ -98,6 +98,13 @@ def test_rows_of_a_sweep_have_lost_messages_as_infinitely_late(quoted, tmp_path)
     assert not row["upper_1_ms"]  # one run
 
 
+@pytest.mark.slow
+def test_rows_of_the_claims_are_those_of_the_kept_traces(quoted, tmp_path):
+    quoted.keep_claims(quoted.unpack("study/claims", tmp_path), tmp_path)
+    for kept in (quoted.CLAIMS, quoted.CHOICES):
+        assert (tmp_path / kept.name).read_text() == kept.read_text(), "run `just kept-claims`"
+
+
 def test_a_ratio_above_its_bar_is_bold(quoted):
     row = {"ours": "zenoh", "size_bytes": "64", "rate_hz": "100", "ratio": "1.3", "ratios": "1.4 1.2", "bar": "1.2"}
     text = quoted.ratio_table([{**row, "against": "bare"}, {**row, "against": "C", "bar": ""}])

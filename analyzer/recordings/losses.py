@@ -65,7 +65,7 @@ class TopicTimes:
         by_sequence = self._by_sequence()
         counts = by_sequence if self.is_ros1 else by_sequence or None
         if counts is not None and (self.is_ros1 or losses.evidence != "stamps" or counts > (losses.missing or 0)):
-            holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes]
+            holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes or self._jumps()]
             return replace(losses, evidence="sequence", missing=counts, low=counts, high=counts, holes=holes)
         if losses.missing is None and self.lost is not None:
             count = sum(self.lost)
@@ -82,8 +82,15 @@ class TopicTimes:
                 missing += int((steps[(steps > 1) & (steps < _LARGEST_STEP)] - 1).sum())
         return max(missing - len(self.left_out_ns), 0) if is_counter else None
 
+    def _jumps(self) -> list[Hole]:
+        steps = np.diff(self.sequence)
+        at = np.flatnonzero((steps > 1) & (steps < _LARGEST_STEP))
+        return [
+            Hole(*hole, 0) for hole in zip(self.log_ns[at].tolist(), np.diff(self.log_ns)[at].tolist(), strict=True)
+        ]
+
     def _steps_at(self, hole: Hole) -> int:
-        at = int(np.searchsorted(self.log_ns, hole.start_ns))
+        at = int(np.searchsorted(self.log_ns, hole.start_ns, "right"))
         if not 0 < at < len(self.sequence):
             return 0
         return max(int(self.sequence[at] - self.sequence[at - 1]) - 1, 0)
@@ -173,7 +180,7 @@ class TopicTimes:
 
     def _is_late(self, hole: Hole) -> bool:
         """Return whether stamps go on across a hole: what follows is late, or a clock was set, and nothing is missing."""
-        at = int(np.searchsorted(self.log_ns, hole.start_ns))
+        at = int(np.searchsorted(self.log_ns, hole.start_ns, "right"))
         if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
             return False
         return hole.duration_ns > 10**9 and 0 <= int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < hole.duration_ns // 4

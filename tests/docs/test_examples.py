@@ -116,7 +116,8 @@ def run(line, monkeypatch):
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
     plans = {name: ["--dry-run"] for name in ("sweep", "explain", "advise", "capacity")}
-    more = {"bridge": ["--config"], "record": ["--check"], "dds-record": ["--check"], **plans}
+    check = ["-o", "check=true"] if "record tap" in line else ["--check"]
+    more = {"bridge": ["--config"], "record": check, "dds-record": check, **plans}
     kind = arguments[0] if program == "dds-trace" else program
     monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(kind, [])])
     with pytest.raises(SystemExit) as ended:

@@ -82,7 +82,7 @@ def test_the_counter_of_a_ros_1_publisher_shows_whether_anything_was_sent(tmp_pa
     row = rows["/joy"]
     assert (row["missing_from"], row["missing"], row["missing_high"]) == ("sequence", skipped, skipped)
     assert health.verdict == ("holes" if skipped else "whole")
-    assert report.holes["missing"].to_list() == [skipped]
+    assert report.holes["missing"].to_list() == [skipped] * (skipped > 0)  # a person's pause is no hole
 
 
 def test_the_counts_of_rosbag2_stand_for_a_topic_without_a_period(tmp_path):

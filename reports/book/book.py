@@ -52,4 +52,4 @@ class Book(Contents, Report):
 
     @property
     def screen(self) -> Sequence[Section]:
-        return screen(self)
+        return self.sections if self.shows_all else screen(self)

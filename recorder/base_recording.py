@@ -30,9 +30,9 @@ from .kernel.counters import read_interfaces
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
-from .roles.wire_record import open_wire
 from .security.keys import public_hash
 from .service.upkeep import Upkeep
+from .wire.capture import open_wire
 
 if TYPE_CHECKING:
     import threading
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .options import RecordOptions
     from .roles.ping import PingThread
     from .roles.progress import Progress, Role, Watch
-    from .roles.wire_record import WireRecord
+    from .wire.capture import WireRecord
 
 ResultT = TypeVar("ResultT")
 

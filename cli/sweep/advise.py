@@ -19,7 +19,7 @@ from dds_trace.base.units import format_duration
 
 from ..program import command, make_app
 from .against import say_missing
-from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
+from .common import AsJson, DryRun, Out, PlanPath, plan_of, read_thresholds, run_until_interrupted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -55,8 +55,6 @@ def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = Fa
 
     dds-trace advise plan.toml
     """
-    from .thresholds import read_thresholds
-
     requested = plan_of(plan, out)
     check_advisable(requested)
     read_thresholds(requested, None, None, is_judged=False)

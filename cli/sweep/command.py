@@ -19,7 +19,17 @@ from dds_trace.base.units import counted
 
 from ..compare import ComparisonReport, FailIf, Looks, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
-from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
+from .common import (
+    AsJson,
+    DryRun,
+    Out,
+    PlanPath,
+    plan_of,
+    precision,
+    read_thresholds,
+    run_until_interrupted,
+    thresholds_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,7 +114,6 @@ def sweep_command(
     from ..limits_file import gates_of
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
-    from .thresholds import precision, read_thresholds
 
     _refuse_together({"--until": until, "--against": against, "--print": printed})
     if max_passes is not None and until is None:
@@ -159,7 +168,6 @@ def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = 
     from dds_trace.recorder.sweep.search import search_plan
 
     from .dry_run import dry_run as dry_run_of
-    from .thresholds import read_thresholds
 
     requested = plan_of(plan, out)
     _refuse_crowded(requested, "a search")
@@ -175,7 +183,6 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
 
     from .against import say_missing
     from .dry_run import relay_commands
-    from .thresholds import thresholds_json
 
     console = plain_console(stderr=True)
     progress = make_progress(console)
@@ -202,8 +209,8 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None
-        precision = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
-        print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
+        width_words = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
+        print(f"{name}: {until.statistic} is {width_words} after the last repeat", file=sys.stderr)
     if outcome.missing:
         return INCOMPLETE_EXIT_CODE
     code = 0 if judged is None else judged.outcome.exit_code

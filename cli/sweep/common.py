@@ -1,4 +1,4 @@
-"""What the commands with a plan share: its arguments, and an end by Ctrl-C."""
+"""What the commands with a plan share: its arguments, what its results have to reach, and an end by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 
 from ..program import argument, option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
     from typing import NoReturn
 
+    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.sweep import Until
+    from dds_trace.reports.comparison.words import Gated
 
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
@@ -50,3 +54,65 @@ def run_until_interrupted(run: Callable[[], int]) -> NoReturn:
         print("Interrupted; the same command continues here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     raise typer.Exit(code)
+
+
+_OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecided"}
+
+
+def thresholds_json(gates: Sequence[Gated]) -> object:
+    from dds_trace.analyzer.saving.records import to_json
+
+    judged = [
+        {
+            "threshold": result.gate.text,
+            "result": result.where,
+            "outcome": _OUTCOMES[result.outcome.value],
+            **{name: getattr(result, name) for name in ("measured", "low", "high")},
+            "reason": result.reason,
+        }
+        for result in (gated.result for gated in gates)
+    ]
+    return to_json(judged, not_finite=lambda _: None)
+
+
+def read_thresholds(plan: Plan, until: Until | None, limits_file: Path | None, *, is_judged: bool = True) -> list[Gate]:
+    if not plan.thresholds and limits_file is None:
+        return []
+    from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+
+    from ..limits_file import gates_of, limits_of_one_side, read_limits
+
+    gates = gates_of(plan.thresholds, "[thresholds]")
+    if limits_of_one_side(gates) != gates:
+        raise OptionError("[thresholds]: a plan has one side; write a value such as 20 ms or 99 %, not a change")
+    gates += limits_of_one_side(read_limits(limits_file)) if limits_file else []
+    if not is_judged:
+        raise OptionError("[thresholds] judge a sweep of the plan itself; remove the table")
+    if (plan.run.repeats if until is None else until.max_passes) < MIN_RUNS:
+        raise OptionError(f"[thresholds] need {MIN_RUNS} runs of each result; give [run] repeats = {MIN_RUNS} or more")
+    return gates
+
+
+def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
+    from dds_trace.analyzer.verdicts.false_alarms import check_statistic
+    from dds_trace.recorder.sweep.plan.plan_file import check_runs
+    from dds_trace.recorder.sweep.sweep import DEFAULT_MAX_PASSES, Until, parse_target
+
+    statistic, percent = parse_target(text)
+    check_statistic(statistic)
+    most = max(DEFAULT_MAX_PASSES, plan.run.repeats) if max_passes is None else max_passes
+    if most < plan.run.repeats:
+        raise OptionError(
+            f"--max-passes {most} is below the {plan.run.repeats} repeats of the plan; give at least as many"
+        )
+    check_runs("--max-passes", len(plan.cells), most)
+
+    def measure(folder: Path, runs: Mapping[str, tuple[int, ...]]) -> Mapping[str, float]:
+        from dds_trace.analyzer.pipeline import analyze
+        from dds_trace.analyzer.verdicts.false_alarms import half_widths
+
+        if not runs:  # nothing was recorded
+            return {}
+        return half_widths(analyze(folder, details=False).load_messages(), runs, statistic)
+
+    return Until(statistic, percent, most, measure)

@@ -1,30 +1,42 @@
-"""A tap's recording from its options to a closed trace."""
+"""A tap's recording from its options to a closed trace, and its live table for others: on a page, and as `DiagnosticArray`."""
 
 from __future__ import annotations
 
 import gc
+import json
 import os
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from html import escape
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
+from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.local_server import LocalServer
+from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import TapNode, TopicPatterns
 from ..base_recording import BaseRecording, Recorded
-from ..roles.live import LiveTable
+from ..payloads.cdr import CdrWriter
+from ..roles.live import Health, LiveTable
 from ..roles.progress import TapProgress
-from .page import open_diagnostics, serve_page
 from .tap import Tap, summarize
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
     from dds_trace.tracefile.format.descriptions import Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
+    from ..backends.node import Node
     from ..options import TapOptions
+    from ..roles.live import LiveRow
 
 LONELY_S = 5.0
 """Wait for a publisher until the user gets a line about it."""
@@ -132,3 +144,90 @@ class TapRecording(BaseRecording):
             f"no publisher of {names} in domain {domain_id} ({others} seen): check name, --domain, --discovery and --backend; in a "
             "secured domain give this process its keys (ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENABLE=true)"
         )
+
+
+HOST = "127.0.0.1"
+_NAMES = ("127.0.0.1", "localhost")
+
+
+@contextmanager
+def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "this device") -> Iterator[str]:
+    """Serve the table of `rows` within the block; yield the address.
+
+    Raises:
+        OptionError: the port is in use.
+    """
+
+    page = (
+        (files("dds_trace.recorder.tap") / "live.html")
+        .read_text(encoding="utf-8")
+        .replace("{{device}}", escape(device))
+    )
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.headers.get("Host", "").partition(":")[0] not in _NAMES:  # another name comes from DNS rebinding
+                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+            elif self.path == "/":
+                self._send("text/html; charset=utf-8", page)
+            elif self.path == "/live.json":
+                self._send("application/json", json.dumps([row.to_dict() for row in rows()]))
+            else:
+                self.send_error(HTTPStatus.NOT_FOUND)
+
+        def _send(self, kind: str, text: str) -> None:
+            body = text.encode()
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None: ...
+
+    try:
+        server = LocalServer((HOST, port), Handler)
+    except OSError as error:
+        raise OptionError(f"-o live_port={port}: {error.strerror}; choose another port") from error
+    thread = threading.Thread(target=server.serve_forever, name="tap-page", daemon=True)
+    thread.start()
+    try:
+        yield f"http://{HOST}:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+TOPIC, TYPE_NAME = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
+_LEVELS = {Health.OK: 0, Health.LATE: 1, Health.STALE: 3}
+"""OK, WARN and STALE of `diagnostic_msgs/msg/DiagnosticStatus`."""
+
+
+def open_diagnostics(node: Node, device: str) -> Callable[[LiveTable], None]:
+    publisher = node.create_publisher(TOPIC, TYPE_NAME, qos=Qos())
+    return lambda table: publisher.publish(diagnostic_array(table.rows(), device, time.time_ns()))
+
+
+def diagnostic_array(rows: tuple[LiveRow, ...], device: str, wall_ns: int) -> bytearray:
+    writer = CdrWriter()
+    writer.uint32(wall_ns // SECOND_NS)
+    writer.uint32(wall_ns % SECOND_NS)
+    writer.string(b"")
+    writer.uint32(len(rows))
+    for row in rows:
+        values = {
+            "rate_hz": f"{row.rate_hz:.3g}",
+            "expected_hz": "" if row.expected_hz is None else f"{row.expected_hz:.3g}",
+            "age": format_duration(row.age_ns),
+            "age_p99": format_duration(row.age_p99_ns),
+            "missing": str(row.missing),
+        }
+        writer.uint8(_LEVELS[row.health])
+        for text in (f"dds-trace: {row.topic}", row.health.value, device):
+            writer.string(text.encode())
+        writer.uint32(len(values))
+        for key, value in values.items():
+            writer.string(key.encode())
+            writer.string(value.encode())
+    return writer.message()

@@ -52,7 +52,7 @@ RECORDING = (
 Nor rclpy itself, whose library ends with a segmentation fault in a process that was forked behind its import.
 """
 READING = (
-    *("dds_trace.cli.sweep.command", "dds_trace.cli.sweep.against", "dds_trace.cli.sweep.thresholds"),
+    *("dds_trace.cli.sweep.command", "dds_trace.cli.sweep.against"),
     *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.cli.bag"),
     *("dds_trace.analyzer.analysis", "dds_trace.analyzer.saving.folder", "dds_trace.reports.comparison"),
     *("dds_trace.analyzer.verdicts.gates", "dds_trace.reports.html.page", "dds_trace.cli.analyze"),

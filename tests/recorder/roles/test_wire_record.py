@@ -6,8 +6,7 @@ from trace_files import run
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.roles.wire_record import WireRecord, open_wire
-from dds_trace.recorder.wire.capture import WireResult
+from dds_trace.recorder.wire.capture import WireRecord, WireResult, open_wire
 from dds_trace.recorder.wire.counts import WireCounts
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, WIRE_TOPIC, rows_of_text
 

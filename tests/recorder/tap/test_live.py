@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.cli.record.run import live_table
 from dds_trace.recorder.roles.live import KEPT_MESSAGES, Health, LiveRow, LiveTable, LiveTopic
-from dds_trace.recorder.tap.page import TYPE_NAME, diagnostic_array, serve_page
+from dds_trace.recorder.tap.recording import TYPE_NAME, diagnostic_array, serve_page
 
 MS, SECOND = 1_000_000, 1_000_000_000
 ROWS = (

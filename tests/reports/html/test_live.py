@@ -15,7 +15,7 @@ from page_reader import violations
 import dds_trace.analyzer.loading.traces
 from dds_trace.base.errors import OutputError
 from dds_trace.recorder.roles.live import Health, LiveRow
-from dds_trace.recorder.tap.page import serve_page
+from dds_trace.recorder.tap.recording import serve_page
 from dds_trace.reports.html import live
 from dds_trace.reports.html.live import Watcher, WatchOptions, is_own_name
 

@@ -106,8 +106,9 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
 def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
+    from dds_trace.recorder.recording import rehearse
 
-    from .run import check_start, record_until_stopped
+    from .run import TerminalWatch, record_until_stopped
 
     command = read_record(CommandOptions, chosen)
     backend = load_backend(chosen.get("backend", OPTIONS["backend"].field_default))
@@ -123,7 +124,9 @@ def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
     if take is not None:  # a sweep checks all recordings before the first
         take(options)
     elif command.check:
-        check_start(options, command.role.value)
+        with TerminalWatch() as watch:
+            rehearse(options, watch)
+        print(f"a {command.role.value} can begin")
     else:
         if command.out.suffix != ".mcap":
             ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")

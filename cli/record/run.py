@@ -23,7 +23,7 @@ from dds_trace.recorder.applied.memory import remove_own_segments
 from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
-from dds_trace.recorder.recording import record, rehearse
+from dds_trace.recorder.recording import record
 from dds_trace.recorder.roles.live import Health, LiveRow
 from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
@@ -111,12 +111,6 @@ def live_table(rows: Sequence[LiveRow]) -> Table:
             str(row.missing),
         )
     return table
-
-
-def check_start(options: RecordOptions, role: str) -> None:
-    with TerminalWatch() as watch:
-        rehearse(options, watch)
-    print(f"a {role} can begin")
 
 
 LEAVE_S = 10.0

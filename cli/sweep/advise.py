@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import typer
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import plain_console, say
+from dds_trace.base.streams import say
 from dds_trace.base.units import format_duration
 
 from ..program import command, make_app
@@ -154,7 +154,7 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
         for number, cell in enumerate(plan.cells)
     }
     look = replace(plan, name="look", cells=tuple(tries))
-    outcome = run_sweep(look, folder, make_progress(plain_console(stderr=True)))
+    outcome = run_sweep(look, folder, make_progress())
     say_missing(outcome.missing)
     repeats = {
         replace(cell, repeat=number).name: tried for cell, tried in tries.items() for number in range(1, LOOKS + 1)
@@ -172,7 +172,7 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     from dds_trace.recorder.sweep.run.progress import make_progress
 
     new = replace(plan, name="after", cells=tuple(replace(cell, configuration=str(path)) for cell in plan.cells))
-    outcome = run_against(replace(plan, name="before"), new, folder, make_progress(plain_console(stderr=True)))
+    outcome = run_against(replace(plan, name="before"), new, folder, make_progress())
     if missing := {**outcome.base.missing, **outcome.new.missing}:
         return {"reason": f"{_INCOMPLETE} of {path.stem}: {next(iter(missing.values()))}"}
     proof = proof_of(path.stem, outcome.base.folder, outcome.new.folder)

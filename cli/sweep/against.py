@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import plain_console, say
+from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 
 from ..compare import ComparisonReport, judge_sides
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dds_trace.recorder.sweep.against import AgainstOutcome
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
+    from dds_trace.recorder.sweep.sweep import SweepOutcome
 
     from ..compare import JudgedSides
 
@@ -131,7 +132,7 @@ def run_sides(
             replace(base, name=f"{_name(base, other)}-base", run=run),
             replace(other.plan, name=f"{_name(base, other)}-new"),
             out / _name(base, other),
-            make_progress(plain_console(stderr=True)),
+            make_progress(),
             commands=(None, other.command),
             busier=busier,
         )
@@ -161,14 +162,18 @@ def run_sides(
 
 def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: JudgedSides | None) -> None:
     for side, outcome in (("base", sides.base), ("new", sides.new)):
-        complete = outcome.cells - len(outcome.missing)
-        print(f"Wrote {outcome.folder}")
-        print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
+        print_complete(outcome, f"{side}: ")
     print(f"Compare: dds-trace compare {shlex.join([str(sides.base.folder), str(sides.new.folder)])} --paired")
     if alarms is not None:
         print(_in_words(alarms))
     if judged is not None:
         judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
+
+
+def print_complete(outcome: SweepOutcome, side: str = "") -> None:
+    print(f"Wrote {outcome.folder}")
+    complete = outcome.cells - len(outcome.missing)
+    print(f"{side}{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
 
 
 def say_missing(missing: Mapping[str, str], side: str = "", what: str = "") -> None:

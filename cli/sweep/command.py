@@ -15,7 +15,6 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
-from dds_trace.base.units import counted
 
 from ..compare import ComparisonReport, FailIf, Looks, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
@@ -181,11 +180,10 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
 
-    from .against import say_missing
+    from .against import print_complete, say_missing
     from .dry_run import relay_commands
 
-    console = plain_console(stderr=True)
-    progress = make_progress(console)
+    progress = make_progress()
     if plan.by_hand:
         for line in relay_commands(plan):
             progress.note(line)
@@ -202,8 +200,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
             result["thresholds"] = thresholds_json(judged.info.gates if judged else ())
         print(json.dumps(result))
     else:
-        print(f"Wrote {outcome.folder}")
-        print(f"{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
+        print_complete(outcome)
         if judged is not None:
             judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
     say_missing(outcome.missing)
@@ -225,7 +222,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from dds_trace.recorder.sweep.search import RateAnswer
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, run_search
 
-    folder, answers = run_search(plan, out, make_progress(plain_console(stderr=True)))
+    folder, answers = run_search(plan, out, make_progress())
     written = write_max_rates(folder, answers, plan.search)
     rows = max_rate_rows(answers)
     if as_json:

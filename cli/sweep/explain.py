@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_duration, format_size
 
 from ..program import argument, command, make_app
@@ -74,7 +73,7 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
 
     from .against import say_missing
 
-    outcome = run_sweep(explanation.plan, out, make_progress(plain_console(stderr=True)))
+    outcome = run_sweep(explanation.plan, out, make_progress())
     answers, left_out = answer(explanation, outcome.folder) if len(outcome.missing) < outcome.cells else ({}, {})
     left_out = {**explanation.left_out, **left_out}
     if as_json:

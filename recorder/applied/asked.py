@@ -151,11 +151,7 @@ _KINDS = {"UDPv4": "udp", "UDPv6": "udp", "TCPv4": "tcp", "TCPv6": "tcp", "SHM":
 
 @dataclass(frozen=True, slots=True)
 class ProfileRequest:
-    """What the default participant of a Fast DDS profile requests.
-
-    Attributes:
-        receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
-    """
+    """What the default participant of a Fast DDS profile requests; of buffers the smallest, 0 if a transport has none."""
 
     protocols: tuple[str, ...] = ()
     receive_buffer_bytes: int = 0

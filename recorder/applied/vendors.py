@@ -18,9 +18,7 @@ SEGMENT, PORT = "segment", "port"
 class TransportFacts:
     """What must be seen in a process that really uses a transport, which sentences call `label`.
 
-    Attributes:
-        protocol: `udp` or `tcp` if at least one such socket must be open.
-        shared_memory: whether the middleware's shared memory must be mapped or must not, None if both are fine.
+    With a `protocol` at least one socket of it is open; `shared_memory` is mapped, or is not, or None if both are fine.
     """
 
     label: str
@@ -140,11 +138,7 @@ def memory_owner(name: str) -> tuple[str, str] | None:
 
 @dataclass(frozen=True, slots=True)
 class RosMiddleware:
-    """One middleware of ROS 2 (RMW).
-
-    Attributes:
-        stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
-    """
+    """One middleware of ROS 2 (RMW); without `stamps_reception` its `received_timestamp` is the time of the take."""
 
     vendor: str
     label: str

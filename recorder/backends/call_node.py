@@ -17,12 +17,7 @@ RELAY_SUFFIX = "_relay"
 
 @dataclass(slots=True)
 class CallMessage:
-    """A request or response of a typed call.
-
-    Attributes:
-        stamp: its 46 characters.
-        data: serialized message that a request carries; empty in what is received.
-    """
+    """A request or response of a typed call; `data` is what a request carries, serialized, and empty in what is received."""
 
     stamp: str
     data: RawMessage = b""

@@ -67,7 +67,11 @@ class CycloneNode(ThreadedNode):
         from cyclonedds.qos import Qos as CycloneQos
 
         super().__init__(options)
-        _check_version()
+        version = metadata.version("cyclonedds")
+        if SUPPORTED.match(version) is None:
+            raise BackendUnavailableError(
+                f"cyclonedds {version} is not supported; install 11, or 0.10.2 for DDS Security"
+            )
         document = cyclone_settings(
             options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes
         )
@@ -367,12 +371,6 @@ def _configured_domain(domain_id: int, settings: str) -> Any:
 
 def _is_old() -> bool:
     return metadata.version("cyclonedds").startswith("0.10.")
-
-
-def _check_version() -> None:
-    version = metadata.version("cyclonedds")
-    if SUPPORTED.match(version) is None:
-        raise BackendUnavailableError(f"cyclonedds {version} is not supported; install 11, or 0.10.2 for DDS Security")
 
 
 def _c_layer() -> Any:

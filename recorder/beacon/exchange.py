@@ -217,11 +217,7 @@ def _put(waiting: dict, key: tuple[int, ...], value: object) -> None:  # type: i
 
 @dataclass(frozen=True, slots=True)
 class ClockNote:
-    """What a beacon publishes about a message that it answered.
-
-    Attributes:
-        relay_in_ns, relay_out_ns: T3 and T4, monotonic.
-    """
+    """What a beacon publishes about a message that it answered; `relay_in_ns` and `relay_out_ns` are T3 and T4, monotonic."""
 
     device: str
     run_id: int

@@ -79,8 +79,7 @@ class DiagError(OSError):
 class DiagSocket:
     """One socket; `local` and `remote` are address and port (port 0: not connected), `attributes` bytes by their number.
 
-    Attributes:
-        state: number of its TCP state (1 established, 7 closed or not connected, 10 listening).
+    `state` is the number of its TCP state (1 established, 7 closed or not connected, 10 listening).
     """
 
     local: tuple[str, int]

@@ -118,7 +118,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._echoed_ns = 0
         self._first_echo_ns = 0  # from the first probe on
         self._longest_echo_ns = 0
-        self._record: Record = _discard
+        self._record: Record = lambda *_event: None
         self._replies = Replies(plan.total)
         self._published = 0
         self._began_ns = self._sent_ns = 0  # of the run: its start, and the end of sending
@@ -378,9 +378,6 @@ class Ping(Generic[SentT, ReceivedT]):
         )
 
 
-def _discard(*_event: int) -> None: ...
-
-
 ResultT = TypeVar("ResultT")
 
 
@@ -388,10 +385,8 @@ class PingThread(Generic[ResultT]):
     """`work` of a ping on its own thread, which the middleware may block for ever.
 
     `work` gets two events: `enough` ends the sending, `hopeless` the wait for replies. Work that goes on after `hopeless` is
-    interrupted, and at last left to itself: its thread is a daemon.
-
-    Attributes:
-        stuck: the middleware took no message until long after the end; the thread is then hopeless.
+    interrupted, and at last left to itself: its thread is a daemon. It is `stuck` if the middleware took no message until long
+    after the end.
     """
 
     def __init__(

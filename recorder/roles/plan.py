@@ -33,9 +33,7 @@ MOST_TIMED_MESSAGES = 20_000_000
 class RunPlan:
     """The messages of a run and their schedule; no statistic counts the first `warmup` ones.
 
-    Attributes:
-        rate_hz: infinite for messages that leave as fast as the middleware takes them.
-        wake_ns: time between a probe and the message after it, 0 for no probes.
+    An infinite `rate_hz` sends as fast as the middleware takes them; `wake_ns` after a probe its message follows, 0 for no probes.
     """
 
     payload: Payload

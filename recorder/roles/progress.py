@@ -103,11 +103,9 @@ class Watch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """The messages after the last answered one.
+    """The messages after the last answered one; of those `before` them, `answered` have a reply.
 
-    Attributes:
-        duration_ns: time since the first of them; after the run, until the last one.
-        before: messages sent before them; `answered` of these have a reply.
+    `duration_ns` is the time since the first of them; after the run, until the last one.
     """
 
     messages: int

@@ -66,9 +66,9 @@ class Relay:
         self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
         self._strangers = node.strangers
-        self._on_probe = on_probe or _ignore
+        self._on_probe = on_probe or (lambda *_: None)
         self._is_own = is_own or (lambda *_: False)
-        self._on_relayed = on_relayed or _ignore
+        self._on_relayed = on_relayed or (lambda *_: None)
         self._forecasts = on_relayed is None
         self._closers: list[Callable[[], None]] = []
         self._serve(open_lane(node, serialization), data_types, qos)
@@ -181,6 +181,3 @@ class Relay:
 
     def progress(self) -> RelayProgress:
         return RelayProgress(self._relayed, self._runs, self._foreign)
-
-
-def _ignore(*_: int) -> None: ...

@@ -83,11 +83,7 @@ class ServiceManager:
 
 
 class Upkeep:
-    """A context manager: opens a recording's sink, and closes it on exit.
-
-    Attributes:
-        sink: the sink; with `-o rotate` its session's field `part` counts the files from 1.
-    """
+    """Opens a recording's sink, and closes it on exit; with `-o rotate` its session's `part` counts the files from 1."""
 
     def __init__(
         self, options: RecordOptions, session: Session, clock_ns: Callable[[], int], note: Callable[[str], None]

@@ -28,11 +28,9 @@ Stream = TypeVar("Stream")
 
 
 class Copy(NamedTuple):
-    """One sample, or some fragments of it, sent to one destination.
+    """One sample, or some fragments of it (1 for a whole one), sent to one destination.
 
-    Attributes:
-        fragments: how many, 1 for a whole sample.
-        destination: a number for address and port; MULTICAST for all groups.
+    `destination` is a number for address and port; MULTICAST for all groups.
     """
 
     sequence: int

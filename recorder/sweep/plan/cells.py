@@ -167,11 +167,7 @@ def _with_all_axes(cell: type[_Class]) -> type[_Class]:
 @dataclass(frozen=True, slots=True)
 @_with_all_axes
 class Cell:
-    """The axes of one run, and the number of the pass.
-
-    Attributes:
-        flow: name of the run's flow, or of one of several `pings` or `topics`; else empty.
-    """
+    """The axes of one run, and the number of the pass; `flow` is its flow, one of its `pings` or `topics`, or empty."""
 
     backend: str = "ros2"
     rmw: str | None = None

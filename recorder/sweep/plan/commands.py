@@ -64,6 +64,7 @@ def ping_arguments(
     partner = plan.partners.get(name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     link = plan.link_of(cell)
+    fan_out = {"relays": cell.receivers, "hosts": cell.hosts, "pings": cell.pings, "topics": cell.topics}
     return [
         *("--role", "ping", "--domain", str(domain)),
         *(("--relay-domain", str(plan.run.domain)) if cell.crosses_domains else ()),
@@ -71,7 +72,8 @@ def ping_arguments(
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
         *(word for host in hosts if host for word in ("--peer", host)),
         *(("--load-to", relay_address) if relay_address and cell.load == Load.NETWORK.value else ()),
-        *_length_arguments(plan, cell),
+        *(("--duration", f"{plan.run.seconds:g}") if math.isinf(cell.rate) else ()),
+        *(() if math.isinf(cell.rate) else ("--messages", str(plan.run.messages_at(cell.rate, cell.outage)))),
         *("--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={name}"),
@@ -85,21 +87,10 @@ def ping_arguments(
         *(("--flow", cell.flow) if cell.flow and cell.pings == 1 else ()),
         *(("--setting", f"flow={cell.flow}") if cell.flow else ()),
         *(("--relays", str(cell.receivers)) if cell.receivers > 1 else ()),
-        *_fan_out_arguments(cell),
+        *(word for key, count in fan_out.items() if count > 1 for word in ("--setting", f"{key}={count}")),
         *(("--setting", f"with={'+'.join(cell.with_flows)}") if cell.with_flows else ()),
         *_common_arguments(plan, cell, plan.ping, cell.repeat, is_single=cell.senders == cell.receivers == 1),
     ]
-
-
-def _fan_out_arguments(cell: Cell) -> list[str]:
-    counts = {"relays": cell.receivers, "hosts": cell.hosts, "pings": cell.pings, "topics": cell.topics}
-    return [word for name, count in counts.items() if count > 1 for word in ("--setting", f"{name}={count}")]
-
-
-def _length_arguments(plan: Plan, cell: Cell) -> list[str]:
-    if math.isinf(cell.rate):
-        return ["--duration", f"{plan.run.seconds:g}"]
-    return ["--messages", str(plan.run.messages_at(cell.rate, cell.outage))]
 
 
 def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:

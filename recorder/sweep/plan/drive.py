@@ -29,11 +29,7 @@ _LIMITS = (limits.WAIT_S, limits.LINE_MBIT_S, limits.DELAY_MS, limits.PERCENT, l
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The rows of a file, each valid from its time on; at the time of the last one the file starts over.
-
-    Attributes:
-        has_rate: whether the file has a rate; 0 lets nothing pass.
-    """
+    """The rows of a file, each valid from its time on; the last one starts it over. A rate of 0 lets nothing pass."""
 
     rows: tuple[Row, ...]
     has_rate: bool

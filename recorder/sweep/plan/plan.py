@@ -275,18 +275,13 @@ class Plan:
 def depth_warnings(plan: Plan) -> list[str]:
     warned: dict[str, list[str]] = {}
     for cell in plan.cells:
-        if (warning := depth_warning(cell)) is not None:
+        speaks_dds = load_backend(cell.backend).speaks_dds
+        if speaks_dds and (warning := warn_of_depth(cell.history, cell.depth, cell.rate)) is not None:
             warned.setdefault(warning, []).append(cell.name)
     return [
         f"{warning} (in {names[0]})" if len(names) == 1 else f"{warning} (in {len(names)} results: {names[0]} ...)"
         for warning, names in warned.items()
     ]
-
-
-def depth_warning(cell: Cell) -> str | None:
-    if not load_backend(cell.backend).speaks_dds:
-        return None
-    return warn_of_depth(cell.history, cell.depth, cell.rate)
 
 
 def connects_to_relay(backend: str) -> bool:

@@ -97,8 +97,10 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
     devices.allow(*TABLES["devices"].words)
     relay = hosts[0] if hosts else devices.table("relay").fill(DeviceSettings())
     network = root.table("network").fill(Network())
+    name = root.take("name", str, name)
+    limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     plan = Plan(
-        name=_folder_name(root, name),
+        name=name,
         description=root.take("description", str, ""),
         cells=tuple(cells),
         excluded=tuple(excluded),
@@ -185,12 +187,6 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
         counts = [len(values) for axis, values in axes.items() if axis not in ("backend", "rmw")]
         counts.append(len(installed()))
     return math.prod(counts)
-
-
-def _folder_name(root: TomlTable, stem: str) -> str:
-    name = root.take("name", str, stem)
-    limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
-    return name
 
 
 def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:

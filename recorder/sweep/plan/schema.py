@@ -215,11 +215,10 @@ def _data(_: Key) -> Schema:
     return {"anyOf": [{"enum": list(data_types())}, text]}
 
 
-def _rate(key: Key) -> Schema:
-    return {"anyOf": [_of_limit(key), {"const": "max"}]}
-
-
-_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"rate": _rate, "data": _data}
+_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {
+    "rate": lambda key: {"anyOf": [_of_limit(key), {"const": "max"}]},
+    "data": _data,
+}
 
 
 def _words(limit: limits.Words) -> Schema:

@@ -8,6 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
@@ -93,5 +94,6 @@ class RichProgress(PlainProgress):
         self._progress.stop()
 
 
-def make_progress(console: Console) -> SweepProgress:
+def make_progress(console: Console | None = None) -> SweepProgress:
+    console = console or plain_console(stderr=True)
     return RichProgress(console) if console.is_terminal else PlainProgress(console)

@@ -15,7 +15,6 @@ from dds_trace.tracefile.reading.reader import read_trace
 from ..plan.plan import PERCENTILES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -82,6 +81,8 @@ def read_result(path: Path) -> CellResult:
     answered_sequences, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
     published = trace.events[Stage.T1]
     returned = np.isin(published.sequence, trace.events[Stage.T2].sequence)
+    not_applied = trace.sessions[-1].extra.get("not_applied") if trace.sessions else None
+    entries = not_applied if isinstance(not_applied, list) else ()
     span_ns = int(all_sent.monotonic_ns[-1] - all_sent.monotonic_ns[0]) if len(all_sent) > 1 else 0
     return CellResult(
         run_id=f"{run.run_id:016x}",
@@ -95,16 +96,9 @@ def read_result(path: Path) -> CellResult:
         response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]) if run.rate_hz else None,
         dropped_events=sum(session.dropped_events for session in trace.sessions),
         cut_off=len(all_sent) < run.planned_messages,
-        not_applied="; ".join(_words_not_applied(trace)),
+        not_applied="; ".join(str(entry.get("words")) for entry in entries if isinstance(entry, dict)),
         relay_ids=tuple(np.unique(replies.relay_id).tolist()),
     )
-
-
-def _words_not_applied(trace: Trace) -> Iterator[str]:
-    entries = trace.sessions[-1].extra.get("not_applied") if trace.sessions else None
-    for entry in entries if isinstance(entries, list) else ():
-        if isinstance(entry, dict):
-            yield str(entry.get("words"))
 
 
 def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:

@@ -34,11 +34,9 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's entry in the state file, which has `{}` for None.
+    """One cell's entry in the state file, which has `{}` for None; `run_id` (16 hex digits) is the run that counts.
 
-    Attributes:
-        run_id: the run that counts, 16 hex digits.
-        further: the traces of the second relay and those after it, which contain this cell's part.
+    `further` are the traces of the second relay and those after it, which contain this cell's part.
     """
 
     status: Status = Status.PENDING

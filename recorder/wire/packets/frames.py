@@ -22,8 +22,7 @@ Numbers = NDArray[np.int64]
 class FrameBatch:
     """Frames in the ring's memory, one row each, in the order of their capture; valid until the ring's `release`.
 
-    Attributes:
-        wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
+    `wall_ns` is CLOCK_REALTIME at the capture, ns since 1970.
     """
 
     memory: NDArray[np.uint8]

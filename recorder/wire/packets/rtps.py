@@ -184,8 +184,7 @@ class _Datagram(Generic[Owner]):
 class FragmentTable(Generic[Owner]):
     """Datagrams by what their fragments have in common: addresses, identification, direction.
 
-    Attributes:
-        lost_trails: datagrams in which a submessage header was not seen, as a fragment was missing or out of order.
+    In `lost_trails` of them a submessage header was not seen, as a fragment was missing or out of order.
     """
 
     def __init__(self) -> None:

@@ -7,6 +7,7 @@ from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
 from dds_trace.analyzer.run_statistics.received import loss_excesses
 from dds_trace.analyzer.run_statistics.setups import RunLogarithms, campaign_variance, passes_depend, setup_means
 from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.judgements import Claim
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 
 CHANCE = np.random.default_rng(2).standard_normal((24, 5))
@@ -66,5 +67,5 @@ def test_links_bridges_own_nodes_and_a_job_are_rows_of_the_frame():
     assert numbers == {
         ("differs over", "wireless", "wired", "proven"): pytest.approx(2, rel=0.01),
         ("differs through", "builtin", "the same domain", "proven"): pytest.approx(3, rel=0.01),
-        ("differs by less than our own nodes", "zenoh", "fastdds", "open"): 0.0,
+        (Claim.OWN_NODES.value, "zenoh", "fastdds", "open"): 0.0,
     }

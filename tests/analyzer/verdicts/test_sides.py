@@ -117,7 +117,7 @@ def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):
     assert found.delivery["environment"].to_list() == ["unlike: ping kernel"]
     text = comparison_as("md", comparison_info(found), shows_all=True)
     row = next(line for line in text.splitlines() if line.startswith("| Binary"))
-    assert row.startswith("| Binary 33 KB at 10 Hz, unlike: ping kernel |")
+    assert ", unlike: ping kernel |" in row
     assert "Unlike environments: kernel differs (ping of" in text
 
 

@@ -224,8 +224,6 @@ def _analyze(
     from dds_trace.analyzer.pairing.parquet import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
-    from dds_trace.reports.book.book import Book
-    from dds_trace.reports.card import write_card
     from dds_trace.reports.reporters import write_reports
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
@@ -240,8 +238,13 @@ def _analyze(
         reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
         exported = [path for kind in exports or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
-        cards = write_card(Book(analysis), folder, say) if card else []
-        written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)
+        files = [*reports, *exported, *derived]
+        if card:  # with the library of other recordings
+            from dds_trace.reports.book.book import Book
+            from dds_trace.reports.card import write_card
+
+            files += write_card(Book(analysis), folder, say)
+        written.extend(target / path.name for path in files if path is not None)
 
     earlier = read_provenance(target)
     with AnalysisBar() as bar:

@@ -10,7 +10,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
@@ -142,5 +141,7 @@ def _frame(data: bytes) -> bytes:
 @cache
 def _definition_of(name: str) -> str:
     """Return the definition of a ROS 2 type, with its parts; empty for others."""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - analyses of traces do not load it
+
     store = get_typestore(Stores.LATEST)
     return store.generate_msgdef(name)[0] if name in store.fielddefs else ""

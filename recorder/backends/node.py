@@ -182,11 +182,9 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class TopicView:
-    """The endpoints that a node sees on one topic.
+    """The endpoints that a node sees on one topic; `incompatible` has a line for each pair that can never match.
 
-    Attributes:
-        incompatible: one line for each pair that can never match.
-        unassignable: one line for each endpoint with a message type of our name but another definition.
+    `unassignable` has one for each endpoint with a message type of our name but another definition.
     """
 
     topic: str

@@ -25,11 +25,9 @@ CHANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class PingProgress:
-    """The progress of a ping's run, in messages, warm-up included.
+    """The progress of a ping's run, in messages, warm-up included; round trips so far.
 
-    Attributes:
-        lost: messages without a reply although a later one has one; at the end, all without one.
-        rtt_p50_ns: median round trip so far; likewise `rtt_p99_ns`.
+    `lost` are messages without a reply although a later one has one; at the end, all without one.
     """
 
     planned: int

@@ -14,8 +14,7 @@ from . import blocks
 from .blocks import MARKDOWN, Span, Words
 from .book.book import Book
 from .book.findings import severity_counts
-from .book.report import size_rows
-from .book.sizes import HOW_TO_READ, PlaceRows, SizeTable
+from .book.sizes import HOW_TO_READ, SizeTable, size_rows
 from .comparison.info import comparison_info
 from .comparison.report import result_table
 from .plotting import line_figure
@@ -69,7 +68,9 @@ def _table(sizes: SizeTable, room: int) -> str:
     )
     bodies: list[str] = []
     for rows in sizes.places:
-        body = _body(sizes, rows, span)
+        lines = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(rows.place)}</th></tr>"]
+        lines += [_row(row.cells) for row in size_rows(sizes, rows, separator="")]
+        body = f"<tbody>{''.join(lines)}</tbody>"
         if len(start) + sum(map(len, bodies)) + len(body) > room:
             break
         bodies.append(body)
@@ -82,12 +83,6 @@ def _table(sizes: SizeTable, room: int) -> str:
     if not bodies:
         return f"<p style='{_SOFT}'>The table of sizes is too long for a cell of a notebook.</p>"
     return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
-
-
-def _body(sizes: SizeTable, rows: PlaceRows, span: int) -> str:
-    lines = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(rows.place)}</th></tr>"]
-    lines += [_row(row.cells) for row in size_rows(sizes, rows, separator="")]
-    return f"<tbody>{''.join(lines)}</tbody>"
 
 
 def _row(cells: Sequence[Words]) -> str:

@@ -10,8 +10,7 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 
 from ..blocks import Report, Section
 from .contents import Contents
-from .report import sections
-from .screen import screen
+from .report import screen, sections
 
 FORMAT_VERSION = 1
 """A field may be added without a new version."""

@@ -9,7 +9,6 @@ from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
 from dds_trace.base.printable import printable
 
-from ..blocks import Fold, Section
 from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
 from .findings import FindingKind, findings_info
@@ -18,9 +17,9 @@ from .headline import Fastest, fastest_setups
 from .numbers import BridgedCell, Curves, Intervals, Values, bridge_costs, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
 from .recommendation import Advice, recommendation_info
-from .recording import OwnCost, RecordedEnvironment, RunTime, own_costs, record_tables, recorded_environment, run_times
+from .recording import OwnCost, RecordedEnvironment, RunTime, own_costs, recorded_environment, run_times
 from .sizes import Glance, SizeTable, glance_info, size_table
-from .topics import is_of_topics, topic_sections
+from .topics import is_of_topics
 
 
 class Contents:
@@ -54,17 +53,13 @@ class Contents:
         return run_times(self.analysis)
 
     @cached_property
-    def bridge_loads(self) -> Mapping[int, float]:
+    def bridge_costs(self) -> tuple[Mapping[int, BridgedCell], int]:
         spans = (
             RunSpan(run.group, run.session.session_id, run.origin_ns, run.last_ns)
             for run in self.run_times
             if run.session is not None
         )
-        return bridge_loads(self.analysis.details.host_samples, spans)
-
-    @cached_property
-    def bridge_costs(self) -> tuple[Mapping[int, BridgedCell], int]:
-        return bridge_costs(self.analysis, self.groups, self.bridge_loads)
+        return bridge_costs(self.analysis, self.groups, bridge_loads(self.analysis.details.host_samples, spans))
 
     @cached_property
     def own_costs(self) -> tuple[OwnCost, ...]:
@@ -98,14 +93,6 @@ class Contents:
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:
         return findings_info(self.analysis, self.groups, self.values)
-
-    @cached_property
-    def record_tables(self) -> tuple[Fold, ...]:
-        return record_tables(self.analysis)
-
-    @cached_property
-    def topic_sections(self) -> tuple[Section, ...]:
-        return topic_sections(self.analysis)
 
     @cached_property
     def environment(self) -> RecordedEnvironment | None:

@@ -86,9 +86,9 @@ class Intervals:
     def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
         return bool(_value(self.is_between, metric, percentile, group))
 
-    def basis(self, metric: str, percentile: str, group: int) -> str:
+    def basis(self, metric: str, percentile: str, group: int, runs: float | None = None) -> str:
         if _value(self.is_between, metric, percentile, group) is None:
-            return MISSING
+            return MISSING if runs is None else f"{runs:.0f}"
         is_between = self.is_between_runs(metric, percentile, group)
         return f"{self.runs[group]}" if is_between else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
 
@@ -139,11 +139,6 @@ class Curves:
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]
     shares: tuple[float | None, ...] = ()
     losses: tuple[str, ...] = ()
-
-
-def any_curve(analysis: Analysis) -> bool:
-    messages = analysis.distributions.group_by("group", "metric").agg(pl.sum("count"))["count"]
-    return any(count > 1 for count in messages)
 
 
 def curves_info(analysis: Analysis) -> Curves:

@@ -1,4 +1,4 @@
-"""The sections of the report of an analysis."""
+"""The sections of the report of an analysis, and its answer on one screen of a terminal."""
 
 from __future__ import annotations
 
@@ -6,13 +6,31 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .. import blocks
-from ..blocks import MARKDOWN, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
+from ..blocks import (
+    MARKDOWN,
+    TERMINAL,
+    Bars,
+    Block,
+    Column,
+    Fitted,
+    Heading,
+    Points,
+    Row,
+    Section,
+    Sentence,
+    Span,
+    Table,
+)
+from .answer import PointKind
 from .contents import Contents
+from .findings import severity_counts
 from .groups import (
     LATENCY_MEANING,
     METRIC_LABELS,
@@ -23,16 +41,18 @@ from .groups import (
     format_added_ns,
     format_ratio,
 )
-from .numbers import Cost
+from .headline import COMPARED, Fastest, bridge_facts
+from .numbers import Cost, Values
+from .outcomes import outcome_of, shown_case
 from .recommendation import COLUMNS
-from .screen import screen
-from .sizes import HOW_TO_READ, PlaceRows, SizeCell, SizeTable, Threshold
+from .sizes import HOW_TO_READ, SizeTable, size_rows
+from .topics import topic_sections
+from .verdicts import contender_labels
 
 MOST_CHOICES = 3
 """Setups side by side in 80 columns."""
 MOST_GROUPS = 150
 
-_OUTCOME_TONES = {"pass": "good", "fail": "bad"}
 _SEVERITY_TONES = {"error": "bad", "warning": "open", "info": "info"}
 
 
@@ -44,7 +64,7 @@ def sections(book: Contents) -> list[Section]:
         Section([Sentence(answer.headline, "headline"), Points(answer.points)]),
         *_sizes(book.sizes),
         Section([Points(answer.remarks), *([Sentence(answer.rule, "soft")] if answer.rule else [])]),
-        *book.topic_sections,
+        *topic_sections(book.analysis),
     ]
     aligned = [[Span(f"{fact.label:<20}", "soft"), Span(fact.value, "")] for fact in overview.facts]
     measured: list[Block] = [
@@ -86,25 +106,6 @@ def _sizes(sizes: SizeTable | None) -> Iterator[Section]:
         rows = size_rows(sizes, site)
         yield Section([Table([*map(Column, ("Size", *sizes.choices))], rows, caption, media=MARKDOWN)])
     yield Section([Sentence(HOW_TO_READ, "soft")])
-
-
-def size_rows(sizes: SizeTable, site: PlaceRows, *, part: slice = slice(None), separator: str = ", ") -> list[Row]:
-    rows = [Row([row.size, *(_size_cell(cell, separator) for cell in row.cells[part])]) for row in site.rows]
-    return [Row([sizes.deadline, *map(_threshold, site.thresholds[part])]), *rows] if site.thresholds else rows
-
-
-def _threshold(threshold: Threshold | None) -> blocks.Words:
-    if threshold is None:
-        return ""
-    why = threshold.text.removeprefix(threshold.outcome)
-    return [Span(threshold.outcome, _OUTCOME_TONES.get(threshold.outcome, "")), Span(why, "")]
-
-
-def _size_cell(cell: SizeCell | None, separator: str) -> blocks.Words:
-    if cell is None:
-        return ""
-    p50, p99 = (Span(text, "strong" if leads else "") for text, leads in cell.times)
-    return [p50, Span(" / ", ""), p99, *([Span(f"{separator}{cell.lost}", "bad")] if cell.lost else [])]
 
 
 def _findings(book: Contents) -> Iterator[Block]:
@@ -224,8 +225,8 @@ def _results(book: Contents) -> Iterator[Block]:
         (
             *_message_cells(book, group),
             format_ratio(values.plain["own_share"][group.index]),
-            _received(book, group.index),
-            _runs(book, group.index),
+            _received(values, group.index),
+            intervals.basis(metric, "p50", group.index, values.plain["runs"][group.index]),
             *(_with_interval(book, name, group.index) for name in SHOWN_STATISTICS),
         )
         for group in groups[:MOST_GROUPS]
@@ -247,15 +248,9 @@ def _left_out(count: int, where: str) -> Iterator[Block]:
         )
 
 
-def _received(book: Contents, group: int) -> str:
-    unsent = book.values.plain["unsent"][group]
-    return format_ratio(book.values.plain["received_ratio"][group]) + (f", {unsent:.0f} unsent" if unsent else "")
-
-
-def _runs(book: Contents, group: int) -> str:
-    basis = book.intervals.basis(book.values.default_metric, "p50", group)
-    runs = book.values.plain["runs"][group]
-    return basis if basis != MISSING or runs is None else f"{runs:.0f}"
+def _received(values: Values, group: int) -> str:
+    unsent = values.plain["unsent"][group]
+    return format_ratio(values.plain["received_ratio"][group]) + (f", {unsent:.0f} unsent" if unsent else "")
 
 
 def _with_interval(book: Contents, name: str, group: int) -> str:
@@ -335,3 +330,115 @@ def _clocks(book: Contents) -> Iterator[Block]:
     if rows:
         yield Heading("Clocks", media=MARKDOWN)
         yield _markdown_table(("Devices", "Offset", "Drift", "Step before"), rows)
+
+
+MOST_LINES = 18
+"""With the lines of the written files it is a screen of 20."""
+MOST_SETUPS = 4
+MOST_ADVICE = 6
+"""Setups of a recommendation without `--all`."""
+
+PASS, FAIL, OPEN, NONE = Span("✓", "good"), Span("✗", "bad"), Span("·", "soft"), Span("")
+LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
+FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
+
+
+def screen(book: Contents) -> list[Section]:
+    return [Section([*_advice(book)] or [_brief(book)])]
+
+
+def _brief(book: Contents) -> Fitted:
+    answer = book.answer
+    measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
+    noun = "message" if measured.startswith("1 ") else "messages"
+    title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
+    parts: list[Sequence[Block]] = [[Sentence(title, "strong", NONE)]]
+    parts += [
+        [Sentence(f"{kind.heading}: {kind.listed[0].what} {kind.listed[0].action}", mark=FAIL)]
+        for kind in book.findings
+        if kind.severity == Severity.ERROR.value
+    ]
+    vendors = book.groups.vendors
+    parts += [
+        [Sentence(sentence, mark=FAIL if kind in LOSSES else OPEN)]
+        for kind, sentence in answer.sentences
+        if kind in FIRST
+    ]
+    parts += _thresholds(book.sizes)
+    if PointKind.FASTEST in answer.kinds:
+        parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
+    for kind, sentence in answer.sentences:
+        if kind is PointKind.BRIDGE:
+            facts = bridge_facts(book.analysis.details.bridge_costs, vendors)
+            sentences = [Sentence(fact.replace(" as long", ""), mark=PASS) for fact in facts]
+            parts.append([Sentence(COMPARED, "strong", NONE), *sentences])
+        elif kind not in (*FIRST, PointKind.FASTEST):
+            parts.append([Sentence(sentence, mark=OPEN)])
+    findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
+    more = ", ".join([*findings, f"tables of {counted(len(book.groups.groups), 'result')}"])
+    return Fitted(parts, MOST_LINES, "" if book.shows_all else more, media=TERMINAL)
+
+
+def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[list[Block]]:
+    is_drawn = False
+    for kind in kinds:
+        part: list[Block] = [Sentence(kind.heading, "strong", NONE)]
+        part += [Sentence(f"{span}: {words}", mark=PASS if decided else OPEN) for span, words, decided in kind.lines]
+        bars = [] if is_drawn else _bars(kind.cases, labels, place=kind.place if " on " in kind.heading else "")
+        is_drawn = is_drawn or bool(bars)
+        yield [*part, *bars]
+
+
+def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Bars]:
+    if not any(outcome_of(case).is_decided for case in cases):
+        return []
+    case = shown_case(cases)
+    times = sorted(
+        (setup.p50_ns, labels[setup.name])
+        for setup in case.contenders
+        if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
+    )[:MOST_SETUPS]
+    if len(times) < 2:
+        return []
+    size = format_size(case.payload_bytes)
+    where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))
+    return [Bars([(name, ns, format_duration(ns)) for ns, name in times], where, () if place else (where, size))]
+
+
+def _thresholds(sizes: SizeTable | None) -> list[list[Block]]:
+    if sizes is None or not sizes.deadline:
+        return []
+    lines: list[Block] = [Sentence(f"{sizes.deadline[:1].upper()}{sizes.deadline[1:]}", "strong", NONE)]
+    order, passed = ["fail", "not known", "pass"], []
+    for index, choice in enumerate(sizes.choices):
+        judged = [
+            (result, rows.place) for rows in sizes.places if rows.thresholds and (result := rows.thresholds[index])
+        ]
+        worst, site = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
+        if worst is None or worst.outcome == "pass":
+            passed += [choice] if worst else []
+            continue
+        on = f" on {site}" if len(sizes.places) > 1 else ""
+        lines.append(Sentence(f"{choice}{on}: {worst.why}", mark=FAIL if worst.outcome == "fail" else OPEN))
+    return [[*lines, *([Sentence(", ".join(passed), mark=PASS)] if passed else [])]]
+
+
+def _advice(book: Contents) -> Iterator[Block]:
+    advice = book.advice
+    if advice is None:
+        return
+    rows = advice.brief_rows if book.shows_all else advice.brief_rows[:MOST_ADVICE]
+    yield Sentence(f"Job: {advice.job}", media=TERMINAL)
+    yield Sentence(advice.sentence, "strong", media=TERMINAL)
+    marks = {"meets": PASS, "misses": FAIL}
+    cells = [
+        Row([f"{number:2}.", [marks.get(fit, OPEN)], [Span(f"{setting}: {fit}; ", ""), Span(numbers, "soft")]])
+        for number, (setting, fit, numbers) in enumerate(rows, 1)
+    ]
+    yield Table([Column(""), Column(""), Column("")], cells, media=TERMINAL)
+    if len(advice.rows) > len(rows):
+        more = counted(len(advice.rows) - len(rows), "more setup")
+        yield Sentence(f"and {more}: --all", "soft", media=TERMINAL)
+    if advice.missing:
+        yield Sentence(advice.missing, media=TERMINAL)
+    yield from (blocks.Command(*command, media=TERMINAL) for command in advice.commands)

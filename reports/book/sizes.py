@@ -17,6 +17,7 @@ from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
+from ..blocks import Row, Span, Words
 from .facets import Facets
 from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, time_words
 from .numbers import Intervals
@@ -90,10 +91,6 @@ class SizeTable:
     @property
     def caption(self) -> str:
         return f"Latency of {self.whose} {self.rates}, median / p99"
-
-    @property
-    def has_further(self) -> bool:
-        return any(rows.further for rows in self.places)
 
 
 def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
@@ -214,6 +211,28 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
 def _order(answer: CaseAnswer) -> tuple[object, ...]:
     where = answer.ping_device, answer.relay_device or "", answer.connectivity, answer.conditions
     return *where, *data_type_rank(answer.data_type), answer.payload_bytes, answer.rate_hz
+
+
+_OUTCOME_TONES = {"pass": "good", "fail": "bad"}
+
+
+def size_rows(sizes: SizeTable, site: PlaceRows, *, part: slice = slice(None), separator: str = ", ") -> list[Row]:
+    rows = [Row([row.size, *(_times(cell, separator) for cell in row.cells[part])]) for row in site.rows]
+    return [Row([sizes.deadline, *map(_outcome, site.thresholds[part])]), *rows] if site.thresholds else rows
+
+
+def _outcome(threshold: Threshold | None) -> Words:
+    if threshold is None:
+        return ""
+    why = threshold.text.removeprefix(threshold.outcome)
+    return [Span(threshold.outcome, _OUTCOME_TONES.get(threshold.outcome, "")), Span(why, "")]
+
+
+def _times(cell: SizeCell | None, separator: str) -> Words:
+    if cell is None:
+        return ""
+    p50, p99 = (Span(text, "strong" if leads else "") for text, leads in cell.times)
+    return [p50, Span(" / ", ""), p99, *([Span(f"{separator}{cell.lost}", "bad")] if cell.lost else [])]
 
 
 MOST_BLOCKS, MOST_ROWS, MOST_LINKS = 6, 18, 4

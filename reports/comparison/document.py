@@ -14,7 +14,6 @@ from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
-from .info import ComparisonInfo
 from .words import gate_interval_words, measured_words, why_words
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
 
     from .info import ComparedGroup, ComparisonInfo
-    from .words import Gated
 
 
 FORMAT_VERSION = 1
@@ -43,7 +41,15 @@ def comparison_document(info: ComparisonInfo, comparison: Comparison) -> dict[st
         "groups": [_group(group) for group in info.groups],
         "only_base": _named(info.only_base, comparison.only_base),
         "only_new": _named(info.only_new, comparison.only_new),
-        "gates": [_gate(gated) for gated in info.gates],
+        "gates": [
+            {
+                "gate": gated.result.gate.text,
+                "group": gated.where,
+                "outcome": gated.result.outcome.value,
+                **{name: getattr(gated.result, name) for name in _OF_RESULT},
+            }
+            for gated in info.gates
+        ],
         "unlike": info.unlike,
         "ignore": info.ignore,
         "notes": info.notes,
@@ -75,16 +81,6 @@ def _curve(values_ns: list[float]) -> list[dict[str, float]]:
 
 
 _OF_RESULT = ("measured", "low", "high", "reason", "smallest_ratio", "smallest_drop")
-
-
-def _gate(gated: Gated) -> dict[str, object]:
-    result = gated.result
-    return {
-        "gate": result.gate.text,
-        "group": gated.where,
-        "outcome": result.outcome.value,
-        **{name: getattr(result, name) for name in _OF_RESULT},
-    }
 
 
 def _named(labels: tuple[str, ...], groups: pl.DataFrame) -> list[dict[str, object]]:

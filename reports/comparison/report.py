@@ -219,7 +219,10 @@ def _statistics(groups: Sequence[ComparedGroup], label: str) -> Table:
         Row(
             [
                 group.label,
-                *words.statistic_cells(row),
+                f"{words.metric_words(row['metric'])} {words.statistic_words(row['statistic'])}",
+                *(words.side_words(row, side) for side in SIDES),
+                words.change_words(row["ratio"]),
+                words.interval_words(row),
                 "" if row["superiority"] is None else f"{row['superiority']:.0%}",
                 runs_words(row),
                 "" if row["smallest_ratio"] is None else words.found_from_words(row["smallest_ratio"]),

@@ -97,12 +97,6 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
 
 
-def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
-    name = f"{metric_words(row['metric'])} {statistic_words(row['statistic'])}"
-    sides = side_words(row, "base"), side_words(row, "new")
-    return name, *sides, change_words(row["ratio"]), interval_words(row)
-
-
 def measured_words(result: GateResult, value: float | None) -> str:
     if value is None:
         return "unknown"

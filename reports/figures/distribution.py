@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import polars as pl
+
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 from ..book.book import Book
 from ..book.groups import METRIC_LABELS, data_type_label
-from ..book.numbers import any_curve
 from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
 
 
@@ -63,7 +64,8 @@ class DistributionCurves:
 
 
 def distribution_info(book: Book) -> DistributionCurves:
-    return DistributionCurves(any_curve(book.analysis))
+    messages = book.analysis.distributions.group_by("group", "metric").agg(pl.sum("count"))["count"]
+    return DistributionCurves(any(count > 1 for count in messages))
 
 
 _NO_CURVE = "no result has two received messages."

@@ -43,7 +43,9 @@ from ..book.groups import (
     qos_label,
 )
 from ..book.overview import utc_words
+from ..book.recording import record_tables
 from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
+from ..book.topics import topic_sections
 from ..book.verdicts import MODES
 from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
@@ -150,8 +152,8 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         opened=opened_figures(book, drawn),
         left_out=[figure for _, figure in figures if isinstance(figure, LeftOut)],
         environment=book.environment,
-        record_tables=book.record_tables,
-        topic_sections=book.topic_sections,
+        record_tables=record_tables(book.analysis),
+        topic_sections=topic_sections(book.analysis),
     )
 
 

@@ -22,9 +22,10 @@ from .words import (
     TopicRow,
     cells,
     facts_words,
+    hole_lines,
     pause_lines,
     seconds_words,
-    topic_lines,
+    topic_notes,
     topics_of,
     verdict_words,
 )
@@ -116,21 +117,14 @@ def _end(health: RecordingHealth) -> str:
 
 
 def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]) -> Row:
-    lines = topic_lines(row, holes, health)
+    lines = [*hole_lines(row, holes, health), *topic_notes(row, health)]
     first, *others = cells(row, strip)
     words = f"{first}: time from 00:00 to {_end(health)}, {'; '.join(lines) or 'without holes'}"
-    figure = blocks.Figure(
-        _strip_text(strip, is_periodic=row["missing_from"] != ""),
-        _strip_svg(words, strip_parts(health, row, holes, strip)),
-    )
+    is_periodic = row["missing_from"] != ""
+    text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)
+    figure = blocks.Figure(text, _strip_svg(words, strip_parts(health, row, holes, strip)))
     with_qos = blocks.stack(Span(first, ""), Span(printable(row["qos"]), "soft"))
     return Row([first, with_qos, *others], figure=figure, notes=lines)
-
-
-def _strip_text(strip: Sequence[float], *, is_periodic: bool) -> str:
-    if not is_periodic:
-        return "".join("▪" if share else " " for share in strip)
-    return "".join(_LEVELS[int(share * 8)] for share in strip)
 
 
 def _strip_svg(words: str, parts: Sequence[tuple[float, float, str, str]]) -> Markup:

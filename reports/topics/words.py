@@ -84,11 +84,7 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
         yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
 
 
-def topic_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> list[str]:
-    return [*_hole_lines(row, holes, health), *_topic_notes(row, health)]
-
-
-def _hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
+def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
     end_s = health.duration_ns / 1e9
     if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
@@ -161,7 +157,7 @@ def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
     )
 
 
-def _topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
+def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
         yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
     if row["missing_inside"]:

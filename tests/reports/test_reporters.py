@@ -28,7 +28,7 @@ from dds_trace.reports import document, terminal
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_ratio, markdown
 from dds_trace.reports.book.numbers import intervals_info
-from dds_trace.reports.book.screen import MOST_LINES
+from dds_trace.reports.book.report import MOST_LINES
 from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, render, write_card
 from dds_trace.reports.document import _lines

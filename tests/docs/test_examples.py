@@ -246,10 +246,6 @@ def test_options_within_a_sentence_are_those_of_the_program(line, capsys):
         assert "is a setting now" not in capsys.readouterr().err
 
 
-def test_the_kept_bag_is_small():
-    assert (DOCS / "results" / "drive" / "traces.tar.xz").stat().st_size <= 1_000_000
-
-
 RECORDED = list(csv.DictReader((DOCS.parent / "benchmarks/replayed-link.csv").read_text().splitlines()))
 
 

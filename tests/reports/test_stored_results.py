@@ -20,7 +20,7 @@ SIZES = ("33 KB", "145 KB", "502 KB", "1 MB", "4 MB")
 
 
 def test_every_file_is_small():
-    assert max(path.stat().st_size for path in FOLDER.iterdir()) <= 1_000_000
+    assert max(path.stat().st_size for path in FOLDER.parent.rglob("*") if path.is_file()) <= 1_000_000
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +106,11 @@ def test_every_field_that_may_be_missing_or_is_narrowed_exists(recipe):
 def test_the_schemas_describe_most_fields(recipe):
     text = json.dumps([make() for make in recipe.SCHEMAS.values()])
     assert text.count('"description"') > 150
+
+
+@pytest.mark.parametrize("first", ["outages: Back after", "flows: The flow imu", "robot-and-laptop: /camera"])
+def test_the_first_screen_is_about_what_was_recorded(tmp_path, monkeypatch, first):
+    monkeypatch.setattr(sys, "path", [str(FOLDER.parents[2] / "scripts"), *sys.path])
+    campaign, _, words = first.partition(": ")
+    answer = Book(analyze(importlib.import_module("quoted").unpack(campaign, tmp_path))).answer
+    assert words in " ".join(text for _, text in answer.sentences[:3])

@@ -110,7 +110,7 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
 
 def run(line, monkeypatch):
     """Run a command in this process as far as its first message; how it ended."""
-    monkeypatch.setattr("dds_trace.cli.record.run.rehearse", lambda *_: None)
+    monkeypatch.setattr("dds_trace.recorder.recording.rehearse", lambda *_: None)
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: {})
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.check_plan", lambda *_: {})
     program, *arguments = shlex.split(line)

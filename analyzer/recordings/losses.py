@@ -61,36 +61,31 @@ class TopicTimes:
     """Such stamps of messages that were logged by another clock."""
 
     def find_losses(self, start_ns: int, end_ns: int) -> Losses:
-        losses = self._by_rhythm(start_ns, end_ns)
-        by_sequence = self._by_sequence()
+        losses, jumps = self._by_rhythm(start_ns, end_ns), self._jumps()
+        by_sequence = max(sum(int(jump[2].sum()) for jump in jumps) - len(self.left_out_ns), 0) if jumps else None
         counts = by_sequence if self.is_ros1 else by_sequence or None
         if counts is not None and (self.is_ros1 or losses.evidence != "stamps" or counts > (losses.missing or 0)):
-            holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes or self._jumps()]
+            holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes]
+            holes = holes or [Hole(*jump) for jump in sorted(np.concatenate(jumps, axis=1).T.tolist())]
             return replace(losses, evidence="sequence", missing=counts, low=counts, high=counts, holes=holes)
         if losses.missing is None and self.lost is not None:
             count = sum(self.lost)
             return replace(losses, evidence="recorder", missing=count, low=count, high=count)
         return losses
 
-    def _by_sequence(self) -> int | None:
-        """Return what a counter passes over; None without a counter."""
-        missing, is_counter = 0, False
+    def _jumps(self) -> list[Int64]:
+        """Return, for each publisher that counts, what it passes over: rows of starts, durations (ns) and numbers of messages."""
+        jumps = []
         for publisher in np.unique(self.publisher)[:_MOST_PUBLISHERS].tolist():
-            steps = np.diff(self.sequence[self.publisher == publisher])
+            is_own = self.publisher == publisher
+            log_ns, steps = self.log_ns[is_own], np.diff(self.sequence[is_own])
             if len(steps) > 1 and (steps == 1).mean() >= 0.5:
-                is_counter = True
-                missing += int((steps[(steps > 1) & (steps < _LARGEST_STEP)] - 1).sum())
-        return max(missing - len(self.left_out_ns), 0) if is_counter else None
-
-    def _jumps(self) -> list[Hole]:
-        steps = np.diff(self.sequence)
-        at = np.flatnonzero((steps > 1) & (steps < _LARGEST_STEP))
-        return [
-            Hole(*hole, 0) for hole in zip(self.log_ns[at].tolist(), np.diff(self.log_ns)[at].tolist(), strict=True)
-        ]
+                is_jump = (steps > 1) & (steps < _LARGEST_STEP)
+                jumps.append(np.array([log_ns[:-1], np.diff(log_ns), steps - 1])[:, is_jump])
+        return jumps
 
     def _steps_at(self, hole: Hole) -> int:
-        at = int(np.searchsorted(self.log_ns, hole.start_ns, "right"))
+        at = int(np.searchsorted(self.log_ns, hole.start_ns))
         if not 0 < at < len(self.sequence):
             return 0
         return max(int(self.sequence[at] - self.sequence[at - 1]) - 1, 0)
@@ -180,7 +175,7 @@ class TopicTimes:
 
     def _is_late(self, hole: Hole) -> bool:
         """Return whether stamps go on across a hole: what follows is late, or a clock was set, and nothing is missing."""
-        at = int(np.searchsorted(self.log_ns, hole.start_ns, "right"))
+        at = int(np.searchsorted(self.log_ns, hole.start_ns))
         if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
             return False
         return hole.duration_ns > 10**9 and 0 <= int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < hole.duration_ns // 4

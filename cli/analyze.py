@@ -239,7 +239,7 @@ def _analyze(
         exported = [path for kind in exports or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         files = [*reports, *exported, *derived]
-        if card:  # with the library of other recordings
+        if card:
             from dds_trace.reports.book.book import Book
             from dds_trace.reports.card import write_card
 

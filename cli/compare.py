@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from dds_trace.reports.comparison.info import ComparisonInfo
 
 
-class ComparisonReport(str, Enum):
+class ReportKind(str, Enum):
     TERMINAL = "terminal"
     MD = "md"
     JSON = "json"
@@ -76,7 +76,7 @@ def compare_command(
     ] = False,
     looks: Looks = 1,
     report: Annotated[
-        list[ComparisonReport] | None,
+        list[ReportKind] | None,
         option(
             "--report KIND",
             "Report to write: terminal, md, json, junit, html, github (annotations of a job) or badge (shields.io); "
@@ -113,7 +113,7 @@ def compare_command(
     from .limits_file import write_limits as write_limits_file
 
     limits.check(limits.LOOKS, looks, "--looks")
-    reports = report or [ComparisonReport.TERMINAL]
+    reports = report or [ReportKind.TERMINAL]
     files: list[Path | None] = [*out] if out else [None for _ in reports]
     if len(files) != len(reports):
         raise OptionError(f"{len(reports)} --report and {len(files)} --out: give one file for each report, or none")
@@ -138,28 +138,28 @@ class JudgedSides(NamedTuple):
     info: "ComparisonInfo"
     outcome: "GateOutcome"
 
-    def write(self, report: ComparisonReport, file: Path | None, title: str, *, shows_all: bool) -> None:
+    def write(self, report: ReportKind, file: Path | None, title: str, *, shows_all: bool) -> None:
         from dds_trace.analyzer.exports.kinds import write_text_file
         from dds_trace.reports.comparison import document
-        from dds_trace.reports.comparison.report import ComparisonReport as Contents
+        from dds_trace.reports.comparison.report import ComparisonReport
         from dds_trace.reports.reporters import load_reporter
         from dds_trace.reports.terminal import print_report
 
-        contents = Contents(self.info, self.comparison, title, shows_all=shows_all)
-        if report is ComparisonReport.TERMINAL and file is None:
+        contents = ComparisonReport(self.info, self.comparison, title, shows_all=shows_all)
+        if report is ReportKind.TERMINAL and file is None:
             print_report(contents)
             return
         for_ci = {
-            ComparisonReport.JUNIT: document.render_junit,
-            ComparisonReport.GITHUB: document.render_annotations,
-            ComparisonReport.BADGE: document.render_badge,
+            ReportKind.JUNIT: document.render_junit,
+            ReportKind.GITHUB: document.render_annotations,
+            ReportKind.BADGE: document.render_badge,
         }
         render = for_ci.get(report)
         text = render(self.info) if render else load_reporter(report.value).render(contents)
         if file is not None:
             print(f"Wrote {write_text_file(file, text)}")
         else:
-            method = "write_commands" if report is ComparisonReport.GITHUB else "write"
+            method = "write_commands" if report is ReportKind.GITHUB else "write"
             getattr(sys.stdout, method, sys.stdout.write)(text)
 
     def end(self, *, strict: bool) -> int:

@@ -19,7 +19,7 @@ from ..statistics.percentiles import PERCENTILES
 from .cases import GroupRows, is_too_large, partition_groups
 from .compare import CompareOptions, Comparison, compare_groups
 from .comparison_rows import COMPARISON_SCHEMA
-from .judgements import with_adjusted_verdicts
+from .judgements import Row, with_adjusted_verdicts
 from .matching import match_groups
 
 Float64 = NDArray[np.float64]
@@ -286,11 +286,8 @@ def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> 
     return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
 
 
-Row = dict[str, Any]
-
-
 def speaks_against(changes: Iterable[Row], deliveries: Iterable[Row]) -> tuple[list[Row], list[Row]]:
-    """Return the rows of which fewer messages were received, and the slower ones: adjusted, or by their whole interval."""
+    """Return the rows with fewer messages received, and the slower rows: by an adjusted verdict, or by their whole interval."""
     fewer = [row for row in deliveries if row["verdict"] == "worse" or (row["difference_high"] or 0.0) < 0]
     return fewer, [row for row in changes if row["verdict"] == "worse" or (row["ratio_low"] or 0.0) > 1]
 

@@ -22,7 +22,7 @@ from .against import say_missing
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, read_thresholds, run_until_interrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
@@ -227,7 +227,7 @@ def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
     return (judged[0] if judged else "no time and no share received is proven better") + most
 
 
-def _response(row: Advice) -> str:
+def _response(row: Mapping[str, Any]) -> str:
     before, after = (
         "lost" if time_ns == math.inf else format_duration(time_ns) for time_ns in (row["base_ns"], row["new_ns"])
     )
@@ -237,9 +237,9 @@ def _response(row: Advice) -> str:
     return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
 
 
-def _delivery(row: Advice) -> str:
+def _delivery(row: Mapping[str, Any]) -> str:
     return f"{_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
 
 
-def _result(row: Advice) -> str:
+def _result(row: Mapping[str, Any]) -> str:
     return f"{row['data_type']} {row['payload_bytes']:,} bytes at {row['rate_hz']:g} Hz"

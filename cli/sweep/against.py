@@ -13,7 +13,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 
-from ..compare import ComparisonReport, judge_sides
+from ..compare import ReportKind, judge_sides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
@@ -167,7 +167,7 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
     if alarms is not None:
         print(_in_words(alarms))
     if judged is not None:
-        judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
+        judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
 
 
 def print_complete(outcome: SweepOutcome, side: str = "") -> None:

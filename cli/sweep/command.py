@@ -16,7 +16,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
 
-from ..compare import ComparisonReport, FailIf, Looks, Strict, judge_sides, read_gates
+from ..compare import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
 from ..program import command, make_app, option
 from .common import (
     AsJson,
@@ -202,7 +202,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     else:
         print_complete(outcome)
         if judged is not None:
-            judged.write(ComparisonReport.TERMINAL, None, "", shows_all=False)
+            judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None

@@ -285,7 +285,7 @@ def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
             sides = ("--domain", domain_id, "--discovery", "subnet", *options, reliability)
             with (
                 relaying(devices["relay"].start, folder, *sides),
-                pinging(devices["ping"].start, folder, *sides, *peer, "--size", "1MB", "--rate", 40, "--messages", 60),
+                pinging(devices["ping"].start, folder, *sides, *peer, "--size", "1MB", "--rate", 20, "--messages", 60),
             ):
                 pass
             kept[reliability] = received(folder)

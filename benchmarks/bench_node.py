@@ -31,12 +31,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from timing import awake_cores
 
 from dds_trace.recorder.backends.cyclone_settings import cyclone_loopback, cyclone_settings
 from dds_trace.recorder.choices import Discovery
@@ -122,24 +123,6 @@ def serving(command: Sequence[object], ready: str, environment: Mapping[str, str
             process.communicate(timeout=5)
         process.kill()
         process.communicate()
-
-
-@contextmanager
-def awake_cores() -> Iterator[None]:
-    """Keep every core awake to the end of the block, by a process each that gives way to any other (sched(7), SCHED_IDLE).
-
-    They end with this process, too, whatever ends it.
-    """
-    spin = (
-        "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
-        f"while os.getppid() == {os.getpid()}:\n for _ in range(1_000_000): pass"
-    )
-    with ExitStack() as started:
-        for core in sorted(os.sched_getaffinity(0)):
-            command = ["taskset", "--cpu-list", str(core), sys.executable, "-S", "-c", spin]
-            process = started.enter_context(subprocess.Popen(command))
-            started.callback(process.kill)
-        yield
 
 
 def output_of(command: Sequence[object], environment: Mapping[str, str] | None = None) -> str:

@@ -1,11 +1,12 @@
 """What a tap costs others: latency of another subscriber and CPU of publisher and tap, with and without it in turn.
 
-    python benchmarks/bench_tap.py [--pairs 8] [--seconds 6] [--backend ros2] [--control] [--json]
+    python benchmarks/bench_tap.py [--pairs 8] [--seconds 6] [--backend ros2] [--control] [--awake] [--json]
 
 A publisher and a subscriber of ROS 2 run throughout; the tap is started and ended beside them, and its first second does not
 count. Each pair of slices gives one ratio, and the pairs an interval of the median (sign test, 95 %). Exit code 1 if a bar is
 missed: the subscriber's p50 within 5 %, the tap at most 5 % of a core at 50 Hz. `--control` measures the topic of 50 Hz alone, and a
-second plain subscriber of rclpy in turn with tap and nothing: what any second subscriber costs.
+second plain subscriber of rclpy in turn with tap and nothing, in an order drawn for each round: what any second subscriber costs.
+`--awake` keeps every core awake throughout: else a second subscriber makes the first one faster, as cores sleep less.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import signal
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from math import comb
 from pathlib import Path
@@ -26,6 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
+from timing import awake_cores
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -199,8 +203,9 @@ def run_case(size: int, rate_hz: float, pairs: int, seconds: float, backend: str
             deadline = time.monotonic() + 30
             while not (latencies.exists() and latencies.stat().st_size > 1600) and time.monotonic() < deadline:
                 time.sleep(0.2)
-            for number in range(pairs):
-                for kind in kinds if number % 2 else kinds[::-1]:  # ABBA: a trend cancels
+            order = random.Random(pairs)
+            for _ in range(pairs):
+                for kind in order.sample(kinds, len(kinds)):
                     other: subprocess.Popen[str] | subprocess.Popen[bytes] | None = None
                     if kind != "nothing":
                         other = start_tap(folder, backend) if kind == "tap" else start_plain(folder, size, rate_hz)
@@ -237,13 +242,15 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--backend", default="ros2")
     parser.add_argument("--control", action="store_true")
+    parser.add_argument("--awake", action="store_true", help="keep every core awake")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     results = []
     for size, rate_hz in CASES[:1] if arguments.control else CASES:
-        result = run_case(
-            size, rate_hz, arguments.pairs, arguments.seconds, arguments.backend, control=arguments.control
-        )
+        with awake_cores() if arguments.awake else nullcontext():
+            result = run_case(
+                size, rate_hz, arguments.pairs, arguments.seconds, arguments.backend, control=arguments.control
+            )
         results.append(result)
         if not arguments.json:
             print(

@@ -1,9 +1,13 @@
-"""What the benchmarks time with, and what they time against: one thread that unpacks chunks held in memory."""
+"""What the benchmarks time with: cores kept awake, memory kept, and one thread that unpacks chunks held in memory."""
 
 from __future__ import annotations
 
 import ctypes
+import os
+import subprocess
+import sys
 import time
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
@@ -12,7 +16,7 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
 KEPT_BLOCK_BYTES = 16 << 20
@@ -24,6 +28,24 @@ def seconds(job: Callable[[], object]) -> float:
     start = time.perf_counter()
     job()
     return time.perf_counter() - start
+
+
+@contextmanager
+def awake_cores() -> Iterator[None]:
+    """Keep every core awake to the end of the block, by a process each that gives way to any other (sched(7), SCHED_IDLE).
+
+    They end with this process, too, whatever ends it.
+    """
+    spin = (
+        "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
+        f"while os.getppid() == {os.getpid()}:\n for _ in range(1_000_000): pass"
+    )
+    with ExitStack() as started:
+        for core in sorted(os.sched_getaffinity(0)):
+            command = ["taskset", "--cpu-list", str(core), sys.executable, "-S", "-c", spin]
+            process = started.enter_context(subprocess.Popen(command))
+            started.callback(process.kill)
+        yield
 
 
 def read_rows(path: Path) -> pa.Table:

@@ -54,9 +54,11 @@ def test_links_within_the_repository_lead_somewhere(page):
     assert dead == []
 
 
-@pytest.mark.parametrize("page", [READING, GLOSSARY, TROUBLESHOOTING], ids=lambda page: page.stem)
-def test_the_readme_leads_to_the_pages_for_readers(page):
-    assert f"docs/{page.name}" in LINK.findall(prose_of(ROOT / "README.md"))
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_sentences_begin_with_capitals_or_names_with_a_mark_in_them(page):
+    prose = re.sub(r"^(?: {4}|[#!<|>])[^\n]*$", "", prose_of(page), flags=re.MULTILINE)
+    starts = r"(?:\A|\n\n|^\s*(?:-|\d+\.) |[a-z)%`]\. )[*_\[(]*([a-z][a-z'-]*(?:[\s;,]|: ).*)"
+    assert re.findall(starts, prose, re.MULTILINE) == []
 
 
 def test_every_figure_is_explained_under_its_title_in_the_order_of_the_report():
@@ -115,9 +117,10 @@ def test_the_table_of_exit_codes_is_that_of_the_code():
 
 
 @pytest.mark.parametrize("page", [READING, GLOSSARY, TROUBLESHOOTING], ids=lambda page: page.stem)
-def test_names_of_findings_and_columns_are_those_of_the_code(page):
+def test_the_readme_leads_to_a_page_and_its_names_of_findings_and_columns_are_those_of_the_code(page):
     """A name in backticks with an underscore is a finding, a figure, a column or a setting; one that was renamed is none."""
     sources = "\n".join(path.read_text(encoding="utf-8") for path in sources_of_rooms())
     names = set(re.findall(r"`([a-z]+(?:_[a-z0-9]+)+)`", page.read_text(encoding="utf-8")))
     assert names
+    assert f"docs/{page.name}" in LINK.findall(prose_of(ROOT / "README.md"))
     assert {name for name in names if not re.search(rf"\b{name}\b", sources)} == set()

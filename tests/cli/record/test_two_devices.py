@@ -80,7 +80,7 @@ def _follow(blocks, devices):
 
 def _copy(arguments, devices):
     source, target = arguments
-    found = re.fullmatch(rf"robot@{re.escape(RELAY)}:(.+)", source)
+    found = re.fullmatch(rf"pi@{re.escape(RELAY)}:(.+)", source)
     shutil.copy(devices["relay"].folder / found[1], devices["ping"].folder / target)
 
 

@@ -133,7 +133,7 @@ def analyze_command(
     open_it: Opens = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
-    """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
+    """Analyze traces: latency, losses and rates of every result.
 
     Writes roundtrips.parquet and summary.parquet and the reports asked for; earlier ones are
     replaced. Results go to stdout, progress and warnings to stderr:
@@ -196,9 +196,11 @@ def choose_command(
     out: Out = None,
     open_it: Opens = False,
 ) -> None:
-    """Rank the setups of traces for a job: messages of a size and rate, and a deadline for them.
+    """Rank the measured setups for a size, a rate and a deadline.
 
-    dds-trace choose runs/ --size 502KB --rate 20 --deadline 50ms
+    For example:
+
+        dds-trace choose runs/ --size 502KB --rate 20 --deadline 50ms
     """
     from dds_trace.analyzer.verdicts.job import make_job
 

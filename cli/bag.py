@@ -48,7 +48,7 @@ def bag_command(
     card: Card = False,
     open_it: Opens = False,
 ) -> None:
-    """Say whether a recording of other tools is whole: what is missing of each topic, when, its rate, jitter and age.
+    """Say whether a recording of other tools is whole, topic by topic.
 
     Exit code 30 with holes, 31 if it is damaged; with --fail-if the limits decide.
 

@@ -53,7 +53,7 @@ def bridge_command(
     ] = None,
     **values: Any,
 ) -> None:
-    """Run a bridge between the domains of a ping and a relay until Ctrl-C.
+    """Run a bridge between two DDS domains until Ctrl-C.
 
     `dds-trace record ping --bridge NAME` does this around a recording, `dds-trace doctor` lists the installed ones. A bridge of two halves runs one on each device:
 

@@ -39,7 +39,7 @@ def doctor_command(
     ] = None,
     as_json: Annotated[bool, option("--json", "Print the checks as JSON.")] = False,
 ) -> None:
-    """Show what can be measured on this machine, what cannot, why, and what to install.
+    """Show what can be measured here, what cannot, what to install.
 
     Middlewares, bridges, security, buffers, clocks, permissions, and what recording itself costs here (some seconds).
     """
@@ -71,10 +71,8 @@ def _middlewares() -> Iterator[Check]:
 
     for backend in load_backends():
         installed = backend.find_installed()
-        names = ", ".join(filter(None, installed)) or "installed"
-        yield Check(
-            "middlewares", f"--backend {backend.name}", bool(installed), names if installed else backend.install
-        )
+        detail = ", ".join(filter(None, installed)) or "installed" if installed else backend.install
+        yield Check("middlewares", f"--backend {backend.name}", bool(installed), detail)
 
 
 def _bridges() -> Iterator[Check]:
@@ -115,10 +113,11 @@ def _machine() -> Iterator[Check]:
     from dds_trace.recorder.host.fingerprint import read_text
     from dds_trace.recorder.kernel.counters import read_limits
 
-    largest_bytes = read_limits().get("net.core.rmem_max", 0)
-    enough = 2_097_152
-    cure = "" if largest_bytes >= enough else f"; large messages get lost: sysctl -w net.core.rmem_max={enough}"
-    yield Check("buffers", "net.core.rmem_max", not cure, f"{format_size(largest_bytes)}{cure}")
+    largest_bytes, enough = read_limits().get("net.core.rmem_max"), 4_194_304
+    shown = "not shown in this container; on its host" if largest_bytes is None else format_size(largest_bytes)
+    is_enough = largest_bytes is not None and largest_bytes >= enough
+    cure = "" if is_enough else f": sudo sysctl net.core.rmem_max={enough}, or large messages get lost"
+    yield Check("buffers", "net.core.rmem_max", is_enough, f"{shown}{cure}")
     source = read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
     yield Check("clocks", "clock source", source in ("tsc", "arch_sys_counter", "kvm-clock"), source)
 

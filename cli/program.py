@@ -112,7 +112,7 @@ def _short_help(often: Collection[str]) -> Callable[[typer.Context, bool], None]
         for parameter in parameters:
             is_rare = often and parameter.param_type_name == "option" and parameter.name not in often
             parameter.hidden = parameter.hidden or is_rare
-            parameter.help = textwrap.shorten(parameter.help or "", SHORT_COLUMNS, placeholder="...")
+            parameter.help = textwrap.shorten(parameter.help or "", SHORT_COLUMNS, placeholder=" ...")
         print(context.get_help())
         raise typer.Exit
 

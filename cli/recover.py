@@ -17,10 +17,7 @@ def recover_command(
     path: Annotated[Path, argument("FILE", "A .mcap file, its ring, or a bag of another program.")],
     out: Annotated[Path | None, option("--out PATH", "File or folder to write. Default: next to FILE")] = None,
 ) -> None:
-    """Turn what a killed recorder left, or a damaged bag of another program, into a whole copy.
-
-    dds-trace recover runs/ping.mcap
-    """
+    """Make a whole copy of what a killed recorder left, or of a bag."""
     from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
     from dds_trace.tracefile.recovery.recover import recover
 

@@ -6,6 +6,7 @@ import inspect
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -57,7 +58,7 @@ SettingsOption = Annotated[
     list[str] | None,
     option(
         "-o KEY=VALUE",
-        "A rarer setting, such as buffer=4MB; `-o help` lists them; repeatable.",
+        "`-o help` lists rarer settings; repeatable.",
         is_eager=True,
         autocompletion=starting([f"{key_of(row)}=" for row in OPTIONS.values()]),
     ),
@@ -80,9 +81,11 @@ def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[
         if key == "help":
             print("\n".join(_listed(rows, words, role)))
             sys.exit()
-        if key not in rows or not equals:
-            raise OptionError(f"-o {key}: write KEY=VALUE; {nearest(key, rows)}")
+        if key not in rows:
+            raise OptionError(f"-o {key}: no such setting; {nearest(key, rows)}")
         row = rows[key]
+        if not equals:
+            raise OptionError(f"-o {key}: write {key}={row.metavar or flag_of(row)}")
         if fault := _fault(row, value):
             raise OptionError(f"-o {key}={shown(value)}: {fault}")
         if row.metavar:
@@ -142,7 +145,8 @@ def _listed(rows: Mapping[str, Option], words: Sequence[str], role: Role | None)
     }
     for key, row in rows.items():
         if is_setting(row, role) and can_have.get(key, True):
-            yield f"{key}={row.metavar or flag_of(row)}  {help_of(row)}"
+            words = f"{key}={row.metavar or flag_of(row)}  {help_of(row)}"
+            yield textwrap.fill(words, 80, subsequent_indent="    ", break_on_hyphens=False)
 
 
 def given_values(values: Mapping[str, Any]) -> dict[str, Any]:

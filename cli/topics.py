@@ -14,6 +14,7 @@ from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome
 from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.card import topics_card, write_picture
@@ -95,7 +96,9 @@ def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gat
     for gate in gates:
         rows = [row for row in topics.iter_rows(named=True) if gate.is_about({"data_type": row["topic"]})]
         if not rows and gate.topic:
-            raise OptionError(f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}")
+            raise OptionError(
+                f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, {*topics['topic']})}"
+            )
         if not rows and not gate.unless:  # a file of limits names what there has to be
             topic = f"{gate.results[0][1]}: no recording has this topic"
             yield JudgedTopic(gate, "", topic, GateOutcome.REGRESSED)

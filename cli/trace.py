@@ -43,7 +43,7 @@ COMMANDS = {
 }
 
 _GROUPS = {
-    "record": "Record a ping and its relay, topics of others, or clocks; list what records now.",
+    "record": "Record a ping, a relay, topics or clocks; list what records now.",
     "explain": "Explain why latency rises at slow rates, or around a size.",
     "sweep": "Write a plan.",
 }

@@ -36,7 +36,7 @@ def watch_command(
         Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces")
     ] = None,
 ) -> None:
-    """Show the report of a folder in a browser while a sweep writes into it; Ctrl-C ends.
+    """Show the report in a browser while a sweep writes; Ctrl-C ends.
 
     For example:
 

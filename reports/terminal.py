@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -120,16 +121,26 @@ def _command(block: blocks.Command) -> Drawn:
     return [Text(f"  on {block.device}:", style="dim"), Text(" \\\n      ".join(["    " + lines[0], *lines[1:]]))]
 
 
+_UNBROKEN = re.compile(r"\d\S* \S+|\S+")
+"""A number stays with its unit."""
+
+
+def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], gap: int) -> list[int]:
+    """Take from the widest column that is above its least width, else from the widest."""
+    widths, leasts = [], []
+    for at, column in enumerate(columns):
+        text = "\n".join([column.name, *(plain_text(cells[at]) for cells in rows)])
+        widths.append(column.width or max(map(len, text.split("\n"))))
+        leasts.append(column.width or column.least or max(map(len, _UNBROKEN.findall(text)), default=1))
+    for _ in range(sum(widths) + gap * (len(widths) - 1) - SCREEN_WIDTH):
+        widths[max(range(len(widths)), key=lambda at: (widths[at] > leasts[at], widths[at]))] -= 1
+    return widths
+
+
 def _table(block: blocks.Table) -> Iterator[RenderableType]:
     columns, rows = block.seen(TERMINAL)
     has_parts = any(row.part for row, _ in rows)
-    widths = [column.width for column in columns]
-    if has_parts:
-        names = [[column.name for column in columns], *(map(plain_text, cells) for _, cells in rows)]
-        longest = [max(map(len, texts)) for texts in zip(*names, strict=True)]
-        whole = [column.width or most for column, most in zip(columns, longest, strict=True)]
-        excess = sum(whole) + block.gap * (len(whole) - 1) - SCREEN_WIDTH
-        widths = [width - max(0, excess) * (width == max(whole)) for width in whole]
+    widths = _widths(columns, [cells for _, cells in rows], block.gap)
 
     def grid(own_rows: Iterable[tuple[blocks.Row, list[Words]]], *, has_names: bool) -> Grid:
         table = Grid(box=None, padding=(0, block.gap, 0, 0), pad_edge=False, header_style="dim", show_header=has_names)
@@ -137,7 +148,6 @@ def _table(block: blocks.Table) -> Iterator[RenderableType]:
             table.add_column(
                 Text(column.name),
                 width=width,
-                min_width=column.least,
                 justify="right" if column.right else "left",
                 no_wrap=column.is_cut,
                 overflow="ellipsis" if column.is_cut else "fold",

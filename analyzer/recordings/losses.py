@@ -101,12 +101,13 @@ class TopicTimes:
             or abs(regularity.rate_hz / grid.rate_hz - 1) > _SAME_RATE
         ):
             regularity, evidence = grid, "stamps"
-        if regularity is None or self._is_silent(regularity):
+        first_ns, last_ns = int(self.log_ns[0]), int(self.log_ns[-1])
+        is_burst = last_ns - first_ns < min(_STOPPED_NS, (end_ns - start_ns) / 2)
+        if regularity is None or is_burst or self._is_silent(regularity):
             return Losses()
         high, period_ns = regularity.high, regularity.period_ns
         holes = regularity.holes[:]
         quiet_ns = max(_STOPPED_PERIODS * period_ns, _STOPPED_NS)
-        first_ns, last_ns = int(self.log_ns[0]), int(self.log_ns[-1])
         if first_ns - start_ns > quiet_ns:
             holes.insert(0, Hole(start_ns, first_ns - start_ns, 0))
         if end_ns - last_ns > quiet_ns:

@@ -37,7 +37,7 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
     if path.is_file() or (path / METADATA_NAME).is_file():
         return [path]
     if not path.is_dir():
-        raise MissingEventsError(f"{path}: no such file or folder")
+        raise MissingEventsError(f"{path}: no such file or folder; give a bag, or a folder with bags")
     recordings: list[Path] = []
     for name, folders, files in os.walk(path):
         parent = Path(name)

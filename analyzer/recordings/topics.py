@@ -136,7 +136,7 @@ def analyze_topics(
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
         raise MissingEventsError(
-            f"{', '.join(map(str, parts))}: no recording that can be read (.mcap, .bag, rosbag2 folder){': ' * bool(reasons)}{reasons}"
+            f"{', '.join(map(str, parts))}: no recording that can be read; give a .mcap, .bag or .db3 file, or a rosbag2 folder{': ' * bool(reasons)}{reasons}"
         )
     frame = pl.DataFrame(rows, schema=TOPIC_SCHEMA)
     return TopicReport(frame, tuple(sources), pl.DataFrame(holes, schema=HOLE_SCHEMA), tuple(health), tuple(strips))

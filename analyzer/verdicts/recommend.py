@@ -72,6 +72,7 @@ class Candidate:
         late_ratio: share of the messages that were late or lost; None for a guess.
         late_ratio_upper: upper limit of that share for further runs; None for a guess and below three runs.
         unseen_ratio: probability that these runs miss a kind of run that comes once in ten; None for a guess.
+        needed: messages in all from which the tail is known; None where it is, and for a guess.
         latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal.
     """
 
@@ -96,6 +97,7 @@ class Candidate:
     late_ratio: float | None = None
     late_ratio_upper: float | None = None
     unseen_ratio: float | None = None
+    needed: int | None = None
     latency_ns: float | None = None
 
     @property
@@ -235,6 +237,7 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
         late_ratio=late.observed if late else None,
         late_ratio_upper=late.upper if late else None,
         unseen_ratio=(1 - RARE_KIND) ** interval.runs,
+        needed=_needed_messages(interval, request),
     )
     return candidate, failure
 
@@ -270,6 +273,9 @@ def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) 
         ends = f"the job allows {100 * (1 - request.job.reliability):.3g} %; record more runs"
         return Fit.INCONCLUSIVE, f"{100 * late.observed:.3g} % of the messages were late{limit}, {ends}"
     if interval.basis is Basis.WITHIN_RUN:
+        if interval.runs >= MIN_RUNS:
+            needs = Statistic(request.job.reliability).needs
+            return Fit.LIKELY, f"the runs are too short: record {MIN_RUNS} of {needs:,} messages"
         verb = "is" if interval.runs == 1 else "are"
         return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there {verb} {interval.runs}"
     return fit, ""
@@ -279,19 +285,22 @@ _ROUNDING = 1e-12
 """Error of `1 - reliability` in floats, and more."""
 
 
+def _needed_messages(interval: Interval, request: _Request) -> int | None:
+    """Return the messages in all from which the tail is known; None where it is, and without a message."""
+    reliability, samples = request.job.reliability, interval.samples
+    needs = planned_messages(reliability, request.confidence, samples / max(1, interval.independent))
+    needs = max(needs, Statistic(reliability).needs * (interval.runs if interval.basis is Basis.WITHIN_RUN else 1))
+    more = needs - samples if samples < needs else messages_to_close(interval, reliability)
+    return samples + more if samples and more else None
+
+
 def _why_inconclusive(interval: Interval, request: _Request) -> str:
-    job = request.job
-    inflation = interval.samples / max(1, interval.independent)
-    needs = planned_messages(job.reliability, request.confidence, inflation)
-    needs = max(needs, Statistic(job.reliability).needs)
+    job, needed = request.job, _needed_messages(interval, request)
     if not interval.samples:
         lacking = "schedule" if job.metric == "response" else "relay trace"
         return f"no {lacking}: these messages have no {job.metric}"
-    if interval.samples < needs:
-        return f"to prove {100 * job.reliability:.6g} %, send {needs:,} messages; there are {interval.samples:,}"
-    more = messages_to_close(interval, job.reliability)
-    if more:
-        return f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {format_number(more)} more messages"
+    if needed is not None:
+        return f"to prove {100 * job.reliability:.6g} %, send {needed:,} messages; there are {interval.samples:,}"
     runs = runs_to_settle_value(interval, job.deadline_ns)
     advice = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would decide"
     return f"the deadline is within the interval; {advice}"

@@ -48,7 +48,7 @@ _OFTEN = (
         "domain_id",
         "peers",
     ),
-    *("discovery", "topics", "live", "rotation", "force", "as_json"),
+    *("discovery", "topics", "live", "rotation", "force", "as_json", "settings_given"),
 )
 
 app = make_app(completes=True)
@@ -67,9 +67,9 @@ def record_command(
 
 
 _HELP = {
-    Role.PING: "Send messages on a schedule, and record their replies; a relay sends them back.",
+    Role.PING: "Send messages on a schedule, and record what a relay sends back.",
     Role.RELAY: "Send messages back, and record them; Ctrl-C ends.",
-    Role.TAP: "Record how late, how old and how complete topics of others arrive; Ctrl-C ends.",
+    Role.TAP: "Record how late and how complete topics of others arrive.",
     Role.BEACON: "Compare the clocks of the devices that run one; Ctrl-C ends.",
 }
 

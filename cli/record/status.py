@@ -18,7 +18,7 @@ app = make_app()
 
 @command(app, "status")
 def status_command(as_json: Annotated[bool, option("--json", "Print the list as JSON.")] = False) -> None:
-    """List the recordings that run on this machine: role, domain, process, messages so far, file.
+    """List the recordings that run on this machine.
 
     A killed one is listed with the command that recovers its events. Recordings of other users are shown if their runtime folders
     are readable.

@@ -51,9 +51,9 @@ app = make_app()
 
 @command(app, "advise")
 def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Look for settings of each middleware that serve the plan's link and load better than its defaults; print the file and the proof.
+    """Look for settings better than a middleware's defaults.
 
-    dds-trace advise plan.toml
+    They serve the plan's link and messages; the file and the proof are printed.
     """
     requested = plan_of(plan, out)
     check_advisable(requested)

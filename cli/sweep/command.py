@@ -98,7 +98,7 @@ def sweep_command(
     strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
-    """Record every run of a plan: one closed trace for each device and run.
+    """Record every run of a plan, a closed trace for each device.
 
     If it is interrupted, the same command continues with what is missing. Exit codes: 0 everything is complete; 10 some
     recordings are not (the reasons are on stderr and in state.json); 11 some results are less precise than --until.
@@ -160,9 +160,9 @@ def _refuse_crowded(plan: Plan, what: str) -> None:
 
 @command(capacity, "capacity")
 def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Search the highest rate that works, of each setup and message of a plan, instead of the plan's rates.
+    """Search the highest rate that works for each setup and message.
 
-    dds-trace capacity plan.toml
+    The rates of the plan are not used.
     """
     from dds_trace.recorder.sweep.search import search_plan
 

@@ -33,10 +33,7 @@ rates, size = make_app(), make_app()
 
 @command(rates, "rates")
 def rates_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Explain why the plan's slowest rate takes longer than its fastest: in shares that add up.
-
-    dds-trace explain rates plans/explain.toml
-    """
+    """Explain why a plan's slowest rate takes longer than its fastest."""
     from dds_trace.recorder.sweep.explain import explain_rates
 
     _explain(explain_rates(plan_of(plan, out)), out, dry_run=dry_run, as_json=as_json)
@@ -50,9 +47,9 @@ def size_command(
     dry_run: DryRun = False,
     as_json: AsJson = False,
 ) -> None:
-    """Explain a jump of the latency around a size: varies buffer, segment, fragment, history and a link's queue one at a time.
+    """Explain a jump of the latency around a size.
 
-    dds-trace explain size 502KB plans/explain.toml
+    Varies buffer, segment, fragment, history and a link's queue one at a time.
     """
     from dds_trace.recorder.sweep.explain import explain_size
 

@@ -277,7 +277,7 @@ BACKEND = Backend(
     make_node=ConnextNode,
     # no licence, no participant
     find_installed=lambda: [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else [],
-    install="pip install 'dds-trace[connext]' (in a clone '.[connext]')",
+    install="pip install 'dds-trace[connext]' (in a clone '.[connext]'), then set RTI_LICENSE_FILE to your rti_license.dat",
     meeting=Meeting.DISCOVERY_OR_PEERS,
     meeting_needs=DDS_MEETING + " (else name the other device with --peer)",
     speaks_dds=True,

@@ -16,7 +16,7 @@ from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.base.units import MISSING, counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
-from .verdicts import VERDICTS, received_words, runs_words
+from .verdicts import VERDICTS, few_words, received_words, runs_words
 
 Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
 
@@ -90,12 +90,12 @@ class Intervals:
         if _value(self.is_between, metric, percentile, group) is None:
             return MISSING if runs is None else f"{runs:.0f}"
         is_between = self.is_between_runs(metric, percentile, group)
-        return f"{self.runs[group]}" if is_between else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
+        return f"{self.runs[group]}" + ("" if is_between else f", {few_words(self.runs[group])}")
 
     def rests_on(self, metric: str, percentile: str, group: int) -> str:
         if _value(self.is_between, metric, percentile, group) is None:
             return ""
-        within = "" if self.is_between_runs(metric, percentile, group) else f" ({Basis.WITHIN_RUN.value})"
+        within = "" if self.is_between_runs(metric, percentile, group) else f" ({few_words(self.runs[group])})"
         bursts = self.tail_episodes(metric, percentile, group)
         return f"rests on {counted(self.runs[group], 'run')}{within}" + (
             "" if bursts is None else f", {counted(bursts, 'burst')}"

@@ -19,7 +19,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size, spell_duration, spell_size
 
 from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels
-from .verdicts import place_label
+from .verdicts import few_words, place_label
 
 COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
 """`Of received` is the time over the received messages only."""
@@ -86,7 +86,7 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
 def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
     runs = max(MIN_RUNS, *(candidate.runs for candidate in unclear))
-    needed = planned_messages(recommendation.job.reliability)
+    needed = max([planned_messages(recommendation.job.reliability), *(candidate.needed or 0 for candidate in unclear)])
     enough = [
         candidate.messages for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS
     ]
@@ -104,7 +104,9 @@ def _missing(recommendation: Recommendation, names: Sequence[str]) -> tuple[str,
     runs, messages = _messages_of_run(recommendation)
     what = "it" if len(unclear) == 1 else "the unclear ones"
     of = "of" if len(unclear) == 1 else "with each setup, in turn; here"
-    words = f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {name}:"
+    words = (
+        f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {name}, each into a file of its own:"
+    )
     return words, recording_commands(first.setting, recommendation.job, messages)
 
 
@@ -154,7 +156,7 @@ def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
     if candidate.measured:
         basis = counted(candidate.runs, "run")
         if candidate.basis == "within one run":
-            basis += f", {candidate.basis}"
+            basis += f", {few_words(candidate.runs)}"
         if candidate.episodes is not None:
             basis += f", {counted(candidate.episodes, 'burst')}"
     return (

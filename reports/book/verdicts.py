@@ -169,8 +169,12 @@ def data_type_rank(data_type: str) -> tuple[int, str]:
 def runs_words(row: Mapping[str, Any]) -> str:
     if row["pairs"]:
         return f"{row['pairs']} pairs"
-    counts = f"{row['base_runs']} and {row['new_runs']}"
-    return counts if row["basis"] == Basis.BETWEEN_RUNS.value else f"{counts}, {row['basis']}"
+    runs = row["base_runs"], row["new_runs"]
+    return "{} and {}".format(*runs) + (f", {few_words(min(runs))}" if row["basis"] == Basis.WITHIN_RUN.value else "")
+
+
+def few_words(fewest_runs: float) -> str:
+    return Basis.WITHIN_RUN.value if fewest_runs < MIN_RUNS else "too short"
 
 
 def received_words(row: Mapping[str, Any]) -> str:

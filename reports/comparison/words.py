@@ -202,7 +202,11 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
         most = max(by_runs, key=lambda gated: gated.result.runs_needed or 0)
         result, present = most.result, min(gated.result.runs_present for gated in by_runs)
         where = f" ({result.gate.text} in {most.where} takes most)" if len(by_runs) > 1 else ""
-        rests = f"an estimate from the spread of {present} runs" if present >= MIN_RUNS else f"there are {present}"
+        rests = (
+            f"an estimate from the spread of {present} runs"
+            if present >= MIN_RUNS
+            else f"there {'is' if present == 1 else 'are'} {present}"
+        )
         notes.append(
             f"Undecided: {counted(len(by_runs), 'gate')}; {result.runs_needed} runs a side would decide{where}: {rests}."
         )

@@ -118,7 +118,7 @@ def _end(health: RecordingHealth) -> str:
 
 def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]) -> Row:
     lines = [*hole_lines(row, holes, health), *topic_notes(row, health)]
-    first, *others = cells(row, strip)
+    first, *others = cells(row, strip, health)
     words = f"{first}: time from 00:00 to {_end(health)}, {'; '.join(lines) or 'without holes'}"
     is_periodic = row["missing_from"] != ""
     text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)

@@ -142,8 +142,9 @@ def _age_words(row: TopicRow) -> str:
     return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
 
 
-def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
-    rate_hz = row["expected_rate_hz"] or row["rate_hz"]
+def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tuple[str, ...]:
+    # Without a rhythm, a topic's own time may be that of one burst.
+    rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] / (health.duration_ns / 1e9))
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",

@@ -83,7 +83,8 @@ def test_help_is_whole_or_short_and_loads_no_heavy_library(command, monkeypatch)
     declared = command_of(command)
     for text in (declared.help, *(parameter.help for parameter in declared.params if not parameter.hidden)):
         assert "".join(text.split()) in "".join(whole.split())  # no word is cut
-    for line in re.findall(r"^ {4,}(dds-.*)$", declared.help, re.MULTILINE):
+    assert [line for line in shown[1:] if line.endswith("...")] == []  # the first sentence fits a list of commands
+    for line in re.findall(r"^ *(dds-.*)$", declared.help, re.MULTILINE):
         assert f"      {line}" in shown  # a command line to copy is one line
     for option in ("--version", "--install-completion", "--show-completion"):
         assert (option in whole) is (command in MODULES or (option, command) == ("--version", "dds-trace analyze"))

@@ -47,7 +47,7 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
     if folder.is_file() or (folder.is_dir() and is_bag(folder)):
         return [folder]
     if not folder.is_dir():
-        raise MissingEventsError(f"{folder}: no such file or folder")
+        raise MissingEventsError(f"{folder}: no such file or folder; give the folder with the traces")
     traces: list[Path] = []
     for name, folders, files in os.walk(folder):
         parent, real = Path(name), Path(name).resolve()

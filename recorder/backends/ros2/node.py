@@ -54,6 +54,7 @@ class Ros2Node(ThreadedNode):
         if uses_tcp(options):
             send_unlocked()
         self._context = rclpy.Context()
+        rclpy.logging.set_logger_level("rcl", rclpy.logging.LoggingSeverity.WARN)  # names the folder of keys at INFO
         try:
             rclpy.init(context=self._context, domain_id=options.domain_id)
         except RuntimeError as err:  # RCLError: keys of a secured domain, a broken configuration
@@ -336,6 +337,7 @@ def _rclpy() -> Any:
     import rclpy.duration
     import rclpy.exceptions
     import rclpy.executors
+    import rclpy.logging
     import rclpy.qos
     import rclpy.serialization
     import rclpy.subscription

@@ -13,6 +13,7 @@ from dds_trace.cli import trace
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 from dds_trace.reports.terminal import print_report
 from dds_trace.reports.topics.report import BagReport
+from dds_trace.reports.topics.words import COLUMNS
 from dds_trace.tracefile.recovery.recordings import recover_recording
 
 
@@ -51,11 +52,16 @@ def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, sta
     assert words in capsys.readouterr().out
 
 
-def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path):
+def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):
     started = [(START_NS + n * MS // 2, START_NS + n * MS // 2) for n in range(10)]
-    late = {name: timer(hz, 20, since_ns=START_NS + 2 * S) for name, hz in (("/a", 60), ("/b", 10))}
-    health = card(write(tmp_path / "x.mcap", {"/rosout": started, **late}))[1]
+    late = {name: timer(hz, 20, since_ns=START_NS + 2 * S) for name, hz in (("/" + 40 * "a", 60), ("/b", 10))}
+    report, health, rows = card(write(tmp_path / "x.mcap", {"/rosout": started, **late}))
     assert (health.verdict, health.pauses, health.coverage, health.notes) == ("whole", (), 1, ())
+    assert rows["/rosout"]["missing"] is None  # a burst is no rhythm, and its rate none of the recording
+    print_report(BagReport(report))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert [word for word in (*COLUMNS, "0.455 Hz", "60 Hz") if word not in shown] == []
 
 
 def test_a_counter_knows_more_than_the_period(tmp_path):

@@ -241,7 +241,9 @@ def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tm
 @pytest.mark.middleware
 def test_doctor_measures_the_floor_of_what_is_installed():
     program = Path(sys.executable).with_name("dds-trace")
-    checks = json.loads(subprocess.run([program, "doctor", "--json"], check=True, capture_output=True).stdout)
+    ran = subprocess.run([program, "doctor", "--json"], check=True, capture_output=True)
+    assert ran.stderr == b""
+    checks = json.loads(ran.stdout)
     floors = {check["name"]: check["works"] for check in checks if check["name"].startswith("floor of")}
     installed = [check for check in checks if check["part"] == "middlewares" and check["works"]]
     assert floors == {check["name"].replace("--backend", "floor of"): True for check in installed}

@@ -26,14 +26,20 @@ from dds_trace.reports.terminal import render_screen
 
 JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99, metric="latency")
 MIXED = [MS + (n * 37 % 101) * 1000 for n in range(1500)]
+WITH_LOSSES = pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
 
 
 def advised(frame):
     return recommendation_info(recommend_settings(frame, JOB), VendorLabels(VENDORS))
 
 
+def book_of(frame, job=JOB):
+    analysis = make_analysis(Measured([MS, MS]))
+    return Book(replace(analysis, details=replace(analysis.details, recommendation=recommend_settings(frame, job))))
+
+
 def test_the_job_has_its_deadline_and_what_meets_it(sentences):
-    advice = advised(pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)]))
+    advice = advised(WITH_LOSSES)
     assert advice.sentence.startswith("Fast DDS meets")
     assert numbers(advice.sentence) == [50, 3, 73]
     sentences(advice.job, advice.sentence)
@@ -44,16 +50,18 @@ def test_the_job_has_its_deadline_and_what_meets_it(sentences):
     assert lossy[1:6] == ("misses", "lost", "lost to lost", "50 %", "1 ms")
 
 
-def test_one_run_is_not_said_to_meet_it():
+def test_one_run_is_not_said_to_meet_it_nor_are_short_ones_and_the_commands_record_what_is_needed():
     advice = advised(steady(4 * MIXED))
     assert advice.sentence.endswith("likely to meet it: Fast DDS.")
     assert "within one run" in advice.rows[0][6]
+    short = advised(in_runs(MIXED[:50], runs=5))
+    assert "5 runs, too short" in short.rows[0][6]
+    needed, present = numbers(short.rows[0][7])[1:]
+    assert (present, 5 * taken(short.commands[1][1]).ping.messages >= max(needed, 500)) == (250, True)
 
 
 def test_it_stands_on_top_of_the_page_and_of_markdown():
-    analysis = make_analysis(Measured([MS, MS]))
-    asked = replace(analysis, details=replace(analysis.details, recommendation=recommend_settings(in_runs(MIXED), JOB)))
-    book = Book(asked)
+    book = book_of(in_runs(MIXED))
     markdown = render_markdown(book)
     for text, first_below in ((render_html(book), 'id="figures"'), (markdown, "What was measured")):
         assert "within the deadline of 50 ms" in text
@@ -95,10 +103,7 @@ def test_each_pair_of_devices_and_link_has_a_recommendation_of_its_own(sentences
 
 
 def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
-    analysis = make_analysis(Measured([MS, MS]))
-    frame = pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
-    recommendation = recommend_settings(frame, replace(JOB, metric="response"))
-    book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
+    book = book_of(WITH_LOSSES, replace(JOB, metric="response"))
     alone, whole = render_screen(book), render_terminal(book)
     assert whole.endswith(alone)
     assert max(map(len, alone.splitlines())) <= 80
@@ -177,9 +182,7 @@ def test_every_setting_of_a_recording_has_its_option_in_the_commands():
 
 
 def test_the_commands_stand_in_the_page_in_markdown_and_in_the_terminal():
-    analysis = make_analysis(Measured([MS, MS]))
-    recommendation = recommend_settings(steady(MIXED), JOB)
-    book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
+    book = book_of(steady(MIXED))
     for text in (unescape(render_html(book)), render_markdown(book), render_screen(book).replace(" \\\n      ", " ")):
         for device, command in book.advice.commands:
             assert f"on {device}:" in text

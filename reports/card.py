@@ -24,7 +24,7 @@ from .book.outcomes import shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
 from .topics.report import STRIP_WIDTH, strip_parts
-from .topics.words import facts_words, topics_of, verdict_words
+from .topics.words import facts_words, missing_words, topics_of, verdict_words
 
 WIDTH, HEIGHT, EDGE = 1200, 630, 56
 LABELS, TIMES = 440, 150
@@ -168,7 +168,7 @@ def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:
         marks.append(_line(EDGE, y + 7, 20, printable(row["topic"]), LABELS - 12))
         for start, width, kind, _ in strip_parts(health, row, holes, strip):
             marks.append(Bar((left + start * scale, y, left + (start + width) * scale, y), _STRIP_COLORS[kind], 22))
-        missing = "no rhythm" if row["missing"] is None else f"{row['missing']:,} missing"
+        missing = "no rhythm" if row["missing"] is None else f"{missing_words(row).partition(' (')[0]} missing"
         marks.append(Words(WIDTH - EDGE, y + 7, 20, missing, anchor="end"))
     return said, [*marks, _line(EDGE, 586, 20, facts, WIDTH - 2 * EDGE, SOFT)]
 

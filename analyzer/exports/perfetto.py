@@ -96,7 +96,8 @@ def topic_slices(report: TopicReport) -> Iterator[Slice]:
         for hole in report.holes.filter(recording=recording, topic=topic).iter_rows(named=True):
             begin_ns = starts_ns[recording] + round(hole["start_s"] * 1e9)
             end_ns = begin_ns + round(hole["duration_s"] * 1e9)
-            parts += [("messages", at_ns, begin_ns), (f"hole: {counted(hole['missing'], 'message')}", begin_ns, end_ns)]
+            name = f"hole: {counted(hole['missing'], 'message')}" if hole["missing"] else "no messages"
+            parts += [("messages", at_ns, begin_ns), (name, begin_ns, end_ns)]
             at_ns = end_ns
         parts.append(("messages", at_ns, row["start_ns"] + row["duration_ns"]))
         for name, begin_ns, end_ns in parts:

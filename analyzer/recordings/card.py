@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 
 from dds_trace.base.units import clock_words, counted, format_duration
+from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
 from .clocks import DAY_NS, Stamps, apart, is_simulated, of_one_clock, set_back, stamp_notes
-from .losses import LOST_TYPE, NONE, Losses, TopicTimes, arrival_jitter_ns
-from .messages import TopicMessages
-from .periods import Hole, Int64
+from .losses import NONE, Losses, TopicTimes, arrival_jitter_ns
+from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers
+from .periods import Int64
 from .rows import Row, ages, bursts, qos_words, sizes, timing
 
 OTHER_CLOCK_NS = DAY_NS
@@ -30,7 +30,6 @@ _STALL_PERIODS = 2.5
 """Least silence of all topics in periods of the fastest one."""
 
 _PAUSE_MESSAGES = 20
-"""Least messages that all topics together lack in a pause of the recorder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +54,25 @@ class Card:
         logged = np.sort(np.concatenate([topic.column("log_ns") for topic in columns]))
         logged = self._of_one_clock(logged)
         self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
-        lost = {name: counts for topic in columns for name, counts in topic.lost.items()}
-        has_counts = any(topic.topic.message_type == LOST_TYPE for topic in columns)
-        times = [
-            topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name, (0, 0)) if has_counts else None)
-            for topic in columns
+        leave_out_shared_numbers(columns)
+        lost, counter = counts_of_recorder(columns)
+        within = self._start_ns, self._end_ns
+        times = [topic.times(*within, lost.get(topic.topic.name), counter) for topic in columns]
+        set_over = self._note_clocks(columns, times)
+        losses = [  # a tap's own topics are events
+            Losses()
+            if topic.topic.name.startswith(TOPIC_PREFIX)
+            else topic_times.find_losses(*within).without(set_over)
+            for topic, topic_times in zip(columns, times, strict=True)
         ]
-        losses = [topic.find_losses(self._start_ns, self._end_ns) for topic in times]
-        pauses = _find_pauses(logged, losses)
-        self._notes += _stall_notes(logged, losses, pauses)
-        self._note_clocks(columns, times)
+        pauses, stalls = _find_silences(logged, losses)
+        if stalls:
+            longest_ns, start, _ = max(stalls)
+            self._notes.append(
+                f"the recorder stalled {'once' if len(stalls) == 1 else f'{len(stalls)} times'}, for up to {format_duration(longest_ns)} at "
+                f"{clock_words((start - self._start_ns) / 1e9)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
+                "once, none of them is lost by it"
+            )
         if is_simulated(self._start_ns):
             self._notes.append("the log times are of a simulation's clock, or count from the start of a machine")
         silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
@@ -95,15 +103,20 @@ class Card:
     def _of_one_clock(self, logged: Int64) -> Int64:
         is_of_clock = of_one_clock(logged)
         if not is_of_clock.all():
-            away_ns = float(np.abs(np.median(logged[~is_of_clock]) - np.median(logged[is_of_clock])))
+            others = logged[~is_of_clock]
+            away_ns = float(np.abs(np.median(others) - np.median(logged[is_of_clock])))
+            is_earlier = others[-1] < logged[is_of_clock][0]
+            which = (
+                "of another clock (a simulation before its first /clock?)"
+                if is_earlier
+                else "their times are no clock's"
+            )
             self._notes.append(
-                f"{counted(int((~is_of_clock).sum()), 'message')} logged {apart(away_ns)} from the others: of another clock (a simulation before "
-                "its first /clock?), left out of rates and holes"
+                f"{counted(len(others), 'message')} logged {apart(away_ns)} from the others: {which}, left out of rates and holes"
             )
         return logged[is_of_clock]
 
-    def _note_clocks(self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes]) -> None:
-        other_clock: dict[str, float] = {}
+    def _note_clocks(self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes]) -> list[tuple[int, int]]:
         stamped: dict[str, Stamps] = {}
         unstamped: list[Int64] = []
         for topic, topic_times in zip(columns, times, strict=True):
@@ -111,19 +124,16 @@ class Card:
             self._notes += copied_messages(name, topic.copies)
             self._notes += set_back(name, topic.column("log_ns"))
             if has_stamp.any():
-                stamps = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp])
-                stamped[name] = stamps
-                age_ns = abs(float(np.median(stamps.age_ns)))
-                if age_ns > OTHER_CLOCK_NS:
-                    other_clock[name] = age_ns
+                stamped[name] = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp])
             else:
                 unstamped.append(topic_times.log_ns)
-        self._notes += stamp_notes(stamped, unstamped, self._start_ns)
-        self._notes += _other_clock(other_clock)
+        set_over: list[tuple[int, int]] = []
+        self._notes += stamp_notes(stamped, unstamped, self._start_ns, set_over)
+        return set_over
 
     def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
         regularity, about = losses.regularity, topic.topic
-        inside = [any(_overlap(hole, *pause) for pause in pauses) for hole in losses.holes]
+        inside = [any(hole.overlaps(*pause) for pause in pauses) for hole in losses.holes]
         transport, recorder = times.lost or (None, None)
         row: Row = {
             "recording": self._path,
@@ -182,54 +192,28 @@ class Card:
         return tuple(np.clip(share, 0, 1).tolist())
 
 
-def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int]]:
-    regular = [loss for loss in losses if loss.regularity is not None]
-    rate_hz = sum(loss.regularity.rate_hz for loss in regular if loss.regularity)
-    if len(regular) < 2 or not rate_hz:
-        return []
-    steps_ns = np.diff(logged)
-    pauses = [
-        (int(logged[at]), int(logged[at + 1])) for at in np.flatnonzero(steps_ns > _PAUSE_MESSAGES / rate_hz * 1e9)
-    ]
-    return [
-        (start, end)
-        for start, end in pauses
-        if sum(any(hole.missing and _overlap(hole, start, end) for hole in loss.holes) for loss in regular) >= 2
-    ]
-
-
-def _stall_notes(logged: Int64, losses: Sequence[Losses], pauses: Sequence[tuple[int, int]]) -> Iterator[str]:
-    rates_hz = [loss.regularity.rate_hz for loss in losses if loss.regularity]
+def _find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[list[tuple[int, int]], list[tuple[int, int, int]]]:
+    """Return pauses of the recorder, in which several topics lack messages, and its stalls: length, start, late messages."""
+    regular = [loss for loss in losses if loss.regularity]
+    rates_hz = [loss.regularity.rate_hz for loss in regular if loss.regularity]
+    pauses, stalls = list[tuple[int, int]](), list[tuple[int, int, int]]()
     if len(rates_hz) < 2:
-        return
+        return pauses, stalls
     per_ns = sum(rates_hz) / 1e9
-    least_ns = max(_STALL_PERIODS * 1e9 / max(rates_hz), _PAUSE_MESSAGES / per_ns)
     steps_ns = np.diff(logged)
-    late_starts = [
-        hole for loss in losses for hole in loss.holes[:1] if hole.start_ns == logged[0] and not hole.missing
-    ]
-    stalls: list[tuple[int, int, int]] = []
-    for at in np.flatnonzero(steps_ns > least_ns).tolist():
+    for at in np.flatnonzero(steps_ns > _PAUSE_MESSAGES / per_ns).tolist():
         start, end = int(logged[at]), int(logged[at + 1])
+        if sum(any(hole.missing and hole.overlaps(start, end) for hole in loss.holes) for loss in regular) >= 2:
+            pauses.append((start, end))
+            continue
+        late_starts = [hole for loss in losses for hole in loss.holes[:1] if hole.start_ns == logged[0]]
         window_ns = (end - start) / 4
-        came = int(np.searchsorted(logged, end + window_ns, "right")) - at - 1
-        late = came - round(per_ns * window_ns)
-        is_start = any(_overlap(hole, start, end) for hole in late_starts)
-        is_pause = any(first < end and start < last for first, last in pauses)
-        if late > per_ns * (end - start) / 2 and not is_start and not is_pause:
+        late = int(np.searchsorted(logged, end + window_ns, "right")) - at - 1 - round(per_ns * window_ns)
+        is_start = any(hole.overlaps(start, end) for hole in late_starts if not hole.missing)
+        is_long = end - start > _STALL_PERIODS * 1e9 / max(rates_hz)
+        if is_long and late > per_ns * (end - start) / 2 and not is_start:
             stalls.append((end - start, start, late))
-    if stalls:
-        longest_ns, start, _ = max(stalls)
-        what = "once" if len(stalls) == 1 else f"{len(stalls)} times"
-        late = sum(count for _, _, count in stalls)
-        yield (
-            f"the recorder stalled {what}, for up to {format_duration(longest_ns)} at {clock_words((start - int(logged[0])) / 1e9)}: about "
-            f"{late:,} messages of all topics came late at once, none of them is lost by it"
-        )
-
-
-def _overlap(hole: Hole, start_ns: int, end_ns: int) -> bool:
-    return hole.start_ns < end_ns and start_ns < hole.start_ns + hole.duration_ns
+    return pauses, stalls
 
 
 def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
@@ -239,12 +223,3 @@ def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
         latest_ns = max(latest_ns, last_ns)
     if overlapping:
         yield f"{overlapping} of {counted(len(chunks), 'chunk')} {'begins' if overlapping == 1 else 'begin'} before the end of an earlier one"
-
-
-def _other_clock(ages_ns: dict[str, float]) -> Iterator[str]:
-    if ages_ns:
-        topic, age_ns = max(ages_ns.items(), key=itemgetter(1))
-        more = f" and {counted(len(ages_ns) - 1, 'more topic')}" if len(ages_ns) > 1 else ""
-        yield (
-            f"stamps of {topic}{more} are {apart(age_ns)} from the log times: of another clock (a simulation?), not an age"
-        )

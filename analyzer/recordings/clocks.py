@@ -23,7 +23,12 @@ _MOST_STEPS = 5
 _SAME_STEP, _SAME_TIME_NS = 0.2, 2 * 10**9
 _AHEAD_NS = {37 * 10**9: "TAI", 18 * 10**9: "GPS time"}
 _AHEAD_WITHIN_NS = 600_000_000
-_TOO_SLOW = 0.02
+_UNITS = {
+    1e-6: ("slowly", "milliseconds", "nanoseconds"),
+    1e-3: ("slowly", "microseconds", "nanoseconds"),
+    1e3: ("fast", "nanoseconds", "microseconds"),
+}
+_SAME_SPEED, _LEAST_OTHER_SPEED = 0.1, 0.03
 _GROWTH, _LEAST_GROWTH_NS, _AGE_PARTS = 3.0, 100_000_000, 20
 _FEWEST_RISING, _LEAST_FIT = 5, 0.95
 
@@ -77,14 +82,20 @@ class _Step(NamedTuple):
     age_ns: int
 
 
-def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int) -> Iterator[str]:
-    """Yield what changes in the ages of topics: the recorder's clock only if every topic moves with it."""
+def stamp_notes(
+    topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int, set_over: list[tuple[int, int]]
+) -> Iterator[str]:
+    """Yield what changes in the ages of topics; the recorder's clock, `set_over` these stretches, only if every topic moves with it."""
     steps: list[_Step] = []
+    other_clocks: dict[str, float] = {}
     for name, stamps in topics.items():
         special = next(_special_notes(name, stamps, start_ns), "")
+        age_ns = abs(float(np.median(stamps.age_ns)))
         if special:
             yield special
             continue
+        if age_ns > DAY_NS:
+            other_clocks[name] = age_ns
         clock_steps = _steps(name, stamps)
         if len(clock_steps) <= _MOST_STEPS:
             steps += clock_steps
@@ -97,14 +108,42 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
             yield (
                 f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
             )
+    yield from _other_clocks(other_clocks, topics)
+    yield from _step_notes(steps, topics, unstamped, start_ns, set_over)
+
+
+def _other_clocks(ages_ns: Mapping[str, float], topics: Mapping[str, Stamps]) -> Iterator[str]:
+    speeds = {name: topics[name].speed for name in ages_ns if len(topics[name].log_ns) >= _FEWEST}
+    simulated = [name for name, speed in speeds.items() if speed > 0 and abs(speed - 1) > _LEAST_OTHER_SPEED]
+    others = sorted(ages_ns.keys() - {*simulated}, key=lambda name: -ages_ns[name])
+    if simulated:
+        speed = f"{float(np.median([speeds[name] for name in simulated])):.3g}"
+        yield f"stamps of {_and_more(simulated)} advance {speed} s a second: a simulation that runs at {speed} of real time?"
+    if others:
+        away = apart(ages_ns[others[0]])
+        yield f"stamps of {_and_more(others)} are {away} from the log times: of another clock (a simulation?), not an age"
+
+
+def _and_more(names: Sequence[str]) -> str:
+    return names[0] + (f" and {counted(len(names) - 1, 'more topic')}" if len(names) > 1 else "")
+
+
+def _step_notes(
+    steps: list[_Step],
+    topics: Mapping[str, Stamps],
+    unstamped: Sequence[Int64],
+    start_ns: int,
+    set_over: list[tuple[int, int]],
+) -> Iterator[str]:
     while steps:
         first = steps[0]
         same = [step for step in steps if _is_same(step, first)]
         steps = [step for step in steps if step not in same]
-        at = clock_words((first.log_ns - max(first.size_ns, 0) - start_ns) / 1e9)
-        size = format_duration(abs(first.size_ns))
-        if first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS):
-            at, names = clock_words((first.log_ns - start_ns) / 1e9), dict.fromkeys(step.topic for step in same)
+        is_of_stamps = first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS)
+        late_ns = 0 if is_of_stamps else max(first.size_ns, 0)
+        at, size = clock_words((first.log_ns - late_ns - start_ns) / 1e9), format_duration(abs(first.size_ns))
+        if is_of_stamps:
+            names = dict.fromkeys(step.topic for step in same)
             like = next((name for name in topics if name not in names and _has_its_age(topics[name], first)), "")
             who = f"like {like}: of another publisher, a replay?" if like else "the clock that stamps them was set"
             for name in names:
@@ -116,6 +155,7 @@ def stamp_notes(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
         direction = "forward" if first.size_ns > 0 else "back"
         clock = f"the recorder's clock was set {direction} by {size} at {at}"
         if not witnesses and len(moved) > 1:
+            set_over.append((first.log_ns - first.size_ns, first.log_ns))
             yield f"{clock}: the stamps of all {len(moved)} topics go on without a step"
             continue
         became = "later" if first.size_ns > 0 else "earlier"
@@ -147,8 +187,11 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 
 def count_latched(stamps: Stamps, start_ns: int) -> int:
     log_ns, stamp_ns = stamps
-    early = (log_ns < start_ns + 2 * 10**9) & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
+    is_soon = (log_ns < start_ns + 2 * 10**9) | (len(log_ns) < _FEWEST)
+    early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
     count = int(early.sum())
+    if count == len(log_ns) >= _FEWEST:  # nodes' starts, not a stream of messages
+        return 0 if 0.5 < stamps.speed < 2 else count
     is_start = len(log_ns) < _FEWEST or (count < len(log_ns) / 2 and float(np.median(stamps.age_ns[~early])) < _JUMP_NS)
     return count if is_start else 0
 
@@ -169,25 +212,26 @@ def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
     age_ns = float(np.median(ages_ns))
     steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
     jumps = steps_ns[np.abs(steps_ns) > _JUMP_NS]
-    for unit, unit_ns in _COUNTERS.items():
-        size_ns = 2**32 * unit_ns
-        over = int((np.abs(jumps + size_ns) < size_ns // 100).sum())
-        if over:
-            yield f"stamps of {topic} ran over {counted(over, 'time')}: a counter of 32 bits of {unit}"
-            return
-    if abs(age_ns) > DAY_NS:
-        speed = stamps.speed
-        if speed > 0 and abs(speed - 1) > 0.03:
-            yield f"stamps of {topic} advance {speed:.3g} s a second: a simulation that runs at {speed:.3g} of real time?"
+    sizes_ns = {unit: 2**32 * unit_ns for unit, unit_ns in _COUNTERS.items()}
+    over = {unit: int((np.abs(jumps + size) < size // 100).sum()) for unit, size in sizes_ns.items()}
+    if any(over.values()):
+        unit_name = max(over, key=over.__getitem__)
+        yield f"stamps of {topic} ran over {counted(over[unit_name], 'time')}: a counter of 32 bits of {unit_name}"
         return
-    if 0 < stamps.speed < _TOO_SLOW:
-        yield f"stamps of {topic} advance {1 / stamps.speed:,.0f} times too slowly: its driver writes microseconds where nanoseconds belong"
+    speed = stamps.speed
+    unit = next((unit for unit in _UNITS if abs(speed / unit - 1) < _SAME_SPEED), None)
+    if unit is not None:
+        way, written, right = _UNITS[unit]
+        times = f"{max(unit, 1 / unit):,.0f} times too {way}"
+        yield f"stamps of {topic} advance {times}: its driver writes {written} where {right} belong"
+        return
+    if abs(age_ns) > DAY_NS:
         return
     for ahead_ns, time in _AHEAD_NS.items():
         if -_AHEAD_WITHIN_NS / 2 < age_ns + ahead_ns < _AHEAD_WITHIN_NS:
             seconds = ahead_ns // 10**9
             yield (
-                f"stamps of {topic} are {seconds} s ahead: the device runs on {time}; set its UTC offset (of PTP: currentUtcOffset), or let "
+                f"stamps of {topic} are {seconds} s ahead, as of a device on {time}: set its UTC offset (of PTP: currentUtcOffset), or let "
                 f"its driver subtract {seconds} s"
             )
             return

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import re
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .clocks import DAY_NS, of_one_clock
-from .periods import Hole, Int64, Regularity, find_grid, find_regularity, joined, spread
+from .periods import MOST_STEPS, Hole, Int64, Regularity, find_grid, find_regularity, joined, spread
 
 NONE = -(2**63)
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
 _MOST_PUBLISHERS = 8
+_LEAST_RESTART, _MOST_FASTER = 64, 16
+"""Least fall of a counter that starts again, and how much faster it may count in a hole."""
+
 _LARGEST_STEP = 100_000
-_STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
+_STOPPED_PERIODS, _STOPPED_NS, _AROUND = 3.0, 10**9, 200
 _SILENT_PERIODS, _SILENT_COMMAND_PERIODS = 10, 5
 _MOST_SILENT = 0.5
 """Share of its time that a topic with a rhythm may be silent."""
@@ -32,7 +34,7 @@ _COMMANDS = re.compile(
 class Losses:
     """What is missing of a topic, within `low` to `high`; None where nothing is known.
 
-    `evidence` is `stamps`, `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
+    `evidence` is `stamps`, `sequence`, `period`, `recorder` or `tap` (their own counts) or empty.
     """
 
     evidence: str = ""
@@ -41,6 +43,15 @@ class Losses:
     high: int | None = None
     holes: Sequence[Hole] = ()
     regularity: Regularity | None = None
+
+    def without(self, set_over: Sequence[tuple[int, int]]) -> Losses:
+        """Leave out the holes of a rhythm over which the recorder's clock was set."""
+        if self.missing is None or self.low is None or self.high is None or self.evidence != "period":
+            return self
+        real = [hole for hole in self.holes if not any(hole.overlaps(*stretch) for stretch in set_over)]
+        less = sum(hole.missing for hole in self.holes) - sum(hole.missing for hole in real)
+        low, missing, high = (max(count - less, 0) for count in (self.low, self.missing, self.high))
+        return replace(self, low=low, missing=missing, high=high, holes=real)
 
 
 @dataclass(slots=True)
@@ -57,38 +68,48 @@ class TopicTimes:
     is_ros1: bool = False
     is_command: bool = False
     lost: tuple[int, int] | None = None
+    """What `counter`, `tap` or `recorder`, lost on the way to it, and inside."""
+
+    counter: str = ""
     left_out_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
     """Such stamps of messages that were logged by another clock."""
 
     def find_losses(self, start_ns: int, end_ns: int) -> Losses:
         losses, jumps = self._by_rhythm(start_ns, end_ns), self._jumps()
-        by_sequence = max(sum(int(jump[2].sum()) for jump in jumps) - len(self.left_out_ns), 0) if jumps else None
-        counts = by_sequence if self.is_ros1 else by_sequence or None
-        if counts is not None and (self.is_ros1 or losses.evidence != "stamps" or counts > (losses.missing or 0)):
-            holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes]
-            holes = holes or [Hole(*jump) for jump in sorted(np.concatenate(jumps, axis=1).T.tolist())]
-            return replace(losses, evidence="sequence", missing=counts, low=counts, high=counts, holes=holes)
+        if self.lost is not None and self.counter == "tap":
+            return _by_counts(losses, sum(self.lost), self.counter)
+        if jumps is not None:
+            count = max(int(jumps[2].sum()) - len(self.left_out_ns), 0)
+            if self.is_ros1 or (count and (losses.evidence != "stamps" or count > (losses.missing or 0))):
+                holes = [replace(hole, missing=_passed_over(jumps, hole)) for hole in losses.holes]
+                holes = holes or [Hole(*jump) for jump in jumps.T.tolist()]
+                return replace(losses, evidence="sequence", missing=count, low=count, high=count, holes=holes)
         if losses.missing is None and self.lost is not None:
-            count = sum(self.lost)
-            return replace(losses, evidence="recorder", missing=count, low=count, high=count)
+            return _by_counts(losses, sum(self.lost), self.counter)
         return losses
 
-    def _jumps(self) -> list[Int64]:
-        """Return, for each publisher that counts, what it passes over: rows of starts, durations (ns) and numbers of messages."""
+    def _jumps(self) -> Int64 | None:
+        """Return rows of starts, durations (ns) and numbers of messages that counters pass over; None without a counter.
+
+        A late number fills its hole; one that came before the previous one is of another counter on the channel.
+        """
         jumps = []
         for publisher in np.unique(self.publisher)[:_MOST_PUBLISHERS].tolist():
-            is_own = self.publisher == publisher
-            log_ns, steps = self.log_ns[is_own], np.diff(self.sequence[is_own])
-            if len(steps) > 1 and (steps == 1).mean() >= 0.5:
-                is_jump = (steps > 1) & (steps < _LARGEST_STEP)
-                jumps.append(np.array([log_ns[:-1], np.diff(log_ns), steps - 1])[:, is_jump])
-        return jumps
-
-    def _steps_at(self, hole: Hole) -> int:
-        at = int(np.searchsorted(self.log_ns, hole.start_ns))
-        if not 0 < at < len(self.sequence):
-            return 0
-        return max(int(self.sequence[at] - self.sequence[at - 1]) - 1, 0)
+            indices = np.flatnonzero(self.publisher == publisher)
+            sequence = self.sequence[indices]
+            restarts = np.flatnonzero((np.diff(sequence) < -_LEAST_RESTART) & (sequence[1:] <= 1)) + 1
+            for part in np.split(indices, restarts):
+                numbers, first = np.unique(self.sequence[part], return_index=True)
+                steps, waits_ns = np.diff(numbers), np.diff(self.log_ns[part[first]])
+                if len(steps) > 1 and (steps == 1).mean() >= 0.5:
+                    usual_ns = max(float(np.median(np.abs(waits_ns))), 1.0)
+                    is_possible = (waits_ns >= 0) & (steps < _MOST_FASTER * (waits_ns / usual_ns + 1))
+                    is_jump = (steps > 1) & (steps < _LARGEST_STEP) & is_possible
+                    jumps.append(np.array([self.log_ns[part[first]][:-1], waits_ns, steps - 1])[:, is_jump])
+        if not jumps:
+            return None
+        ordered = np.concatenate(jumps, axis=1)
+        return ordered[:, np.argsort(ordered[0], kind="stable")]
 
     def _by_rhythm(self, start_ns: int, end_ns: int) -> Losses:
         """Count by stamps on a grid, else by the rhythm of arrival; a late start and an early end are holes without a count."""
@@ -117,7 +138,6 @@ class TopicTimes:
         return Losses(evidence, regularity.missing, regularity.low, high, holes, regularity)
 
     def _is_silent(self, regularity: Regularity) -> bool:
-        """Return whether the topic has a rhythm only while something happens."""
         period_ns = regularity.period_ns
         least_ns = (
             _SILENT_COMMAND_PERIODS * period_ns if self.is_command else max(_SILENT_PERIODS * period_ns, _STOPPED_NS)
@@ -137,24 +157,31 @@ class TopicTimes:
         grid = find_grid(stamps_ns) if of_one_clock(stamps_ns).all() else None
         if grid is None:
             return None
-        steps = float(stamps_ns[-1] - stamps_ns[0]) / grid.period_ns
-        is_same_clock = abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
-        period_ns = grid.period_ns if is_same_clock else float(log_ns[-1] - log_ns[0]) / steps
-        holes, jumped = [], 0
-        for hole in grid.holes:
-            at = int(np.searchsorted(stamps_ns, hole.start_ns))
-            left_out = ((self.left_out_ns > stamps_ns[at - 1]) & (self.left_out_ns < stamps_ns[at])).sum()
-            missing = max(hole.missing - int(left_out), 0)
-            jumped += hole.missing - missing
-            if not missing:
-                continue
-            if is_same_clock and hole.duration_ns > 10**9 and log_ns[at] < stamps_ns[at] - hole.duration_ns // 2:
-                jumped += missing  # the clock that stamps them was set
-                continue
-            duration_ns = max(float(log_ns[at] - log_ns[at - 1]) - period_ns, missing * period_ns)
-            holes.append(Hole(round(log_ns[at - 1] + period_ns), round(duration_ns), missing))
-        missing, holes = max(grid.missing - jumped, 0), sorted(holes, key=lambda hole: hole.start_ns)
-        return replace(grid, period_ns=period_ns, missing=missing, low=missing, high=missing, holes=holes)
+        (stamp_period_ns, steps), steps_ns = grid, np.diff(stamps_ns)
+        is_short = steps <= MOST_STEPS
+        span_ns, log_span_ns = (float(part[is_short].sum()) for part in (steps_ns, np.diff(log_ns)))
+        is_same_clock = (
+            log_span_ns < 2 * span_ns < 4 * log_span_ns and abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
+        )
+        period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns
+        is_later = steps_ns > 0  # the same stamp again fills no hole
+        total, holes = max(int((steps[is_later] - 1).sum()), 0), []
+        for at in np.flatnonzero(steps > 1).tolist() if total else ():
+            lacking = int(steps[at]) - 1
+            left_out = ((self.left_out_ns > stamps_ns[at]) & (self.left_out_ns < stamps_ns[at + 1])).sum()
+            missing = max(lacking - int(left_out), 0)
+            silent_ns = lacking * stamp_period_ns
+            if is_same_clock and lacking > _STOPPED_PERIODS:
+                ages = (log_ns - stamps_ns)[max(at + 1 - _AROUND, 0) : at + 1 + _AROUND]
+                before = min(at + 1, _AROUND)
+                younger_ns = float(np.median(ages[:before]) - np.median(ages[before:]))
+                missing *= abs(younger_ns - silent_ns) > silent_ns / 4  # else the clock that stamps them was set
+            total -= lacking - missing
+            if missing:
+                duration_ns = max(float(log_ns[at + 1] - log_ns[at]) - period_ns, missing * period_ns)
+                holes.append(Hole(round(log_ns[at] + period_ns), round(duration_ns), missing))
+        missing, holes = max(total, 0), sorted(holes, key=lambda hole: hole.start_ns)
+        return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
 
     def _by_arrival(self) -> Regularity | None:
         regularity = self._regularity(self.log_ns)
@@ -182,8 +209,19 @@ class TopicTimes:
         return hole.duration_ns > 10**9 and 0 <= int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < hole.duration_ns // 4
 
 
+def _by_counts(losses: Losses, count: int, evidence: str) -> Losses:
+    is_too_many = sum(hole.missing for hole in losses.holes) > count
+    holes = [hole for hole in losses.holes if not (is_too_many and hole.missing)]
+    return replace(losses, evidence=evidence, missing=count, low=count, high=count, holes=holes)
+
+
+def _passed_over(jumps: Int64, hole: Hole) -> int:
+    starts_ns, durations_ns, counts = jumps
+    is_within = (starts_ns < hole.start_ns + hole.duration_ns) & (starts_ns + durations_ns > hole.start_ns)
+    return int(counts[is_within].sum())
+
+
 def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
-    """Return the regularity of each publisher; nothing unless several are there and all regular."""
     names, counts = np.unique(keys, return_counts=True)
     if not 1 < len(names) <= _MOST_PUBLISHERS or counts.min() < 8:
         return []
@@ -193,32 +231,6 @@ def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
 
 def is_command(topic: str, message_type: str) -> bool:
     return _COMMANDS.search(topic) is not None or _COMMANDS.search(message_type) is not None
-
-
-def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:
-    order = "<" if data[1:2] == b"\1" else ">"
-    body, at = data[4:], 0
-
-    def text() -> str:
-        nonlocal at
-        at = -(-at // 4) * 4
-        (size,) = struct.unpack_from(f"{order}I", body, at)
-        at += 4 + size
-        return body[at - size : at].rstrip(b"\0").decode(errors="replace")
-
-    try:
-        text()
-        at = -(-at // 4) * 4
-        (count,) = struct.unpack_from(f"{order}I", body, at)
-        at += 4
-        for _ in range(min(count, len(body) // 21)):
-            topic = text()
-            at = -(-at // 8) * 8
-            transport, recorder = struct.unpack_from(f"{order}QQ", body, at)
-            at += 16
-            yield topic, transport, recorder
-    except struct.error:
-        return
 
 
 def arrival_jitter_ns(log_ns: Int64, regularity: Regularity | None) -> float | None:

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
-from dds_trace.tracefile.format.header_stamps import parse_definition, plain_name, stamp_reader
+from dds_trace.tracefile.format.encoding import decode_string
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
+from dds_trace.tracefile.format.header_stamps import lost_by_recorder, parse_definition, plain_name, stamp_reader
+from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
 from dds_trace.tracefile.reading.recorded import RawMessage, RecordedTopic
+from dds_trace.tracefile.reading.storage import find_storage
 from dds_trace.tracefile.recordings.recording_files import content_hash
 
-from .losses import LOST_TYPE, NONE, TopicTimes, is_command, lost_by_recorder
+from .losses import LOST_TYPE, NONE, TopicTimes, is_command
 from .periods import Int64
 
 _LONGEST_FRAME_BYTES = 256
+_LEAST_ASCENDING = 0.9
 
 _TEXTS = ("ros1msg", "ros2msg")
 
@@ -33,27 +38,9 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
     Raises:
         MissingEventsError: there is no such file or folder.
     """
-    path, skipped = Path(path), {Path(other).resolve() for other in skip}
-    if path.is_file() or (path / METADATA_NAME).is_file():
-        return [path]
-    if not path.is_dir():
-        raise MissingEventsError(f"{path}: no such file or folder; give a bag, or a folder with bags")
-    recordings: list[Path] = []
-    for name, folders, files in os.walk(path):
-        parent = Path(name)
-        if parent.resolve() in skipped:
-            folders.clear()
-        elif METADATA_NAME in files:
-            recordings.append(parent)
-            folders.clear()
-        else:
-            unpacked = set(files)
-            recordings += [
-                parent / file
-                for file in files
-                if file.endswith(_SUFFIXES) and not (file.endswith(".zstd") and file[:-5] in unpacked)
-            ]
-    return sorted(recordings)
+    return find_storage(
+        path, skip, lambda folder: (folder / METADATA_NAME).is_file(), _SUFFIXES, "a bag, or a folder with bags"
+    )
 
 
 _COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame", "content")
@@ -69,6 +56,7 @@ class TopicMessages:
     topic: RecordedTopic
     columns: dict[str, array[int]] = field(default_factory=lambda: {name: array("q") for name in _COLUMNS})
     lost: dict[str, tuple[int, int]] = field(default_factory=dict)
+    publishers: dict[str, JsonObject] = field(default_factory=dict)
     bound_ns: int | None = None
 
     def __len__(self) -> int:
@@ -77,8 +65,8 @@ class TopicMessages:
     def add(self, message: RawMessage) -> None:
         stamp, begins_with_header = _readers_of(message.topic)
         data, sequence = message.data, message.sequence
-        if begins_with_header and message.topic.encoding == "ros1":
-            sequence = int.from_bytes(data[:4], "little")
+        if message.topic.encoding == "ros1":  # a converter's numbers are of all topics
+            sequence = int.from_bytes(data[:4], "little") if begins_with_header else None
         values = (
             message.log_ns,
             message.publish_ns,
@@ -95,6 +83,10 @@ class TopicMessages:
             for topic, transport, recorder in lost_by_recorder(data):
                 before = self.lost.get(topic, (0, 0))
                 self.lost[topic] = before[0] + transport, before[1] + recorder
+        elif self.topic.name == PUBLISHER_TOPIC:
+            with suppress(ValueError):
+                record = object_of(parse_json(decode_string(data)))
+                self.publishers[f"{record.get('session_id')} {record.get('publisher_id')}"] = record
 
     def column(self, name: str) -> Int64:
         """In stored order; `NONE` for a value that a message lacks."""
@@ -106,7 +98,7 @@ class TopicMessages:
         keys = keys[:, np.lexsort(keys)]
         return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
 
-    def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None) -> TopicTimes:
+    def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None, counter: str) -> TopicTimes:
         """Return messages of the recording's clock by log time, all if none is."""
         log_ns = self.column("log_ns")
         order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
@@ -119,8 +111,49 @@ class TopicMessages:
         is_ros1 = self.topic.encoding == "ros1"
         commands = is_command(self.topic.name, self.topic.message_type)
         return TopicTimes(
-            log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, stamps[stamped_within]
+            *(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, counter),
+            stamps[stamped_within],
         )
+
+
+def leave_out_shared_numbers(columns: Sequence[TopicMessages]) -> None:
+    """Take off the numbers of a converter's counter of all topics, which say nothing of one."""
+    rows = [
+        np.array([topic.column("log_ns"), topic.column("sequence"), np.full(len(topic), at)])
+        for at, topic in enumerate(columns)
+    ]
+    ordered = np.concatenate(rows, axis=1)
+    ordered = ordered[:, np.lexsort(ordered[1::-1])]
+    is_other_topic = np.diff(ordered[2]) != 0
+    if is_other_topic.any() and (np.diff(ordered[1])[is_other_topic] > 0).mean() > _LEAST_ASCENDING:
+        for topic in columns:
+            topic.columns["sequence"] = array("q", [NONE]) * len(topic)
+
+
+def counts_of_recorder(columns: Sequence[TopicMessages]) -> tuple[dict[str, tuple[int, int]], str]:
+    """Return what a tap, or rosbag2, lost of each topic by its own counts, on the way to it and inside, and which of both it was."""
+    heard: dict[str, list[JsonObject]] = {}
+    for record in (record for topic in columns for record in topic.publishers.values()):
+        heard.setdefault(str(record.get("topic")), []).append(record)
+    messages = {name: _total(records, "messages") or 0 for name, records in heard.items()}
+    if heard and sum(messages.values()) == sum(
+        len(topic) for topic in columns if topic.topic.name == Stage.TAP.topic
+    ):  # else a part of its recording
+        missing = {name: _total(records, "missing") for name, records in heard.items()}
+        recorded = {topic.topic.name: len(topic) for topic in columns}
+        return {
+            name: (count, max(messages[name] - recorded.get(name, 0), 0))
+            for name, count in missing.items()
+            if count is not None
+        }, "tap"
+    lost = {name: numbers for topic in columns for name, numbers in topic.lost.items()}
+    has_counts = any(topic.topic.message_type == LOST_TYPE for topic in columns)
+    return {topic.topic.name: lost.get(topic.topic.name, (0, 0)) for topic in columns if has_counts}, "recorder"
+
+
+def _total(records: Sequence[JsonObject], name: str) -> int | None:
+    numbers = [number_of(record.get(name)) for record in records]
+    return None if None in numbers else int(sum(filter(None, numbers)))
 
 
 @lru_cache(maxsize=10_000)

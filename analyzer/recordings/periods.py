@@ -1,7 +1,7 @@
 """How regular a topic is, and so how many messages are missing, and where.
 
 A publisher with a timer sends one message a period: an interval of k periods lacks k - 1. Several publishers on one topic, or a driver
-that sends batches, repeat a pattern of m messages. Other topics have no period, and nothing is known to be missing.
+that sends batches, repeat a pattern of m messages.
 """
 
 from __future__ import annotations
@@ -24,16 +24,14 @@ _TOLERANCE = 0.35
 _LEAST_SHARE = 0.5
 _MOST_IN_PATTERN = 16
 _WINDOW = 20
-"""Intervals on either side over which a rate is a median."""
-
 _EQUAL_SHARE = 0.8
 """Least share of equal intervals in a stretch that may have another rate; losses at random leave fewer."""
 
 _LEAST_STALL, _QUEUED = 2.5, 0.75
 """Least interval that a queue follows, and the largest interval within that queue, in periods."""
 
-_OFF_GRID, _LEAST_ON_GRID, _MOST_STEPS = 0.2, 0.95, 20
-"""Deviation of a stamp in periods, the least share within it, and the longest step that is compared."""
+_OFF_GRID, _LEAST_ON_GRID, MOST_STEPS, _OFF_MEAN = 0.2, 0.95, 20, 0.015
+"""Deviation of a stamp in periods, the least share within it, the longest step that is compared, the mean deviation of equal steps."""
 
 _MOST_PAUSED = 2.5
 """Expected messages per message of a topic that pauses too often to be periodic."""
@@ -52,6 +50,9 @@ class Hole:
     start_ns: int
     duration_ns: int
     missing: int
+
+    def overlaps(self, start_ns: int, end_ns: int) -> bool:
+        return self.start_ns < end_ns and start_ns < self.start_ns + self.duration_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,14 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
 
 def joined(parts: Sequence[Regularity]) -> Regularity:
     first = parts[0]
-    holes = [hole for hole in first.holes if all(_has_hole(part, hole) for part in parts[1:])]
+    holes = [
+        hole
+        for hole in first.holes
+        if all(
+            any(other.overlaps(hole.start_ns, hole.start_ns + hole.duration_ns) for other in part.holes)
+            for part in parts[1:]
+        )
+    ]
     rate = sum(part.rate_hz for part in parts)
     slowest = max(parts, key=lambda part: part.period_ns)
     return replace(
@@ -107,11 +115,6 @@ def joined(parts: Sequence[Regularity]) -> Regularity:
         share=min(part.share for part in parts),
         holes=holes,
     )
-
-
-def _has_hole(part: Regularity, hole: Hole) -> bool:
-    end_ns = hole.start_ns + hole.duration_ns
-    return any(other.start_ns < end_ns and hole.start_ns < other.start_ns + other.duration_ns for other in part.holes)
 
 
 class _Pattern(NamedTuple):
@@ -137,8 +140,8 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
     return _Pattern(m, period_ns, share, expected) if expected >= _MOST_TWICE * len(times_ns) else None
 
 
-def find_grid(stamps_ns: Int64) -> Regularity | None:
-    """Return the regularity of ascending stamps that are multiples of one period apart; None for others."""
+def find_grid(stamps_ns: Int64) -> tuple[float, Int64] | None:
+    """Return the period of ascending stamps that are multiples of one apart, and their steps in periods; None for others."""
     steps_ns = np.diff(stamps_ns)
     positive_ns = steps_ns[steps_ns > 0]
     if len(stamps_ns) < _FEWEST or len(positive_ns) < 0.9 * len(steps_ns):
@@ -147,19 +150,23 @@ def find_grid(stamps_ns: Int64) -> Regularity | None:
     for _ in range(3):
         ratio = positive_ns / period_ns
         steps = np.rint(ratio)
-        short = (steps >= 1) & (steps <= _MOST_STEPS)
+        short = (steps >= 1) & (steps <= MOST_STEPS)
         on_grid = short & (np.abs(ratio - steps) < _OFF_GRID)
         if on_grid.sum() < max(_LEAST_ON_GRID * short.sum(), len(ratio) / 2):
             return None
         period_ns = float(positive_ns[on_grid].sum() / steps[on_grid].sum())
     steps = np.rint(steps_ns / period_ns).astype(np.int64)
-    missing = max(int(steps.sum()) - len(steps), 0)
-    gaps = np.flatnonzero(steps > 1) if missing else np.empty(0, np.int64)
-    holes = [
-        Hole(int(stamps_ns[at] + period_ns), int((steps[at] - 1) * period_ns), int(steps[at] - 1))
-        for at in gaps.tolist()
-    ]
-    return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
+    return (period_ns, steps) if _is_one_grid(steps_ns / period_ns, steps) else None
+
+
+def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
+    """Return whether equal steps are multiples in the mean; of two publishers in turn they are not."""
+    for length, count in zip(*np.unique(steps, return_counts=True), strict=True):
+        off = np.abs(ratio[steps == length] - length)
+        mean_off = abs(float((ratio[steps == length] - length).mean()))
+        if 0 < length <= MOST_STEPS and count >= _FEWEST and mean_off > _OFF_MEAN + 4 * float(off.std()) / count**0.5:
+            return False
+    return True
 
 
 def _single(times_ns: Int64, period_ns: float) -> Regularity:
@@ -222,7 +229,7 @@ def _rate_changes(ratio: Float64) -> list[int]:
     edges = []
     for start, stop in pairwise([0, *changes, len(ratio)]):
         part = ratio[start:stop]
-        is_equal = np.abs(part / np.median(part) - 1) < _TOLERANCE
+        is_equal = np.abs(part - np.median(part)) < _TOLERANCE * np.median(part)
         if is_other[start] and len(part) >= _WINDOW and is_equal.mean() >= _EQUAL_SHARE:
             edges += [start, stop]
     return sorted({edge for edge in edges if 0 < edge < len(ratio)})
@@ -284,16 +291,11 @@ def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
     intervals_ns = np.diff(times_ns)
     largest = np.sort(intervals_ns)[-max(len(intervals_ns) // in_pattern, 1) :]
     usual_ns = float(np.median(largest))
-    if usual_ns > period_ns / 2:  # batches with a pause between them
-        starts = times_ns[np.append(0, np.flatnonzero(intervals_ns > usual_ns / 2) + 1)]
-        expected = in_pattern * int(np.rint(np.diff(starts) / period_ns).sum() + 1)
-        missing = max(expected - len(times_ns), 0)
-    else:
-        since = (times_ns - times_ns[0]) / period_ns
-        # Wraps around: the last index is the first.
-        last = int(np.flatnonzero(np.abs(since - np.rint(since)) < 0.1)[-1])
-        missing = max(round(float(since[last])) * in_pattern - last, 0)
     periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
+    # One of several publishers may begin later or end earlier.
+    regular = np.flatnonzero(np.abs(periods_ns - period_ns) < _TOLERANCE * period_ns / in_pattern)
+    inner_ns = times_ns[regular[0] : regular[-1] + in_pattern + 1]
+    missing, most = (_lacking(part_ns, period_ns, in_pattern, usual_ns) for part_ns in (inner_ns, times_ns))
     gaps = np.flatnonzero(intervals_ns > usual_ns + 0.8 * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
     unsure = 0 if missing == 0 else in_pattern
@@ -303,9 +305,19 @@ def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
         spread(periods_ns),
         missing,
         max(missing - unsure, 0),
-        missing + in_pattern,
+        max(most, missing) + in_pattern,
         holes=[
             Hole(int(times_ns[at] + usual_ns), int(intervals_ns[at] - usual_ns), count)
             for at, count in zip(gaps.tolist(), lost.tolist(), strict=True)
         ],
     )
+
+
+def _lacking(times_ns: Int64, period_ns: float, in_pattern: int, usual_ns: float) -> int:
+    if usual_ns > period_ns / 2:  # batches with a pause between them
+        starts = times_ns[np.append(0, np.flatnonzero(np.diff(times_ns) > usual_ns / 2) + 1)]
+        return max(in_pattern * int(np.rint(np.diff(starts) / period_ns).sum() + 1) - len(times_ns), 0)
+    since = (times_ns - times_ns[0]) / period_ns
+    # Wraps around: the last index is the first.
+    last = int(np.flatnonzero(np.abs(since - np.rint(since)) < 0.1)[-1])
+    return max(round(float(since[last])) * in_pattern - last, 0)

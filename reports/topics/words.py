@@ -25,10 +25,15 @@ HOW_TO_READ = (
 )
 _MOST_HOLES_SHOWN = 3
 _LEAST_COURSE_NS = 100_000_000
+_OTHER_SPEED, _SECOND_NS = 0.9, 10**9
+"""Least change of an age, in durations of the recording, of stamps that do not advance with it."""
+
+_MOST_UNITS = 10
 _EVIDENCE = {
     "stamps": "by the header stamps",
     "sequence": "by sequence numbers",
     "recorder": "by the recorder's counts",
+    "tap": "by the tap's counts",
     "period": "",
 }
 
@@ -128,17 +133,17 @@ def _age_words(row: TopicRow) -> str:
         return ""
     if row["latched"] and row["messages"] < 2 * row["latched"]:
         return "latched"
-    if abs(median_ns) > OTHER_CLOCK_NS:
-        return "other clock"
-    if row["age_bound_ns"] is not None:
-        return f"{format_duration(median_ns)} ± {format_duration(row['age_bound_ns'])}"
     start_ns, end_ns = row["age_start_ns"], row["age_end_ns"]
+    if abs(median_ns) > OTHER_CLOCK_NS or abs(end_ns - start_ns) > max(_OTHER_SPEED * row["duration_ns"], _SECOND_NS):
+        return "other clock"
     if 0 <= median_ns < resolution_ns:
         age = f"below {format_duration(resolution_ns)}"
     elif abs(end_ns - start_ns) > max(_LEAST_COURSE_NS, min(abs(start_ns), abs(end_ns))):
         age = f"{format_duration(start_ns)} to {format_duration(end_ns)}"
     else:
         age = format_duration(median_ns)
+    if row["age_bound_ns"] is not None:
+        return f"{age} ± {format_duration(row['age_bound_ns'])}"
     return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
 
 
@@ -161,16 +166,19 @@ def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tup
 def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
         yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
-    if row["missing_inside"]:
+    if row["missing_inside"] and row["missing_low"]:
         yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
     if row["lost_in_transport"] or row["lost_in_recorder"]:
-        yield f"rosbag2 counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
+        who = "the tap" if row["missing_from"] == "tap" else "rosbag2"
+        yield f"{who} counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
     if row["burst_messages"]:
         burst, pause = format_duration(row["burst_ns"]), format_duration(row["burst_pause_ns"])
         yield f"comes in bursts: {row['burst_messages']} messages in {burst}, then {pause} of nothing"
-    if row["age_resolution_ns"] and row["age_p50_ns"] < row["age_resolution_ns"]:
+    if row["age_resolution_ns"] and row["age_p50_ns"] < _MOST_UNITS * row["age_resolution_ns"]:
         unit = format_duration(row["age_resolution_ns"])
-        yield f"its stamps are in units of {unit}: an age below that is unknown"
+        is_below = row["age_p50_ns"] < row["age_resolution_ns"]
+        unsure = "an age below that is unknown" if is_below else f"its ages are up to {unit} too long, or too short"
+        yield f"its stamps are in units of {unit}: {unsure}"
     if (
         row["age_max_ns"] is not None
         and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
@@ -178,12 +186,8 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
         and not row["latched"]
     ):
         first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
-        since, at = (
-            None if row[name] is None else clock_words((row[name] - health.start_ns) / 1e9)
-            for name in ("age_since_ns", "age_max_at_ns")
-        )
-        grows = "" if since is None else f"; it grows since {since}"
-        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}{grows}"
+        at = clock_words((row["age_max_at_ns"] - health.start_ns) / 1e9)
+        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}"
     if row["stamps_backwards"]:
         yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
     if row["age_negative"] and -row["age_min_ns"] > (row["age_resolution_ns"] or 0):

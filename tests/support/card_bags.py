@@ -16,22 +16,29 @@ def blob(stamp_ns, size=8, frame="a"):
     return head + frame.encode() + b"\0" + bytes(size)
 
 
-def write(path, topics, *, schema=HEADER, metadata=None, sequences=None):
+def write_mcap(path, messages, *, encoding="json", schema=None, compression=CompressionType.NONE, metadata=None):
+    """Write messages (topic, log time, publish time, data, perhaps a number) in their order."""
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE)
-        writer.start("ros2")
-        schema_id = writer.register_schema(*schema)
-        channels = {name: writer.register_channel(name, "cdr", schema_id, metadata or {}) for name in topics}
-        events = [
-            (log_ns, name, stamp_ns, number)
-            for name, times in topics.items()
-            for number, (log_ns, stamp_ns) in enumerate(times)
-        ]
-        for log_ns, name, stamp_ns, number in sorted(events):
-            sequence = (sequences or {}).get(name, range(len(events)))[number]
-            writer.add_message(channels[name], log_ns, blob(stamp_ns), log_ns, sequence)
+        writer = Writer(file, compression=compression)
+        writer.start("ros2" if encoding == "cdr" else "")
+        schema_id = writer.register_schema(*schema) if schema else 0
+        channels = {}
+        for topic, log_ns, publish_ns, data, *sequence in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, encoding, schema_id, metadata or {})
+            writer.add_message(channels[topic], log_ns, data, publish_ns, *sequence)
         writer.finish()
     return path
+
+
+def write(path, topics, *, schema=HEADER, metadata=None, sequences=None):
+    events = [
+        (log_ns, name, stamp_ns, (sequences or {}).get(name, range(len(times)))[number])
+        for name, times in topics.items()
+        for number, (log_ns, stamp_ns) in enumerate(times)
+    ]
+    messages = [(name, log_ns, log_ns, blob(stamp_ns), number) for log_ns, name, stamp_ns, number in sorted(events)]
+    return write_mcap(path, messages, encoding="cdr", schema=schema, metadata=metadata)
 
 
 def timer(hz, seconds, *, without=(), since_ns=START_NS):

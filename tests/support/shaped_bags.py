@@ -6,13 +6,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.writer import Writer
+from card_bags import HEADER, MS, START_NS, blob, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-START_NS = 1_700_000_000 * 10**9
-MS = 1_000_000
 
 
 @dataclass
@@ -96,20 +93,13 @@ def shapes() -> dict[str, Shape]:
 
 def write_shape(path: Path, shape: Shape) -> int:
     """Write what is left as MCAP of ROS 2 messages with a header; return the number of deleted messages."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        schema = writer.register_schema("my_msgs/msg/Blob", "ros2msg", b"std_msgs/Header header\nuint8[] data\n")
-        channel = writer.register_channel("/topic", "cdr", schema)
-        other = writer.register_channel("/end", "cdr", schema)
-        for at in np.flatnonzero(~shape.deleted).tolist():
-            log_ns = START_NS + int(shape.sent_ms[at] * MS)
-            stamp_ns = log_ns if shape.stamp_ms is None else START_NS + int(shape.stamp_ms[at] * MS)
-            frame = shape.frames[0 if shape.frame_of is None else shape.frame_of[at]].encode() + b"\0"
-            size = 16 if shape.sizes is None else int(shape.sizes[at])
-            head = b"\0\1\0\0" + (stamp_ns // 10**9).to_bytes(4, "little") + (stamp_ns % 10**9).to_bytes(4, "little")
-            data = head + len(frame).to_bytes(4, "little") + frame + bytes(size)
-            writer.add_message(channel, log_ns, data, log_ns)
-        writer.add_message(other, START_NS + int(shape.sent_ms[-1] * MS), data, 0)
-        writer.finish()
+    messages = []
+    for at in np.flatnonzero(~shape.deleted).tolist():
+        log_ns = START_NS + int(shape.sent_ms[at] * MS)
+        stamp_ns = log_ns if shape.stamp_ms is None else START_NS + int(shape.stamp_ms[at] * MS)
+        frame = shape.frames[0 if shape.frame_of is None else shape.frame_of[at]]
+        size = 16 if shape.sizes is None else int(shape.sizes[at])
+        messages.append(("/topic", log_ns, log_ns, blob(stamp_ns, size, frame)))
+    messages.append(("/end", START_NS + int(shape.sent_ms[-1] * MS), 0, messages[-1][-1]))
+    write_mcap(path, messages, encoding="cdr", schema=HEADER)
     return int(shape.deleted.sum())

@@ -1,10 +1,11 @@
-"""The header stamp of a message of any type, containing in its bytes: the first `std_msgs/Header` at any depth, or a leading time."""
+"""The header stamp of a message of any type, the first `std_msgs/Header` at any depth or a leading time; rosbag2's counts."""
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -147,9 +148,9 @@ _CDR_ORDER = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 @dataclass(slots=True)
 class _Walk:
     data: bytes
-    types: Types
-    with_header: frozenset[str]
-    is_cdr: bool
+    types: Types = field(default_factory=lambda: Types({}, lambda _: None))
+    with_header: frozenset[str] = frozenset()
+    is_cdr: bool = True
     at: int = 0
     order: str = "<"
     widest: int = 1
@@ -166,13 +167,23 @@ class _Walk:
         size = min(size, self.widest)
         self.at += -(self.at - 4) % size if self.is_cdr else 0
 
+    def number(self, kind: str = "I") -> int:
+        size = struct.calcsize(kind)
+        self.align(size)
+        self.at += size
+        (value,) = struct.unpack_from(self.order + kind, self.data, self.at - size)
+        return int(value)
+
     def count(self) -> int:
-        self.align(4)
-        (value,) = struct.unpack_from(f"{self.order}I", self.data, self.at)
-        self.at += 4
+        value = self.number()
         if value > len(self.data):
             raise ValueError("longer than the message")
-        return int(value)
+        return value
+
+    def text(self) -> bytes:
+        size = self.count()
+        self.at += size
+        return self.data[self.at - size : self.at].rstrip(b"\0")
 
     def length(self, field: Field) -> int:
         """Return how many values follow; in version 2 their size comes first unless they are numbers."""
@@ -184,10 +195,7 @@ class _Walk:
         return field.length if field.length >= 0 else self.count()
 
     def time(self) -> int:
-        self.align(4)
-        seconds, nanoseconds = struct.unpack_from(f"{self.order}{'i' if self.is_cdr else 'I'}I", self.data, self.at)
-        self.at += 8
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return self.number("i" if self.is_cdr else "I") * 1_000_000_000 + self.number()
 
     def stamp_of(self, name: str) -> int | None:
         """Return the first stamp in a value of a type that has a header somewhere, None if its sequences are empty."""
@@ -219,8 +227,7 @@ class _Walk:
         for _ in range(length):
             self.step()
             if field.type == "string":
-                length_bytes = self.count()
-                self.at += length_bytes
+                self.text()
             elif field.type in _PAIR_OF_32_BITS:
                 self.align(4)
                 self.at += 8
@@ -231,3 +238,12 @@ class _Walk:
                 self.at += not fields and self.is_cdr  # an empty structure has one byte
                 for inner in fields:
                     self.skip(inner)
+
+
+def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:
+    """Yield the topics of a `MessagesLostEvent` with their messages lost on the way and in the recorder."""
+    with suppress(struct.error, ValueError):
+        event = _Walk(data)
+        event.text()  # the node
+        for _ in range(event.count()):
+            yield event.text().decode(errors="replace"), event.number("Q"), event.number("Q")

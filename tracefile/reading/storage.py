@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import zstandard
 
@@ -43,12 +43,23 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
     Raises:
         MissingEventsError: `folder` does not exist.
     """
-    folder, left_out = Path(folder), {Path(path).resolve() for path in skip}
-    if folder.is_file() or (folder.is_dir() and is_bag(folder)):
+    return find_storage(folder, skip, is_bag, (".mcap",), "the folder with the traces")
+
+
+def find_storage(
+    path: str | os.PathLike[str],
+    skip: Collection[str | os.PathLike[str]],
+    is_one: Callable[[Path], bool],
+    suffixes: tuple[str, ...],
+    cure: str,
+) -> list[Path]:
+    """Find files and folders as `find_traces`; a packed file only without its unpacked copy."""
+    folder, left_out = Path(path), {Path(other).resolve() for other in skip}
+    if folder.is_file() or (folder.is_dir() and is_one(folder)):
         return [folder]
     if not folder.is_dir():
-        raise MissingEventsError(f"{folder}: no such file or folder; give the folder with the traces")
-    traces: list[Path] = []
+        raise MissingEventsError(f"{folder}: no such file or folder; give {cure}")
+    recordings: list[Path] = []
     for name, folders, files in os.walk(folder):
         parent, real = Path(name), Path(name).resolve()
 
@@ -57,10 +68,11 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
             return (child.resolve() if child.is_symlink() else real / child.name) in left_out
 
         searched = [child for child in folders if not is_left_out(parent / child)]
-        traces += [parent / child for child in searched if is_bag(parent / child)]
-        folders[:] = [child for child in searched if not is_bag(parent / child)]
-        traces += [parent / file for file in files if file.endswith(".mcap") and not is_left_out(parent / file)]
-    return sorted(traces)
+        recordings += [parent / child for child in searched if is_one(parent / child)]
+        folders[:] = [child for child in searched if not is_one(parent / child)]
+        listed = [file for file in files if file.endswith(suffixes) and not is_left_out(parent / file)]
+        recordings += [parent / file for file in listed if file.removesuffix(ZSTD_SUFFIX) not in {*files} - {file}]
+    return sorted(recordings)
 
 
 def storage_files(path: Path) -> list[Path]:
@@ -90,15 +102,10 @@ def is_bag(folder: Path) -> bool:
 
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
-    """Open a storage file within the block."""
+    """Open a storage file."""
     opener = _OPENERS[_opener_suffix(file) or ".mcap"]
-    with ExitStack() as opened:
-        path = file
-        if file.suffix == ZSTD_SUFFIX:
-            copy = opened.enter_context(tempfile.NamedTemporaryFile(prefix="dds-trace-"))
-            unpack_file(file, copy)
-            path = Path(copy.name)
-        yield opened.enter_context(closing(opener(path, pool, file)))
+    with unpacked(file) as path, closing(opener(path, pool, file)) as source:
+        yield source
 
 
 def _opener_suffix(file: Path) -> str | None:
@@ -106,22 +113,26 @@ def _opener_suffix(file: Path) -> str | None:
     return suffix if suffix in _OPENERS else None
 
 
-def unpack_file(packed: Path, copy: IO[bytes], ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> None:
-    """Unpack a file as far as possible; the reader reports a cut off copy."""
+@contextmanager
+def unpacked(packed: Path, ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> Iterator[Path]:
+    """Yield a file, of a packed one a copy, unpacked as far as possible; the reader reports one that is cut off."""
+    if packed.suffix != ZSTD_SUFFIX:
+        yield packed
+        return
     limit = max(packed.stat().st_size * ratio, unsuspected_bytes)
-    with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
-        written = 0
-        while True:
+    with tempfile.TemporaryDirectory(prefix="dds-trace-") as folder:
+        path = Path(folder) / packed.stem
+        with (
+            path.open("wb") as copy,
+            packed.open("rb") as stream,
+            zstandard.ZstdDecompressor().stream_reader(stream) as reader,
+        ):
             try:
-                data = reader.read(_COPY_BYTES)
+                while data := reader.read(_COPY_BYTES):
+                    copy.write(data)
+                    if copy.tell() > limit:
+                        raise TraceFormatError(packed, f"unpacks to more than {ratio} times its size; not read")
             except zstandard.ZstdError as err:
-                if not written:
+                if not copy.tell():
                     raise TraceFormatError(packed, f"cannot be unpacked ({err})", 0) from err
-                break
-            written += len(data)
-            if not data:
-                break
-            if written > limit:
-                raise TraceFormatError(packed, f"unpacks to more than {ratio} times its size; not read")
-            copy.write(data)
-        copy.flush()
+        yield path

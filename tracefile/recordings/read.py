@@ -196,19 +196,19 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
                 channel = item.channel
                 declared = topics.get(channel.id)
                 if declared is None or declared[0] is not channel:
-                    declared = topics[channel.id] = channel, _topic_of(channel, items.channels)
+                    declared = topics[channel.id] = channel, topic_of(channel, items.channels)
                 yield RawMessage(declared[1], item.log_ns, item.publish_ns, item.sequence, item.data)
         finally:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
-            condition.topics |= {_topic_of(known.record, items.channels) for _, known in items.channels.items()}
+            condition.topics |= {topic_of(known.record, items.channels) for _, known in items.channels.items()}
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
             for topic, count in [(known.topic, count) for known, count in claims if known]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count
 
 
-def _topic_of(channel: Channel, declared: ChannelTable) -> RecordedTopic:
+def topic_of(channel: Channel, declared: ChannelTable) -> RecordedTopic:
     schema = declared.schemas.get(channel.schema_id)
     is_text = schema is not None and schema.encoding in TEXT_ENCODINGS
     return RecordedTopic(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from dds_trace.base.units import counted
 
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
-from ..reading.storage import ZSTD_SUFFIX, storage_files, unpack_file
+from ..reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
 _MOST_METADATA_BYTES = 16 << 20
 """A thousand topics with the QoS of ten publishers each have 6 MB."""
@@ -37,12 +36,8 @@ def open_recording(path: Path) -> Iterator[RecordingFiles]:
     """Yield the files of a recording, packed ones as temporary copies."""
     recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
     with ExitStack() as stack:
-        for number, file in enumerate(recording.files):
-            if file.suffix == ZSTD_SUFFIX:
-                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="dds-trace-"))
-                recording.files[number] = Path(folder) / file.stem
-                with recording.files[number].open("wb") as unpacked:
-                    unpack_file(file, unpacked, LARGEST_FILE_RATIO, most_unpacked_bytes(0))
+        copies = (unpacked(file, LARGEST_FILE_RATIO, most_unpacked_bytes(0)) for file in recording.files)
+        recording.files = [stack.enter_context(copy) for copy in copies]
         yield recording
 
 

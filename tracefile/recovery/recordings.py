@@ -27,7 +27,7 @@ from ..reading.recorded import LATEST_NS, Condition, RecordedTopic, UnreadableEr
 from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
 from ..reading.storage import ZSTD_SUFFIX
 from ..recordings.bag1 import bag1_messages
-from ..recordings.read import McapItems, storage_kind
+from ..recordings.read import McapItems, storage_kind, topic_of
 from ..recordings.recording_files import open_recording
 from ..writing.event_chunks import LIBRARY
 
@@ -66,6 +66,10 @@ class _NewFile:
     first_ns: int = LATEST_NS
     last_ns: int = 0
     topics: dict[str, TopicCount] = field(default_factory=dict)
+
+    def add(self, topic: RecordedTopic) -> None:
+        about = TopicCount(topic.name, topic.message_type, topic.type_hash, 0, topic.qos, topic.encoding)
+        self.topics.setdefault(topic.name, about)
 
     def count(self, topic: str, log_ns: int) -> None:
         self.messages += 1
@@ -171,15 +175,7 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 channels[key] = writer.register_channel(
                     channel.topic, channel.message_encoding, schema_id, channel.metadata
                 )
-                about = TopicCount(
-                    channel.topic,
-                    schema.name if schema else "",
-                    channel.metadata.get("topic_type_hash", ""),
-                    0,
-                    channel.metadata.get("offered_qos_profiles", ""),
-                    channel.message_encoding,
-                )
-                new.topics.setdefault(channel.topic, about)
+                new.add(topic_of(channel, walked.channels))
             return channels[key]
 
         while item is not None:
@@ -238,8 +234,7 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
                         "type_description_hash) VALUES (?, ?, ?, ?)",
                         definition,
                     )
-                about = TopicCount(topic.name, topic.message_type, topic.type_hash, 0, topic.qos, topic.encoding)
-                new.topics.setdefault(topic.name, about)
+                new.add(topic)
             return ids[topic]
 
         for message in messages:
@@ -273,7 +268,7 @@ def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
                     callerid=topic.publisher or None,
                     latching=1 if topic.qos else None,
                 )
-                new.topics.setdefault(topic.name, TopicCount(topic.name, topic.message_type, "", 0, "", "ros1"))
+                new.add(topic)
             bag.write(connections[topic], message.log_ns, message.data)
             new.count(topic.name, message.log_ns)
     return condition.damages, 0

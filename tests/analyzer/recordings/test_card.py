@@ -1,3 +1,4 @@
+import re
 import struct
 
 import numpy as np
@@ -33,6 +34,7 @@ def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
     print_report(BagReport(report))
     shown = capsys.readouterr().out
     assert "nothing for 1 s at 00:20" in shown
+    assert re.search(r"/camera +540 +20 Hz 60 \(10\.0%\) 2\.05 s +90\.0% ", shown)  # largest gap, share covered
     assert "all topics: nothing for" in shown
     for kind in REPORT_MODULES:
         assert "/imu" in load_reporter(kind).render(BagReport(report))
@@ -64,11 +66,25 @@ def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):
     assert [word for word in (*COLUMNS, "0.455 Hz", "60 Hz") if word not in shown] == []
 
 
-def test_a_counter_knows_more_than_the_period(tmp_path):
-    sequence = [n for n in range(300) if n not in (5, 6, 200)]
-    times = [(START_NS + n * 10 * MS, START_NS + n * 10 * MS) for n in range(297)]
-    _, _, rows = card(write(tmp_path / "x.mcap", {"/a": times}, sequences={"/a": sequence}))
-    assert (rows["/a"]["missing"], rows["/a"]["missing_low"], rows["/a"]["missing_from"]) == (3, 3, "sequence")
+ONE = [n for n in range(300) if n not in (5, 6, 200)]
+COUNTERS = {
+    "one": ({"/a": ONE}, 3, "sequence"),
+    "two publishers in turn": ({"/a": [n for pair in zip(ONE, range(7000, 7297), strict=True) for n in pair]}, 3, "sequence"),
+    "a node that starts again": ({"/a": [*ONE, *range(100)]}, 3, "sequence"),
+    "a late message": ({"/a": [0, 2, 1, *range(3, 50), *range(53, 100)]}, 3, "sequence"),
+    "one of all topics": ({"/a": [n for n in range(300) if n % 20], "/b": range(0, 300, 20)}, 0, "period"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COUNTERS)
+def test_a_counter_knows_more_than_the_period(tmp_path, name):
+    sequences, missing, evidence = COUNTERS[name]
+    at = {"/a": range(len(sequences["/a"])), "/b": [n - n // 20 - 0.5 for n in sequences.get("/b", ())]}
+    times = {topic: [(START_NS + int(at * 10 * MS),) * 2 for at in at[topic]] for topic in sequences}
+    report, _, rows = card(write(tmp_path / "x.mcap", times, sequences=sequences))
+    counts = [rows["/a"][name] for name in ("missing", "missing_low", "missing_from")]
+    assert counts == [missing, missing, evidence]
+    assert sum(report.holes["missing"]) == missing
 
 
 @pytest.mark.parametrize("skipped", [0, 7])
@@ -273,6 +289,7 @@ CLOCKS = {
     "GPS": ({"/fix": ages(200, 10, lambda _: -17_950), **STEADY}, "GPS"),
     "microseconds": ({"/flow": [(START_NS + n * 20 * MS, START_NS + n * 20_000) for n in range(500)]}, "microseconds"),
     "late growth": ({"/image": ages(1800, 30, lambda n: 30 + 6000 * max(n - 900, 0) / 900)}, "since 00:30"),
+    "growth over two clocks": ({"/image": ages(1800, 30, lambda n: -1000 + 6000 * n / 1800), **STEADY}, "from -993 ms to"),
     "growth": ({"/image": ages(1800, 30, lambda n: 30 + 6000 * n / 1800)}, "from 36.7 ms to"),
 }  # fmt: skip
 
@@ -284,7 +301,9 @@ def test_each_change_of_an_age_has_its_own_sentence(tmp_path, name):
     notes = [note for note in health.notes if "another clock" not in note]
     assert len(notes) == 1
     assert words in notes[0]
-    assert ("| latched |" in load_reporter("md").render(BagReport(report))) is (name == "latched")
+    page = load_reporter("md").render(BagReport(report))
+    assert ("| latched |" in page) is (name == "latched")
+    assert not re.search(r"(?<![\d.,])1 (messages|times|topics|stamps|chunks|pauses)\b", page)
     assert ("recorder's clock" in notes[0]) is (name in {"the recorder", "one topic"})
     assert not any(row["missing_low"] for row in rows.values())
 

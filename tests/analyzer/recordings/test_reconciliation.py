@@ -32,11 +32,15 @@ def test_a_whole_bag_has_no_note(tmp_path, plugin):
     assert topics_of(write_bag2(tmp_path / "bag", MESSAGES, plugin)) == ({"/imu": 2, "/gps": 1}, "")
 
 
-def test_a_topic_whose_qos_differs_between_metadata_and_database_is_read(tmp_path):
+@pytest.mark.parametrize(
+    "change", ["offered_qos_profiles = '- {depth: 7}' WHERE name = '/gps'", "type = 'sensor_msgs/Imu'"]
+)
+def test_a_database_with_another_qos_or_types_without_msg_is_read(tmp_path, change):
     bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
     with sqlite3.connect(bag / "bag.db3") as database:
-        database.execute("UPDATE topics SET offered_qos_profiles = '- {depth: 7}' WHERE name = '/gps'")
+        database.execute(f"UPDATE topics SET {change}")
     assert topics_of(bag) == ({"/imu": 2, "/gps": 1}, "")
+    assert set(analyze_topics(bag).topics["message_type"]) == {"sensor_msgs/msg/Imu"}
     assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
 
 
@@ -62,43 +66,27 @@ def test_messages_in_a_log_beside_a_database_are_read(tmp_path, sentences):
     assert before.keys() >= {"bag.db3", "bag.db3-wal"}
 
 
+FILES = {
+    "copy{} is not listed": lambda bag, ending: shutil.copy(bag / f"bag{ending}", bag / f"copy{ending}"),
+    "drive{} is not listed": lambda bag, ending: (bag / f"bag{ending}").rename(bag / f"drive{ending}"),
+    "gone{} is listed": lambda bag, ending: replace_in(
+        bag / "metadata.yaml", f"- bag{ending}", f"- bag{ending}\n  - gone{ending}"
+    ),
+}
+
+
+@pytest.mark.parametrize("words", FILES)
 @pytest.mark.parametrize("plugin", StoragePlugin)
-def test_a_file_that_the_bag_does_not_list_is_named_and_not_read(tmp_path, plugin, sentences):
+def test_a_file_that_is_not_as_the_bag_lists_it_is_named_and_the_rest_is_read(tmp_path, plugin, words, sentences):
+    """One that was renamed is read, one that is there in addition is not."""
     bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
-    shutil.copy(bag / f"bag{SUFFIX[plugin]}", bag / f"copy{SUFFIX[plugin]}")
+    FILES[words](bag, SUFFIX[plugin])
     topics, detail = topics_of(bag)
     assert topics == {"/imu": 2, "/gps": 1}
-    assert detail.startswith(f"copy{SUFFIX[plugin]} is not listed")
+    assert detail.startswith(words.format(SUFFIX[plugin]))
     sentences(detail)
-
-
-@pytest.mark.parametrize("plugin", StoragePlugin)
-def test_a_data_file_that_was_renamed_is_read_and_named(tmp_path, plugin):
-    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
-    (bag / f"bag{SUFFIX[plugin]}").rename(bag / f"drive{SUFFIX[plugin]}")
-    topics, detail = topics_of(bag)
-    assert topics == {"/imu": 2, "/gps": 1}
-    assert f"drive{SUFFIX[plugin]} is not listed" in detail
     assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
     assert recover_recording(bag).messages == 3
-
-
-def test_types_of_a_database_without_msg_are_those_of_ros2(tmp_path):
-    bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
-    with sqlite3.connect(bag / "bag.db3") as database:
-        database.execute("UPDATE topics SET type = 'sensor_msgs/Imu'")
-    assert set(analyze_topics(bag).topics["message_type"]) == {"sensor_msgs/msg/Imu"}
-    assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
-
-
-@pytest.mark.parametrize("plugin", StoragePlugin)
-def test_a_listed_file_that_is_missing_is_named_and_the_rest_is_read(tmp_path, plugin):
-    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
-    listed = f"- bag{SUFFIX[plugin]}"
-    replace_in(bag / "metadata.yaml", listed, f"{listed}\n  - gone{SUFFIX[plugin]}")
-    topics, detail = topics_of(bag)
-    assert topics == {"/imu": 2, "/gps": 1}
-    assert f"gone{SUFFIX[plugin]} is listed" in detail
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)

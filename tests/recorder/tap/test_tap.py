@@ -1,13 +1,18 @@
+import polars as pl
 import pytest
 from fake_clock import FakeClock
 from fake_tap_node import FakeTapNode, JsonSink
 from rosbags.typesys import Stores, get_typestore
+from trace_files import ping_session
 
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.choices import Durability, Reliability
 from dds_trace.recorder.tap.tap import MOST_ANNOUNCED, TAP, Tap, chosen_qos, definition_of, reader_of, summarize
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.sink import TraceSink
 
 IMAGE = "sensor_msgs/msg/Image"
 MS = 1_000_000
@@ -16,8 +21,9 @@ CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable
 
 
 class Bench:
-    def __init__(self, *patterns, graph=(CAMERA,), keeps_payload=False):
-        self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
+    def __init__(self, *patterns, graph=(CAMERA,), keeps_payload=False, open_sink=lambda _: JsonSink(), node=None):
+        self.node, self.clock, self.notes = node or FakeTapNode(), FakeClock(), []
+        self.sink = open_sink(self.clock.monotonic_ns)
         self.node.graph = list(graph)
         self.node.definitions = {IMAGE: {"header": "std_msgs/Header"}}
         qos = chosen_qos(None, None, None)
@@ -67,6 +73,22 @@ def test_its_publisher_is_described_once_heard_and_at_the_end():
     assert text["qos"]["durability"] == "transient_local"
     assert text["subscribed"]["reliability"] == "best_effort"
     assert not bench.node.subscriptions[CAMERA.topic].is_open
+
+
+@pytest.mark.parametrize("skipped", [0, 3])
+def test_a_bag_of_a_taps_own_file_has_the_taps_own_counts(tmp_path, skipped):
+    destination = TraceDestination(tmp_path / "tap.mcap")
+    bench = Bench(keeps_payload=True, open_sink=lambda now_ns: TraceSink(destination, ping_session(), clock_ns=now_ns))
+    for number in range(1, 803):
+        bench.clock.now_ns += 1000 * MS if number == 400 else 2_290_000  # by the rhythm, 437 Hz, 436 are missing
+        bench.hear(number + skipped * (number >= 400))
+    bench.tap.close()
+    bench.sink.close()
+    report = analyze_topics(destination.path)
+    row = report.topics.row(by_predicate=pl.col("topic") == CAMERA.topic, named=True)
+    assert (row["messages"], row["missing_from"]) == (bench.tap.messages, "tap") == (802, "tap")
+    assert row["missing"] == row["missing_low"] == row["missing_high"] == bench.tap.streams[0].missing == skipped
+    assert report.verdict == ("holes" if skipped else "whole")
 
 
 def test_nobody_writes_to_the_topics_of_the_trace():
@@ -138,6 +160,9 @@ def test_a_middleware_that_names_the_publisher_keeps_them_apart():
     assert [(event[2], event[-1]) for event in bench.sink.events] == [(1, 1), (50, 2), (2, 1), (51, 2)]
     assert [stream.publication.node_name for stream in bench.tap.streams] == ["/driver", "/second"]
     assert sum(stream.missing for stream in bench.tap.streams) == 0
+    for sequence in (4, 3, 5):
+        bench.hear(sequence, source=1)
+    assert [(stream.missing, stream.reordered) for stream in bench.tap.streams] == [(0, 1), (0, 0)]
 
 
 def test_silence_and_return_are_reported():
@@ -190,14 +215,6 @@ def test_a_type_that_is_not_installed_costs_only_its_topic():
     assert sum("/camera/lidar" in note for note in bench.notes) == 1
 
 
-def test_reordered_messages_are_not_missing():
-    bench = Bench()
-    for sequence in (1, 2, 4, 3, 5):
-        bench.hear(sequence)
-    (stream,) = bench.tap.streams
-    assert (stream.missing, stream.reordered) == (0, 1)
-
-
 STORE = get_typestore(Stores.LATEST)
 T = STORE.types
 
@@ -232,11 +249,6 @@ def test_the_first_stamp_is_read(message, stamp_ns, members, little_endian):
     assert reader_of(message.__msgtype__, members)(data) == stamp_ns
 
 
-def test_a_sequence_without_elements_has_no_stamp():
-    data = bytes(STORE.serialize_cdr(transforms(), "tf2_msgs/msg/TFMessage"))
-    assert not reader_of("tf2_msgs/msg/TFMessage", nobody_knows)(data)
-
-
 @pytest.mark.parametrize(
     "type_name", ["std_msgs/msg/String", "geometry_msgs/msg/Twist", "my_msgs/msg/Unknown", "Square"]
 )
@@ -266,9 +278,12 @@ def test_members_as_rclpy_spells_them_are_passed_over(first):
     assert read(b"\0\1\0\0" + bytes(width) + head) == 5_000_000_006
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\1\0\0\0\0\0\0"])
-def test_what_is_cut_short_has_none(data):
-    assert not reader_of("geometry_msgs/msg/PointStamped", nobody_knows)(data)
+EMPTY = bytes(STORE.serialize_cdr(transforms(), "tf2_msgs/msg/TFMessage"))
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\1\0\0\0\0\0\0", EMPTY])
+def test_what_is_cut_short_or_has_no_elements_has_none(data):
+    assert not reader_of("tf2_msgs/msg/TFMessage" if data == EMPTY else POINT.__msgtype__, nobody_knows)(data)
 
 
 def test_the_text_of_a_type_has_all_that_it_is_made_of():
@@ -291,17 +306,14 @@ def test_what_a_graph_announces_is_refused_by_topic_once():
                 raise ValueError(f"{type_name}: no such type \x1b[2J")
             return super().create_tap(topic, type_name, receive, qos=qos)
 
-    node, notes = StrictNode(), []
-    node.graph = [Publication("/camera/other", "nonsense", "bb" * 16, "/x", Qos()), CAMERA]
-    tap = Tap(
-        node, JsonSink(), TopicPatterns(("*",)), session_id=1, qos=chosen_qos(None, None, None), note=notes.append,
-        clock=FakeClock(),
-    )  # fmt: skip
+    bench = Bench(
+        "*", graph=[Publication("/camera/other", "nonsense", "bb" * 16, "/x", Qos()), CAMERA], node=StrictNode()
+    )
     for _ in range(3):
-        tap.look()
-    assert len([note for note in notes if "no such type" in note]) == 1
-    assert "\x1b" not in "".join(notes)
-    assert set(node.subscriptions) == {CAMERA.topic}
+        bench.look()
+    assert len([note for note in bench.notes if "no such type" in note]) == 1
+    assert "\x1b" not in "".join(bench.notes)
+    assert set(bench.node.subscriptions) == {CAMERA.topic}
 
 
 def test_topics_and_types_without_end_are_bounded_and_counted():

@@ -249,14 +249,11 @@ def test_skipped_folders_and_files_are_left_out(tmp_path):
     assert find_traces(tmp_path, skip=skip) == [tmp_path / "keep.mcap"]
 
 
-def test_a_trace_is_found_in_itself(tmp_path):
+def test_a_trace_is_found_in_itself_and_nothing_nowhere(tmp_path):
     (tmp_path / "x.mcap").write_text("")
     assert find_traces(tmp_path / "x.mcap") == [tmp_path / "x.mcap"]
     (tmp_path / "metadata.yaml").write_text("")
     assert find_traces(tmp_path) == [tmp_path]
-
-
-def test_no_folder_is_an_error(tmp_path):
     with pytest.raises(MissingEventsError, match="nowhere"):
         find_traces(tmp_path / "nowhere")
 

@@ -12,7 +12,7 @@ from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
-from .clocks import DAY_NS, Stamps, apart, is_simulated, of_one_clock, set_back, stamp_notes
+from .clocks import DAY_NS, Stamps, apart, backwards_ns, is_simulated, of_one_clock, set_back, stamp_notes
 from .losses import NONE, Losses, TopicTimes, arrival_jitter_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers
 from .periods import Int64
@@ -119,14 +119,17 @@ class Card:
     def _note_clocks(self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes]) -> list[tuple[int, int]]:
         stamped: dict[str, Stamps] = {}
         unstamped: list[Int64] = []
+        backwards: dict[str, int] = {}
         for topic, topic_times in zip(columns, times, strict=True):
             name, has_stamp = topic.topic.name, topic_times.stamp_ns != NONE
             self._notes += copied_messages(name, topic.copies)
-            self._notes += set_back(name, topic.column("log_ns"))
+            backwards[name] = backwards_ns(topic.column("log_ns"))
             if has_stamp.any():
-                stamped[name] = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp])
+                is_in_order = not backwards[name]
+                stamped[name] = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp], is_in_order)
             else:
                 unstamped.append(topic_times.log_ns)
+        self._notes += set_back({name: step_ns for name, step_ns in backwards.items() if step_ns})
         set_over: list[tuple[int, int]] = []
         self._notes += stamp_notes(stamped, unstamped, self._start_ns, set_over)
         return set_over

@@ -52,16 +52,25 @@ def is_simulated(start_ns: int) -> bool:
     return start_ns < _SIMULATED_BEFORE_NS
 
 
-def set_back(topic: str, log_ns: Int64) -> Iterator[str]:
-    steps_ns = np.diff(log_ns)
-    if len(steps_ns) and steps_ns.min() < -_JUMP_NS:
-        times = counted(int((steps_ns < -_JUMP_NS).sum()), "time")
-        yield f"{topic} is not stored in order of time: {times} back by up to {format_duration(-int(steps_ns.min()))}"
+def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
+    if backwards_ns:
+        names = sorted(backwards_ns, key=lambda name: -backwards_ns[name])
+        yield (
+            f"{_and_more(names)} {'is' if len(names) == 1 else 'are'} not stored in order of time, up to "
+            f"{format_duration(backwards_ns[names[0]])} back: a clock that was set back, a simulation that was reset, or joined files?"
+        )
+
+
+def backwards_ns(log_ns: Int64) -> int:
+    """Return how far times go back at once, in stored order; 0 below a second."""
+    step_ns = -int(np.diff(log_ns, prepend=log_ns[:1]).min())
+    return step_ns if step_ns > _JUMP_NS else 0
 
 
 class Stamps(NamedTuple):
     log_ns: Int64
     stamp_ns: Int64
+    is_in_order: bool = True
 
     @property
     def age_ns(self) -> Int64:
@@ -99,7 +108,7 @@ def stamp_notes(
         clock_steps = _steps(name, stamps)
         if len(clock_steps) <= _MOST_STEPS:
             steps += clock_steps
-        since_ns = None if clock_steps else growth_since_ns(*stamps)
+        since_ns = None if clock_steps else growth_since_ns(stamps.log_ns, stamps.stamp_ns)
         if since_ns is not None:
             first_age, last_age = map(format_duration, age_course(stamps.age_ns))
             when = (
@@ -186,7 +195,7 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 
 
 def count_latched(stamps: Stamps, start_ns: int) -> int:
-    log_ns, stamp_ns = stamps
+    log_ns, stamp_ns, _ = stamps
     is_soon = (log_ns < start_ns + 2 * 10**9) | (len(log_ns) < _FEWEST)
     early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
     count = int(early.sum())
@@ -197,7 +206,7 @@ def count_latched(stamps: Stamps, start_ns: int) -> int:
 
 
 def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
-    log_ns, stamp_ns = stamps
+    log_ns, stamp_ns, _ = stamps
     ages_ns = stamps.age_ns
     latched = count_latched(stamps, start_ns)
     if latched:
@@ -256,7 +265,7 @@ def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
 
 def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     ages_ns = stamps.age_ns
-    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS:
+    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS or not stamps.is_in_order:
         return []
     changes_ns = np.diff(ages_ns)
     least_ns = max(_LEAST_STEP_NS, _STEP_SPREADS * 1.4826 * float(np.median(np.abs(changes_ns))))

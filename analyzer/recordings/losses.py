@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .clocks import DAY_NS, of_one_clock
 from .periods import MOST_STEPS, Hole, Int64, Regularity, find_grid, find_regularity, joined, spread
@@ -146,14 +147,21 @@ class TopicTimes:
         return silent_ns > (0 if self.is_command else _MOST_SILENT * float(self.log_ns[-1] - self.log_ns[0]))
 
     def _by_grid(self) -> Regularity | None:
-        """Return the grid of the header stamps, or of the publish times if a message has no stamp."""
-        times_ns = self.publish_ns if (self.stamp_ns == NONE).any() else self.stamp_ns
-        if (times_ns == NONE).any() or (times_ns == self.log_ns).mean() > 0.5 or self.is_command:
+        """Return the grid of the header stamps, or of the publish times if a message has no stamp; of several publishers, of each."""
+        for keys in (self.publisher, self.frame):
+            if parts := _by_key(keys, self._grid):
+                return joined(parts)
+        return self._grid(np.ones(len(self.log_ns), np.bool_))
+
+    def _grid(self, selected: NDArray[np.bool_]) -> Regularity | None:
+        times_ns = (self.publish_ns if (self.stamp_ns == NONE).any() else self.stamp_ns)[selected]
+        logged_ns = self.log_ns[selected]
+        if (times_ns == NONE).any() or (times_ns == logged_ns).mean() > 0.5 or self.is_command:
             return None
         if len(times_ns) > 1 and np.diff(times_ns).min() < -_STOPPED_NS:  # a clock was set, or a counter ran over
             return None
         order = np.argsort(times_ns, kind="stable")
-        stamps_ns, log_ns = times_ns[order], self.log_ns[order]
+        stamps_ns, log_ns = times_ns[order], logged_ns[order]
         grid = find_grid(stamps_ns) if of_one_clock(stamps_ns).all() else None
         if grid is None:
             return None
@@ -196,7 +204,7 @@ class TopicTimes:
     def _regularity(self, times_ns: Int64) -> Regularity | None:
         best = find_regularity(times_ns)
         for keys in (self.publisher, self.frame, self.payload_bytes):
-            parts = _by_key(times_ns, keys)
+            parts = _by_key(keys, lambda selected: find_regularity(times_ns[selected]))
             if parts and (best is None or min(part.share for part in parts) > best.share + 0.02):
                 best = joined(parts)
         return best
@@ -221,11 +229,11 @@ def _passed_over(jumps: Int64, hole: Hole) -> int:
     return int(counts[is_within].sum())
 
 
-def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
+def _by_key(keys: Int64, find: Callable[[NDArray[np.bool_]], Regularity | None]) -> list[Regularity]:
     names, counts = np.unique(keys, return_counts=True)
     if not 1 < len(names) <= _MOST_PUBLISHERS or counts.min() < 8:
         return []
-    parts = [find_regularity(times_ns[keys == name]) for name in names]
+    parts = [find(keys == name) for name in names]
     return [part for part in parts if part is not None] if all(parts) else []
 
 

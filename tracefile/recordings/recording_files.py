@@ -50,7 +50,7 @@ def content_hash(data: bytes) -> int:
 
 def copied_messages(topic: str, copies: int) -> Iterator[str]:
     if copies:
-        yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag?"
+        yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag, or a reset?"
 
 
 def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[tuple[str, str]]:

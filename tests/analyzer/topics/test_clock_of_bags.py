@@ -2,6 +2,7 @@ import json
 import re
 
 import numpy as np
+import polars as pl
 import pytest
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -57,8 +58,6 @@ def test_stamps_of_the_recording_device_stay_as_they_are(tmp_path):
     write_bag_and_beacon(tmp_path, also=[("/local", LAPTOP, 3 * MS)])
     result = run(tmp_path / "bag", "--clock", tmp_path / "runs", "--export", "csv", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    import polars as pl
-
     local, camera_info = pl.read_csv(tmp_path / "out" / "topics.csv").sort("topic", descending=True).to_dicts()
     assert local["age_bound_ns"] is None
     assert local["age_p50_ns"] == pytest.approx(3 * MS + NEAR_NS, abs=2_000)  # its clock runs 200 ppm too fast

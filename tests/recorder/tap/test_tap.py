@@ -219,8 +219,7 @@ STORE = get_typestore(Stores.LATEST)
 T = STORE.types
 
 
-def nobody_knows(_type_name):
-    return None
+nobody_knows = {}.get
 
 
 def header(sec, nanosec):

@@ -62,7 +62,6 @@ def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
 
 
 def backwards_ns(log_ns: Int64) -> int:
-    """Return how far times go back at once, in stored order; 0 below a second."""
     step_ns = -int(np.diff(log_ns, prepend=log_ns[:1]).min())
     return step_ns if step_ns > _JUMP_NS else 0
 

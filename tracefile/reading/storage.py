@@ -53,7 +53,7 @@ def find_storage(
     suffixes: tuple[str, ...],
     cure: str,
 ) -> list[Path]:
-    """Find files and folders as `find_traces`; a packed file only without its unpacked copy."""
+    """Find files and folders as `find_traces` does."""
     folder, left_out = Path(path), {Path(other).resolve() for other in skip}
     if folder.is_file() or (folder.is_dir() and is_one(folder)):
         return [folder]

@@ -37,7 +37,7 @@ def run(*arguments):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
 
-@pytest.mark.parametrize("growth_ns", [0, SECOND])
+@pytest.mark.parametrize("growth_ns", [0, 200 * MS])
 def test_ages_and_their_course_are_inside_their_bound(tmp_path, growth_ns):
     true_ns = write_bag_and_beacon(tmp_path, growth_ns=growth_ns)
     (before,) = analyze_topics(tmp_path / "bag").topics.iter_rows(named=True)
@@ -46,8 +46,8 @@ def test_ages_and_their_course_are_inside_their_bound(tmp_path, growth_ns):
     result = run(tmp_path / "bag", "--clock", tmp_path / "runs", "--report", "json", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     (topic,) = json.loads((tmp_path / "out" / "topics.json").read_text())["topics"]
-    assert bool(re.search(r"ms to 1(\.\d+)? s", result.output)) is (growth_ns > 0)
-    assert topic["age_end_ns"] == pytest.approx(np.median(true_ns[-5:]), rel=5e-4)
+    assert bool(re.search(r"ms to 20\d ms", result.output)) is (growth_ns > 0)
+    assert topic["age_end_ns"] == pytest.approx(np.median(true_ns[-5:]), abs=topic["age_bound_ns"])
     assert 0 < topic["age_bound_ns"] < MS
     assert abs(topic["age_p50_ns"] - np.median(true_ns)) <= topic["age_bound_ns"]
     assert abs(topic["age_p99_ns"] - np.quantile(true_ns, 0.99)) <= topic["age_bound_ns"]

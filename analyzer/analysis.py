@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,7 +99,7 @@ class Details:
         return f"<Details: {', '.join(frames)}; answers: {len(self.answers)}>"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
     """Everything that was computed from one folder of traces.
 
@@ -163,7 +164,7 @@ class Analysis:
         barred = {group for finding in self.findings if finding.code == "not_applied" for group in finding.groups}
         return self.summary[sorted(barred)]
 
-    @property
+    @cached_property
     def judgements(self) -> pl.DataFrame:
         """What is said of setups, links, devices, bridges, flows and a job, a row each (`judgements.JUDGEMENT_SCHEMA`); empty without details."""
         details = self.details

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -11,17 +11,15 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dds_trace.tracefile.format.descriptions import Run
-
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
-from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
+from .groups.batch import AnalysisOptions, Batch, Grouping
 from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .groups.recovery import RECOVERY_SCHEMA, outage_spans, recovery_frame
-from .groups.wire import no_wire_frames, wire_frames
+from .groups.wire import WIRE_FRAMES, wire_frames
 from .loading.campaign import Campaign
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .model.metrics import schema_of
@@ -32,7 +30,7 @@ from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.cases import GroupRows
 from .verdicts.costs import find_bridge_costs, find_head_of_line, find_interference
-from .verdicts.recommend import Recommendation, recommend_settings
+from .verdicts.recommend import recommend_settings
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
 """Frames of batches that are details; others are for findings."""
@@ -65,7 +63,7 @@ def collect_details(
         "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
     }
-    recoveries = recovery_frame(campaign.traces, grouping, rows)
+    recoveries, job = recovery_frame(campaign.traces, grouping, rows), options.job
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(
@@ -84,12 +82,14 @@ def collect_details(
         interference=find_interference(judged, passes),
         head_of_line=find_head_of_line(judged, passes),
         recoveries=recoveries,
-        **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
+        **wire_frames(campaign.traces, campaign.runs, grouping, rows),
         answers=answers,
         deadline_ns=options.deadline_ns,
         deadline_metric=options.deadline_metric,
-        recommendation=_recommendation(judged, options, campaign.runs.values()),
-        requested=True,
+        recommendation=job
+        and recommend_settings(
+            judged.frame(judged.groups.filter(data_type=job.data_type)), job, runs=campaign.runs.values()
+        ),
     )
 
 
@@ -109,21 +109,10 @@ def details_not_requested() -> Details:
         interference=find_interference(no_rows),
         head_of_line=find_head_of_line(no_rows),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
-        **{name: pl.DataFrame(schema=schema) for name, schema in FAN_OUT_FRAMES.items()},
-        **no_wire_frames()._asdict(),
+        **{name: pl.DataFrame(schema=schema) for name, schema in {**FAN_OUT_FRAMES, **WIRE_FRAMES}.items()},
         answers=(),
-        deadline_ns=None,
-        deadline_metric=DEADLINE_METRIC,
-        recommendation=None,
         requested=False,
     )
-
-
-def _recommendation(rows: GroupRows, options: AnalysisOptions, runs: Iterable[Run]) -> Recommendation | None:
-    if options.job is None:
-        return None
-    groups = rows.groups.filter(data_type=options.job.data_type)
-    return recommend_settings(rows.frame(groups), options.job, runs=runs)
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:

@@ -11,7 +11,6 @@ from pathlib import Path
 import polars as pl
 
 from dds_trace.base.errors import OutputError
-from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Analysis
 from .details import collect_details, details_not_requested
@@ -27,7 +26,7 @@ from .groups.shapes import SHAPE_SCHEMA
 from .loading.campaign import Campaign, Paths, Place, Progress
 from .loading.event_index import total_copies
 from .loading.traces import TraceSpool
-from .pairing.exchanges import Exchanges, find_exchanges
+from .pairing.exchanges import find_exchanges
 from .pairing.parquet import provenance, write_summary
 from .pairing.rows import RowWriter
 from .saving.results import replacing_results
@@ -176,7 +175,8 @@ def _analyze(
         title=location.folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
-        runs=_runs_by_start(campaign, exchanges),
+        # Runs with messages in the order of their rows, then runs without.
+        runs=tuple({**{exchange.run.run_id: exchange.run for exchange in exchanges.placed}, **campaign.runs}.values()),
         rows=rows,
         summary=merged.summary.frame,
         distributions=merged.summary.distributions,
@@ -203,9 +203,3 @@ def _write_rows(
         result = output.result()
         del output  # its rows are written
         yield result
-
-
-def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
-    """Return runs with messages in the order of their rows, then runs without."""
-    started = {exchange.run.run_id: exchange.run for exchange in exchanges.placed}
-    return (*started.values(), *(run for run_id, run in campaign.runs.items() if run_id not in started))

@@ -188,7 +188,11 @@ def _print_config(
             value = values[name]
             if value is None and source == "default":
                 value = defaults.get(name)
-        rows.append((f"--{_key(option)}", _shown(value), source))
+        key = _key(option)
+        if option.hidden:  # typed as -o KEY=VALUE
+            value = not value if key.startswith("no-") else value
+        typed = f"-o {key.removeprefix('no-').replace('-', '_')}" if option.hidden else f"--{key}"
+        rows.append((typed, _shown(value), source))
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     for key, value, source in rows:
         typer.echo(f"{key:{widths[0]}}  {value:{widths[1]}}  {source}")

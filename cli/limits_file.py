@@ -98,10 +98,9 @@ def _patterns(result: str, where: str) -> Patterns:
 
 
 def limits_text(comparison: Comparison) -> str:
-    from dds_trace.analyzer.model.names import group_words
-    from dds_trace.analyzer.verdicts.gates import varying_columns
+    from dds_trace.analyzer.model.names import group_words, varying_parameters
 
-    names = varying_columns(comparison)
+    names = varying_parameters(comparison.delivery, comparison.options.match)
     sections: dict[str, list[str]] = {}
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if (row["metric"], row["statistic"]) in {("latency", "p50"), ("latency", "p99"), ("age", "p99")}:

@@ -346,8 +346,8 @@ def comparison_schema() -> Schema:
         "gate": {**text, "description": "the gate as it was given"},
         "group": {**text, "description": "name of its result"},
     }
-    gate |= {name: result[name] for name in ("outcome", "measured", "low", "high", "reason")}
-    gate |= {"smallest_ratio": number, "smallest_drop": number}
+    gate |= {name: result[column] for name, column in comparison_document.FRAME_COLUMNS.items()}
+    gate |= {"outcome": of_hint(GateOutcome), "smallest_ratio": number, "smallest_drop": number}
     ignored = [name for name in PARAMETER_NAMES if name in IGNORABLE_COLUMNS]
     options = of_record(CompareOptions)
     options["properties"]["match"]["items"] = {"enum": list(PARAMETER_NAMES)}
@@ -367,6 +367,11 @@ def comparison_schema() -> Schema:
         "only_base": a_list(alone, words["only_base"]),
         "only_new": a_list(alone, words["only_new"]),
         "gates": a_list(an_object(gate), words["gates"]),
+        "judgements": a_list(
+            of_frame("judgements", judgement_frame(()), "rows")["items"],
+            "what is said of each result, and the outcome of each gate, a row each; `group` counts the results in the order of their "
+            "parameters",
+        ),
         "unlike": a_list(of_record(Unlike), words["unlike"]),
         "ignore": a_list({"enum": ignored}, words["ignore"]),
         "notes": a_list(text, words["notes"]),
@@ -379,7 +384,7 @@ def comparison_schema() -> Schema:
             "What `dds-trace compare --report json` writes. A field may be added within a format; none is renamed or removed, "
             "and none changes its meaning."
         ),
-        **an_object(properties, {"changed"}),
+        **an_object(properties, {"changed", "judgements"}),
         "$defs": {"parameters": parameters(), "alone": an_object({"label": text, "parameters": group["parameters"]})},
     }
 

@@ -24,7 +24,7 @@ from ..model.applied import (
 )
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
-from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check, some
+from .evidence import Evidence, Observation, check, some
 from .rows import Rows, frame_of, in_recording, named
 
 if TYPE_CHECKING:
@@ -266,61 +266,24 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
         yield evidence.result(group, f"What was requested is not what was measured. {listed[0].upper()}{listed[1:]}.")
 
 
-@check(
-    "fragments_lost",
-    Severity.WARNING,
-    Subject.RECORDING,
-    f"One lost fragment loses its whole datagram{{limits}}: {SMALLER_DATAGRAMS}.",
-)
-def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
-    """A host lost IP fragments while messages were under way.
-
-    The kernel counts for a whole network namespace: only results with cut messages are named.
-    """
-    captured = set(evidence.details.wire["group"])
-    cut = evidence.groups_by_session(may_be_cut)
+def _fragments(evidence: Evidence) -> pl.DataFrame:
+    """List recordings with messages that are cut; the kernel counts for a whole network namespace."""
+    captured, cut = set(evidence.details.wire["group"]), evidence.groups_by_session(may_be_cut)
+    rows = []
     for session in evidence.campaign.sessions.values():
-        groups = tuple(group for group in cut.get(session.session_id, ()) if group not in captured)
-        if not groups:
-            continue
-        rises = kernel_counts(session)
-        failed, late = rises.get("ReasmFails", 0), rises.get("ReasmTimeout", 0)
-        limits = kernel_limits(session)
-        time_s, thresh = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
-        has_limits = time_s is not None and thresh is not None
-        if failed:
-            yield Observation(
-                evidence.session_name(session),
-                f"In its network namespace, all programs together, {counted(failed, 'datagram')} could not be put together from "
-                f"IP fragments ({late} of them for a fragment that never came).",
-                groups,
-                blanks={
-                    "limits": f", whose other fragments wait for {time_s} s in at most {thresh:,} B"
-                    if has_limits
-                    else ""
-                },
-            )
+        groups, rises, limits = cut.get(session.session_id, ()), kernel_counts(session), kernel_limits(session)
+        time_s, most_bytes = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
+        row = {"where": evidence.session_name(session), "late": rises.get("ReasmTimeout", 0), "limits": ""}
+        if time_s is not None and most_bytes is not None:
+            row["limits"] = f", whose other fragments wait for {time_s} s in at most {most_bytes:,} B"
+        not_captured = [group for group in groups if group not in captured]
+        for counter, concerned in (("ReasmFails", not_captured), ("FragFails", groups)):
+            if concerned and rises.get(counter):
+                rows.append({**row, "counter": counter, "datagrams": rises[counter], "groups": list(concerned)})
+    return frame_of(rows)
 
 
-@check(
-    "fragments_lost",
-    Severity.WARNING,
-    Subject.RECORDING,
-    "The interface's queue was full: leave larger send buffers out (sendBufferSize, net.core.wmem_default), or let the queue take "
-    "a whole burst (tc qdisc, txqueuelen).",
-)
-def unsent_fragments(evidence: Evidence) -> Iterator[Observation]:
-    """A host dropped IP fragments before they were sent."""
-    cut = evidence.groups_by_session(may_be_cut)
-    for session in evidence.campaign.sessions.values():
-        unsent = kernel_counts(session).get("FragFails", 0)
-        groups = cut.get(session.session_id, ())
-        if unsent and groups:
-            yield Observation(
-                evidence.session_name(session),
-                f"In its network namespace, all programs together, {counted(unsent, 'datagram')} could not be sent as IP fragments.",
-                groups,
-            )
+FRAGMENTS = Rows(Subject.RECORDING, _fragments, lambda _, row: (row["where"], tuple(row["groups"])))
 
 
 _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000

@@ -10,7 +10,7 @@ import polars as pl
 from ..model.finding import Finding, Severity
 from ..verdicts.costs import Overtaking
 from . import calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
-from .evidence import Check, Evidence
+from .evidence import SMALLER_DATAGRAMS, Check, Evidence
 from .notes import NOTES
 from .rows import RESULTS
 
@@ -336,8 +336,22 @@ CHECKS: tuple[Check, ...] = (
         "The kernel dropped {dropped_datagrams:# datagram} at its own sockets, whose receive buffer was full.",
         "Expect losses and late large messages: {cure}.",
     ),
-    sessions.lost_fragments,
-    sessions.unsent_fragments,
+    sessions.FRAGMENTS.warning(
+        "fragments_lost",
+        "A host lost IP fragments while messages were under way",
+        pl.col("counter") == "ReasmFails",
+        "In its network namespace, all programs together, {datagrams:# datagram} could not be put together from IP fragments ({late} of "
+        "them for a fragment that never came).",
+        f"One lost fragment loses its whole datagram{{limits}}: {SMALLER_DATAGRAMS}.",
+    ),
+    sessions.FRAGMENTS.warning(
+        "fragments_lost",
+        "A host dropped IP fragments before they were sent",
+        pl.col("counter") == "FragFails",
+        "In its network namespace, all programs together, {datagrams:# datagram} could not be sent as IP fragments.",
+        "The interface's queue was full: leave larger send buffers out (sendBufferSize, net.core.wmem_default), or let the queue take "
+        "a whole burst (tc qdisc, txqueuelen).",
+    ),
     sessions.several_networks,
     wire.WIRE.warning(
         "wire_incomplete",

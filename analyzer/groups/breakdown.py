@@ -10,25 +10,15 @@ it is received (`received <= T3`), nor stamped before it is handed over (`source
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage
 
 from ..model.metrics import frame_schema
-from ..pairing.exchanges import Exchange
-from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
-from ..statistics.percentiles import minimum_messages, quantile_of
-from .batch import Batch, exchanges_by_group, filled, is_present
-
-Int64 = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
+from ..statistics.percentiles import minimum_messages
+from .batch import Batch
 
 STAGES = (
     "waiting_ns",
@@ -39,14 +29,13 @@ STAGES = (
     "ping_delivery_ns",
 )
 
-_RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
-_REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
+_ANCHORED = ("relay_delivery_ns", "ping_delivery_ns", "relay_write_ns", "ping_write_ns")
+"""Deliveries and writes of relay and ping bound an anchor from both sides."""
+
+_P99 = minimum_messages(0.99)
 
 _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
 """Parts of a response; only messages with all of them are shown."""
-
-_SIDES = 4
-"""Deliveries and writes of relay and ping bound an anchor from both sides."""
 
 BREAKDOWN_SCHEMA = frame_schema(
     "group:u32 part:str order:u32 messages:u64 mean_ns:f64 p50_ns:f64 p99_ns:f64 bound_ns:f64"
@@ -65,192 +54,122 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     `outbound_ns` and `return_ns` where a reception stamp is missing or contradicts its anchor; `p99_ns` is null below 100
     messages, `bound_ns` (mean bound of the clocks) where an anchor is bounded on one side only.
     """
-    columns = _Columns(roundtrips)
-    is_complete = _is_complete(roundtrips)
-    bridges = roundtrips.described["bridge"].to_list()
-    rows: list[dict[str, object]] = []
-    for group, numbers in exchanges_by_group(batch):
-        offsets = roundtrips.bounds[numbers.start : numbers.stop + 1].tolist()
-        messages = _Messages(columns, offsets[0], is_complete[offsets[0] : offsets[-1]])
-        if not messages.shown:
-            continue
-        deliveries = _deliveries(
-            messages,
-            [
-                _ExchangeRows(
-                    batch.exchanges[number], slice(first - offsets[0], after - offsets[0]), bridges[number] == "none"
-                )
-                for number, first, after in zip(numbers, offsets, offsets[1:], strict=False)
-            ],
+    if not batch.whole:
+        return pl.DataFrame(schema=BREAKDOWN_SCHEMA)
+    messages = _messages(batch, roundtrips)
+    deliveries = pl.when("is_sound").then(pl.col(_ANCHORED[:2]))
+    is_sound, clock_ns = pl.col("is_sound").first(), pl.col("clock_bound_ns").mean()
+    anchor_ns, with_clock_ns = pl.col("anchor_ns").first(), pl.col("with_clock_ns").first()
+    there, back = (pl.col(name) for name in _ANCHORED[:2])
+
+    def part(order: int, whole_way: str, values: pl.Expr, bound_ns: pl.Expr) -> pl.Expr:
+        return pl.struct(
+            part=pl.when(is_sound).then(pl.lit(STAGES[order])).otherwise(pl.lit(whole_way)),
+            messages=pl.len(),
+            mean_ns=values.mean(),
+            p50_ns=values.median(),
+            p99_ns=pl.when(pl.len() >= _P99).then(values.quantile(0.99, "linear")),
+            bound_ns=bound_ns,
+        ).alias(STAGES[order])
+
+    way_ns = pl.when(is_sound).then(with_clock_ns).otherwise(clock_ns)
+    return (
+        messages.filter("is_complete")
+        .join(_anchors(messages), on="group")
+        .with_columns(deliveries)
+        .group_by("group")
+        .agg(
+            part(0, "waiting_ns", pl.col("waiting_ns"), pl.lit(0.0)),
+            part(1, "outbound_ns", pl.col("outbound_ns") - there.fill_null(0), way_ns),
+            part(2, "", there, anchor_ns),
+            part(3, "relay_ns", pl.col("intermediate_ns"), pl.lit(0.0)),
+            part(4, "return_ns", pl.col("return_ns") - back.fill_null(0), way_ns),
+            part(5, "", back, anchor_ns),
         )
-        rows += [
-            {
-                "group": group,
-                "part": part,
-                "order": order,
-                "messages": messages.shown,
-                "mean_ns": float(values_ns.mean()),
-                **_percentiles(values_ns),
-                "bound_ns": bound_ns,
-            }
-            for order, (part, values_ns, bound_ns) in enumerate(_parts(messages, deliveries))
-        ]
-    return pl.DataFrame(rows, schema=BREAKDOWN_SCHEMA)
-
-
-def _is_complete(rows: RoundTrips) -> Bools:
-    is_complete = np.ones(int(rows.bounds[-1]), np.bool_)
-    for name in _PART_COLUMNS:
-        is_complete &= is_present(rows.column(name))
-    return is_complete
-
-
-class _Columns(dict[str, Int64]):
-    def __init__(self, rows: RoundTrips) -> None:
-        super().__init__()
-        self._rows = rows
-        # Stamps prove nothing unless both devices have reception stamps.
-        self.stamps = rows.stamp_names if rows.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
-
-    def __missing__(self, name: str) -> Int64:
-        values = filled(self._rows.column(name), MISSING)
-        if name in self.stamps:
-            values = np.where(values == 0, MISSING, values)
-        self[name] = values
-        return values
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Messages:
-    """Rows of a group, from `first` on in `columns`; complete ones are shown."""
-
-    columns: _Columns
-    first: int
-    is_complete: Bools
-
-    @property
-    def shown(self) -> int:
-        return int(np.count_nonzero(self.is_complete))
-
-    def column(self, name: str) -> Int64:
-        return self.columns[name][self.first : self.first + len(self.is_complete)]
-
-    def shown_column(self, name: str) -> Int64:
-        return chosen_of(self.is_complete, self.column(name))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ExchangeRows:
-    """`rows` are in the group; `is_direct`: no bridge writes the source stamps."""
-
-    exchange: Exchange
-    rows: slice
-    is_direct: bool
-
-    @property
-    def relay_wall_ns(self) -> int:
-        assert self.exchange.relay is not None
-        return self.exchange.relay.wall_anchor_ns - self.exchange.relay.monotonic_anchor_ns
-
-    @property
-    def ping_wall_ns(self) -> int:
-        return self.exchange.ping.wall_anchor_ns - self.exchange.ping.monotonic_anchor_ns
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Deliveries:
-    """Deliveries (R3 to T3, R2 to T2), the anchors' mean bound, and this plus the clocks' bound."""
-
-    relay_ns: Int64
-    ping_ns: Int64
-    bound_ns: float | None
-    with_clock_ns: float | None
-
-
-def _parts(messages: _Messages, deliveries: _Deliveries | None) -> Iterator[tuple[str, Int64, float | None]]:
-    shown = messages.shown_column
-    clock_ns = float(shown("clock_bound_ns").mean())
-    yield "waiting_ns", shown("publish_ns") - shown("scheduled_ns"), 0.0
-    if deliveries is None:
-        yield "outbound_ns", shown("outbound_ns"), clock_ns
-    else:
-        yield "outbound_transport_ns", shown("outbound_ns") - deliveries.relay_ns, deliveries.with_clock_ns
-        yield "relay_delivery_ns", deliveries.relay_ns, deliveries.bound_ns
-    yield "relay_ns", shown("intermediate_ns"), 0.0
-    if deliveries is None:
-        yield "return_ns", shown("return_ns"), clock_ns
-    else:
-        yield "return_transport_ns", shown("return_ns") - deliveries.ping_ns, deliveries.with_clock_ns
-        yield "ping_delivery_ns", deliveries.ping_ns, deliveries.bound_ns
-
-
-def _percentiles(values_ns: Int64) -> dict[str, float | None]:
-    ordered = np.sort(values_ns)
-    p99_ns = quantile_of(ordered, 0.99) if len(ordered) >= minimum_messages(0.99) else None
-    return {"p50_ns": quantile_of(ordered, 0.5), "p99_ns": p99_ns}
-
-
-def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Deliveries | None:
-    """Return the deliveries of the shown messages; None unless all have both, by anchors that no stamp contradicts.
-
-    A larger error of an anchor than the shortest delivery and write would make one of these negative.
-    """
-    is_complete, stamps = messages.is_complete, messages.columns.stamps
-    shown = [exchange for exchange in exchanges if is_complete[exchange.rows].any()]
-    if not stamps or any(exchange.exchange.relay is None for exchange in shown):
-        return None
-    relay = _Times.between(messages, _RELAY_RECEIVED, "relay_in_ns")
-    ping = _Times.between(messages, _REPLY_RECEIVED, "receive_ns")
-    if not chosen_of(is_complete, relay.has_value & ping.has_value).all():
-        return None
-    times_ns = [
-        [relay.least_ns(part.rows, part.relay_wall_ns), ping.least_ns(part.rows, part.ping_wall_ns)] for part in shown
-    ]
-    # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-    relay_walls_ns, ping_walls_ns = ([part.relay_wall_ns for part in shown], [part.ping_wall_ns for part in shown])
-    for start, end, walls_ns in (
-        ("relay_out_ns", _REPLY_SOURCE, relay_walls_ns),
-        ("publish_ns", _RELAY_SOURCE, ping_walls_ns),
-    ):
-        if end in stamps:
-            writes = _Times.between(messages, start, end)
-            for part, wall_ns, least_ns in zip(shown, walls_ns, times_ns, strict=True):
-                least_ns.append(writes.least_ns(part.rows, -wall_ns) if part.is_direct else None)
-    shortest_ns = [[time for time in least_ns if time is not None] for least_ns in times_ns]
-    if any(min(bounds_ns) < 0 for bounds_ns in shortest_ns):
-        return None
-    masks = [is_complete[part.rows] for part in shown]
-    relay_ns = [relay.values_ns[part.rows][mask] + part.relay_wall_ns for part, mask in zip(shown, masks, strict=True)]
-    ping_ns = [ping.values_ns[part.rows][mask] + part.ping_wall_ns for part, mask in zip(shown, masks, strict=True)]
-    clock_bound_ns = messages.column("clock_bound_ns")
-    judged, anchor_ns, clock_ns = 0, 0, 0
-    for part, mask, bounds_ns in zip(shown, masks, shortest_ns, strict=True):
-        if len(bounds_ns) == _SIDES:
-            count = int(np.count_nonzero(mask))
-            judged += count
-            anchor_ns += count * max(bounds_ns)
-            clock_ns += int(clock_bound_ns[part.rows][mask].sum())
-    return _Deliveries(
-        np.concatenate(relay_ns),
-        np.concatenate(ping_ns),
-        anchor_ns / judged if judged else None,
-        (anchor_ns + clock_ns) / judged if judged else None,
+        .unpivot(index="group")
+        .unnest("value")
+        .drop_nulls("mean_ns")  # without a delivery
+        .sort("group", maintain_order=True)
+        .with_columns(order=pl.int_range(pl.len()).over("group"))
+        .select(pl.col(name).cast(kind) for name, kind in BREAKDOWN_SCHEMA.items())
+        .collect()
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Times:
-    values_ns: Int64
-    has_value: Bools
+def _messages(batch: Batch, roundtrips: RoundTrips) -> pl.LazyFrame:
+    """Return parts of each message, and how long it took from and to the middleware, by the anchors of both wall clocks.
 
-    @classmethod
-    def between(cls, messages: _Messages, start: str, end: str) -> _Times:
-        start_ns, end_ns = messages.column(start), messages.column(end)
-        return cls(end_ns - start_ns, (start_ns != MISSING) & (end_ns != MISSING))
+    Stamps prove nothing unless both devices have reception stamps. A bridge writes source stamps of its own.
+    """
+    stamps = roundtrips.stamp_names if roundtrips.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
+    exchanges = pl.DataFrame(
+        {
+            "group": batch.group_of_exchange,
+            "ping_wall_ns": [_wall_ns(exchange.ping) for exchange in batch.exchanges],
+            "relay_wall_ns": [_wall_ns(exchange.relay) for exchange in batch.exchanges],
+            "is_direct": roundtrips.described["bridge"] == "none",
+        },
+        {"group": pl.UInt32, "ping_wall_ns": pl.Int64, "relay_wall_ns": pl.Int64, "is_direct": pl.Boolean},
+    )
+    exchange = pl.Series("exchange", roundtrips.exchange_of_row())
+    per_row = {name: pl.lit(exchanges[name]).gather("exchange") for name in exchanges.columns}
+    ping_wall, relay_wall, is_direct = (per_row[name] for name in exchanges.columns[1:])
+    source, received, reply_source, reply_received = (
+        pl.col(name).replace(0, None) if name in stamps else pl.lit(None, pl.Int64)
+        for name in (*MIDDLEWARE_STAMPS[Stage.T3], *MIDDLEWARE_STAMPS[Stage.T2])
+    )
+    columns = ("scheduled_ns", "publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns", *_PART_COLUMNS[1:])
+    return (
+        pl.DataFrame([exchange, *map(roundtrips.column, (*columns, *stamps))])
+        .lazy()
+        .select(
+            "exchange",
+            *_PART_COLUMNS[1:],
+            group=per_row["group"],
+            is_complete=pl.all_horizontal(pl.col(_PART_COLUMNS).is_not_null()),
+            waiting_ns=pl.col("publish_ns") - pl.col("scheduled_ns"),
+            relay_delivery_ns=pl.col("relay_in_ns") - (received - relay_wall),
+            ping_delivery_ns=pl.col("receive_ns") - (reply_received - ping_wall),
+            relay_write_ns=pl.when(is_direct).then(reply_source - relay_wall - pl.col("relay_out_ns")),
+            ping_write_ns=pl.when(is_direct).then(source - ping_wall - pl.col("publish_ns")),
+        )
+    )
 
-    def least_ns(self, rows: slice, wall_ns: int) -> int | None:
-        values_ns = chosen_of(self.has_value[rows], self.values_ns[rows])
-        return int(values_ns.min()) + wall_ns if len(values_ns) else None
+
+def _wall_ns(session: Session | None) -> int | None:
+    return None if session is None else session.wall_anchor_ns - session.monotonic_anchor_ns
+
+
+def _anchors(messages: pl.LazyFrame) -> pl.LazyFrame:
+    """Return of each group whether no stamp contradicts the anchors, their mean bound, and this plus the clocks' bound.
+
+    A larger error of an anchor than the shortest delivery and write would make one of these negative; the four bound it from both sides.
+    """
+    times, is_complete = pl.col(_ANCHORED), pl.col("is_complete")
+    shortest_ns, count, is_judged = pl.col(_ANCHORED), pl.col("count"), pl.col("is_judged")
+    weighted_ns = (count * pl.col("bound_ns")).filter(is_judged).sum()
+    judged = count.filter(is_judged).sum()
+    return (
+        messages.group_by("group", "exchange")
+        .agg(
+            times.min(),
+            count=is_complete.sum(),
+            lacking=pl.sum_horizontal(pl.col(_ANCHORED[:2]).filter(is_complete).null_count()),
+            clock_ns=pl.col("clock_bound_ns").filter(is_complete).sum(),
+        )
+        .filter(count > 0)
+        .with_columns(
+            is_judged=pl.all_horizontal(shortest_ns.is_not_null()),
+            bound_ns=pl.max_horizontal(shortest_ns),
+            least_ns=pl.min_horizontal(shortest_ns),
+        )
+        .group_by("group")
+        .agg(
+            is_sound=(pl.col("lacking").sum() == 0) & (pl.col("least_ns") >= 0).all(),
+            anchor_ns=pl.when(judged > 0).then(weighted_ns / judged),
+            with_clock_ns=pl.when(judged > 0).then((weighted_ns + pl.col("clock_ns").filter(is_judged).sum()) / judged),
+        )
+    )
 
 
 def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
@@ -264,7 +183,7 @@ def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
     waiting_ns, period_ns = pl.col("publish_ns") - pl.col("scheduled_ns"), 1e9 / pl.col("rate_hz").first()
     times = {name: pl.col(f"{name}_ns") for name in ("rtt", "response")}
-    enough = pl.len() >= minimum_messages(0.99)
+    enough = pl.len() >= _P99
     responses = (
         pl.DataFrame([roundtrips.column(name) for name in names])
         .with_columns(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
-from ..verdicts.judgements import exceeds_lossy_share
 
 _DECADES = 1 + round(math.log10(PERCENTILES[-1].needs))
 LEVELS = (
@@ -81,11 +80,6 @@ def planned_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
     """Received share of the messages that were due, sent or not, by group; None where none was due."""
     due = pl.col("published") + pl.col("unsent").fill_null(0)
     return tuple(summary.select(pl.when(due > 0).then(pl.col("received") / due)).to_series().to_list())
-
-
-def lossy_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
-    shares = planned_shares(summary)
-    return tuple(share if share is not None and exceeds_lossy_share(1 - share) else None for share in shares)
 
 
 def sustained_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:

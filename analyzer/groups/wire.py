@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -46,7 +45,7 @@ WIRE_FRAMES = {"wire": WIRE_SCHEMA, "wire_classes": WIRE_CLASS_SCHEMA, "wire_rep
 
 _KEY = ["run_id", "sequence"]
 _RECORD_COLUMNS = (*_KEY, "relay_id", "direction", "first_ns", "repeats", "resent_after_ns", "waited_heartbeats")
-_ROW_COLUMNS = (*_KEY, "relay_id", "rtt_ns", "latency_ns")
+_ROW_SCHEMA = frame_schema("run_id:u64 sequence:u64 relay_id:u32 rtt_ns:i64 latency_ns:i64")
 
 
 @dataclass(slots=True)
@@ -63,30 +62,22 @@ class _Sums:
     packets: Counter[str] = field(default_factory=Counter)
 
 
-class WireFrames(NamedTuple):
-    wire: pl.DataFrame
-    wire_classes: pl.DataFrame
-    wire_repeats: pl.DataFrame
-
-
-def no_wire_frames() -> WireFrames:
-    return WireFrames(**{name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()})
-
-
-def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore) -> WireFrames:
+def wire_frames(
+    traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
+) -> dict[str, pl.DataFrame]:
     counts = {run_id: value for run_id, run in runs.items() if (value := object_of(run.extra.get("wire")))}
     if not counts:
-        return no_wire_frames()
-    relay_counts = _relay_counts(traces)
-    records = _records(traces)
-    has_rows = rows.has_rows
+        return {name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()}
+    relay_counts, records = _relay_counts(traces), _records(traces)
     frame, classes, repeats = [], [], []
     for group, members in enumerate(grouping.members()):
         exchanges = [grouping.exchanges[member] for member in members]
         group_runs = dict.fromkeys(e.run.run_id for e in exchanges if e.run.run_id in counts)
         if not group_runs:
             continue
-        group_rows = rows.frame(rows.groups[group], _ROW_COLUMNS) if has_rows else _no_rows()
+        group_rows = (
+            rows.frame(rows.groups[group], list(_ROW_SCHEMA)) if rows.has_rows else pl.DataFrame(schema=_ROW_SCHEMA)
+        )
         returned = 1.0 if group_rows.is_empty() else group_rows["rtt_ns"].count() / group_rows.height
         relays = Counter(e.run.run_id for e in exchanges)
         sums = _Sums()
@@ -106,11 +97,11 @@ def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grou
             if total
         ]
         repeats.append(_repeat_rows(group, joined))
-    return WireFrames(
-        pl.DataFrame(frame, WIRE_SCHEMA, orient="row"),
-        pl.DataFrame(classes, WIRE_CLASS_SCHEMA, orient="row"),
-        pl.concat([pl.DataFrame(schema=WIRE_REPEAT_SCHEMA), *repeats]),
-    )
+    return {
+        "wire": pl.DataFrame(frame, WIRE_SCHEMA, orient="row"),
+        "wire_classes": pl.DataFrame(classes, WIRE_CLASS_SCHEMA, orient="row"),
+        "wire_repeats": pl.concat([pl.DataFrame(schema=WIRE_REPEAT_SCHEMA), *repeats]),
+    }
 
 
 def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
@@ -263,15 +254,3 @@ def _repeat_rows(group: int, joined: pl.DataFrame) -> pl.DataFrame:
 
 def _count(value: Json) -> int:
     return int(number_of(value) or 0)
-
-
-def _no_rows() -> pl.DataFrame:
-    return pl.DataFrame(
-        schema={
-            "run_id": pl.UInt64,
-            "sequence": pl.UInt64,
-            "relay_id": pl.UInt32,
-            "rtt_ns": pl.Int64,
-            "latency_ns": pl.Int64,
-        }
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import partial
 
 import numpy as np
 import polars as pl
@@ -17,16 +16,7 @@ from ..model.setting import parse_setting
 from ..run_statistics.received import Bools, LossExcess, loss_excesses, received_interval
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis, Range
-from .cases import (
-    CONDITIONS,
-    Contender,
-    ContenderNames,
-    GroupRows,
-    contender_names,
-    is_too_large,
-    partition_groups,
-    with_conditions,
-)
+from .cases import CONDITIONS, Contender, GroupRows, contender_names, is_too_large, partition_groups, with_conditions
 from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, exceeds_lossy_share, judged_losses
 from .matching import SetupRuns
 from .ranking import Kind, Ranking, RankingOptions, judge_losers, rank_setups
@@ -130,16 +120,33 @@ def find_answers(
     groups = rows.groups if middlewares.is_empty() else middlewares
     names = contender_names(groups)
     parts = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
-    measure = partial(
-        _measure_case,
-        rows=rows,
-        names=names,
-        confidence=confidence,
-        passes=passes or {},
-        wall_offsets_ns=wall_offsets_ns or {},
-        outages_ns=outages_ns or {},
-    )
-    cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
+
+    def measure(part: pl.DataFrame) -> tuple[str, SetupRuns]:
+        setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
+        setup = SetupRuns.of(rows.frame(part, _ROW_COLUMNS))
+        estimates = setup.estimates_of("latency", list(_STATISTICS.values()), confidence)
+        repeats = [passes[run.run_id] for run in setup.runs if passes and run.run_id in passes]
+        starts_ns = [
+            wall_offsets_ns[run.run_id] + first
+            for run in setup.runs
+            if wall_offsets_ns and run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
+        ]
+        return names[tuple(setting.values())], replace(
+            setup.without_rows(),
+            estimates=dict(zip(_STATISTICS, estimates, strict=True)),
+            outside=tuple(_outside(run, (outages_ns or {}).get(run.run_id)) for run in setup.runs),
+            repeats=tuple(repeats) if len(set(repeats)) == len(setup.runs) else (),
+            starts_ns=tuple(starts_ns) if len(starts_ns) == len(setup.runs) else (),
+            survivors_ns={key: setup.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
+            setting=setting,
+            groups=tuple(part["group"].to_list()),
+        )
+
+    cases = [  # rows of one in memory at a time
+        _kind(part, dict(map(measure, partition_groups(part, CONTENDER_COLUMNS))))
+        for part in parts
+        if not is_too_large(part)
+    ]
     losers = judge_losers(cases, confidence)
     cases = [replace(case, barred=case.barred | _losers(rows)) for case, rows in zip(cases, losers, strict=True)]
     excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
@@ -164,36 +171,7 @@ def _judged_losses(case: Kind, excesses: Iterator[LossExcess]) -> Iterator[Judge
             yield row
 
 
-def _measure_case(
-    case: pl.DataFrame,
-    rows: GroupRows,
-    names: ContenderNames,
-    confidence: float,
-    passes: Mapping[int, int],
-    wall_offsets_ns: Mapping[int, int],
-    outages_ns: Mapping[int, Range],
-) -> Kind:
-    setups: dict[str, SetupRuns] = {}
-    for part in partition_groups(case, CONTENDER_COLUMNS):
-        setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
-        group = SetupRuns.of(rows.frame(part, _ROW_COLUMNS))
-        estimates = group.estimates_of("latency", list(_STATISTICS.values()), confidence)
-        repeats = [passes[run.run_id] for run in group.runs if run.run_id in passes]
-        starts_ns = [
-            wall_offsets_ns[run.run_id] + first
-            for run in group.runs
-            if run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
-        ]
-        setups[names[tuple(setting.values())]] = replace(
-            group.without_rows(),
-            estimates=dict(zip(_STATISTICS, estimates, strict=True)),
-            outside=tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
-            repeats=tuple(repeats) if len(set(repeats)) == len(group.runs) else (),
-            starts_ns=tuple(starts_ns) if len(starts_ns) == len(group.runs) else (),
-            survivors_ns={key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
-            setting=setting,
-            groups=tuple(part["group"].to_list()),
-        )
+def _kind(case: pl.DataFrame, setups: Mapping[str, SetupRuns]) -> Kind:
     lossy = frozenset(name for name, setup in setups.items() if exceeds_lossy_share(1.0 - setup.received_share))
     columns = case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True)
     has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
@@ -65,6 +65,7 @@ class UnbarredRows:
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
+    """Return the rows by the values of some columns, sorted by these, null first."""
     if len(groups) < 2:
         return [groups] if len(groups) else []
     return groups.sort(*columns, maintain_order=True).partition_by(*columns, maintain_order=True)
@@ -80,19 +81,6 @@ def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
 
 def is_too_large(groups: pl.DataFrame) -> bool:
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
-
-
-def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[Setting, pl.DataFrame]]:
-    """Yield the values of some columns with their rows, sorted by the values, null first."""
-
-    def order(part: tuple[Setting, pl.DataFrame]) -> list[tuple[bool, ParameterValue]]:
-        return [(value is not None, value) for value in part[0].values()]
-
-    parts = [
-        (part.select(columns).row(0, named=True), part)
-        for part in roundtrips.partition_by(*columns, maintain_order=True)
-    ]
-    yield from sorted(parts, key=order)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import polars as pl
@@ -13,6 +14,7 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 
 from ..model.finding import Finding
 from ..model.metrics import TOPIC_METRICS
+from ..model.names import group_words, varying_parameters
 from ..model.parameters import MATCH_COLUMNS, ParameterValue
 from ..model.presenter import presenter
 from ..model.runs import pass_numbers, passes_of, topics_in_blocks
@@ -30,9 +32,16 @@ from ..run_statistics.change import (
 from ..run_statistics.received import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic
 from ..statistics.percentiles import PERCENTILES
-from .comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, DISTRIBUTION_SCHEMA, at_levels, with_clock_bounds
+from .comparison_rows import (
+    COMPARISON_SCHEMA,
+    DELIVERY_SCHEMA,
+    DISTRIBUTION_SCHEMA,
+    at_levels,
+    judged_change,
+    with_clock_bounds,
+)
 from .ignoring import check_match, ignored_sentences
-from .judgements import with_adjusted_verdicts
+from .judgements import Claim, Judgement, judgement_frame, verdict_of_result, with_adjusted_verdicts
 from .matching import (
     SetupRuns,
     completed_key,
@@ -69,6 +78,8 @@ Label = dict[str, ParameterValue]
 
 
 RECEIVED_RATIO = "received_ratio"
+BASE = "the base"
+_SHARE_COLUMNS = ("difference", "difference_low", "difference_high", "basis", "p_value", "p_adjusted", "verdict")
 
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
@@ -99,12 +110,12 @@ class CompareOptions:
     paired: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
-    `rows` has the match columns and `ChangeRow` of each matched group, metric and statistic, `delivery` likewise `DeliveryRow`
-    of each group. Groups that are `busier` and repeats `left_out` are not judged, as the machine of one side was busier.
+    `rows` has the match columns and `COMPARISON_SCHEMA` of each matched group, metric and statistic, `delivery` likewise
+    `DELIVERY_SCHEMA` of each group. Groups that are `busier` and repeats `left_out` are not judged, as the machine of one side was busier.
     """
 
     rows: pl.DataFrame
@@ -134,6 +145,30 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         return presenter().comparison_screen(self)
+
+    @cached_property
+    def judgements(self) -> tuple[Judgement, ...]:
+        """What is said of each result: as a whole (without a statistic), of the share received, and of each time."""
+        match = self.options.match
+        names = varying_parameters(self.delivery, match)
+        changes = self.rows.rows_by_key(match, named=True)
+        rows: list[Judgement] = []
+        for number, (key, received) in enumerate(
+            zip(self.delivery.select(match).rows(), self.delivery.iter_rows(named=True), strict=True)
+        ):
+            whole = verdict_of_result(received, changes[key], is_busier=key in self.busier)
+            about = Claim.CHANGED, group_words(received, names)
+            shares = (received[name] for name in _SHARE_COLUMNS)
+            rows += [
+                Judgement(*about, "", BASE, verdict=whole, group=number),
+                Judgement(*about, RECEIVED_RATIO, BASE, *shares, group=number),
+                *(judged_change(*about, row, BASE, number) for row in changes[key]),
+            ]
+        return tuple(rows)
+
+    def frame(self, gates: Iterable[Judgement] = ()) -> pl.DataFrame:
+        """Return the judgements, and the outcomes of gates, with the columns of `Analysis.judgements`."""
+        return judgement_frame([*self.judgements, *gates])
 
     def changes_of(self, metric: str, statistic: str = "") -> Iterator[tuple[dict[str, Any], Change]]:
         """Yield the rows of a metric (by default all statistics) or of `received_ratio` with their changes."""

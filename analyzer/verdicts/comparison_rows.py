@@ -11,6 +11,7 @@ import polars as pl
 from ..model.metrics import frame_schema
 from ..run_statistics.change import Verdict
 from ..run_statistics.runs import Values
+from .judgements import Claim, Judgement, Row
 
 DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
 
@@ -90,6 +91,11 @@ _DIFFERENT = (Verdict.BETTER.value, Verdict.WORSE.value)
 
 def _moved(end: float | None, by: float) -> float | None:
     return None if end is None else end + by
+
+
+def judged_change(claim: Claim, subject: str, row: Row, base: str, group: int | None = None) -> Judgement:
+    numbers = row["ratio"], row["ratio_low"], row["ratio_high"], row["basis"], row["p_value"], row["p_adjusted"]
+    return Judgement(claim, subject, f"{row['metric']}_{row['statistic']}", base, *numbers, row["verdict"], group=group)
 
 
 def at_levels(ordered: Values) -> tuple[float, ...]:

@@ -15,6 +15,7 @@ from ..model.names import device_pair, group_words, varying_parameters
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
 from ..statistics.intervals import Basis
 from .answers import CaseAnswer
+from .comparison_rows import judged_change
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row
 from .matching import DEVICE_COLUMNS
 from .recommend import Fit, Recommendation
@@ -97,15 +98,13 @@ def judged_costs(bridge_costs: pl.DataFrame, interference: pl.DataFrame) -> Iter
     """Return what bridges, other flows and loads cost as rows of the frame."""
     names = varying_parameters(bridge_costs, BRIDGE_MATCH_COLUMNS)
     for row in bridge_costs.iter_rows(named=True):
-        yield _judged_change(Claim.THROUGH, f"{row['bridge']}; {group_words(row, names)}", row, "the same domain")
+        yield _cost(judged_change(Claim.THROUGH, f"{row['bridge']}; {group_words(row, names)}", row, "the same domain"))
     for row in interference.iter_rows(named=True):
-        yield replace(_judged_change(Claim.WITH, row["with_flows"], row, row["flow"]), group=row["group"])
+        yield _cost(judged_change(Claim.WITH, row["with_flows"], row, row["flow"], row["group"]))
 
 
-def _judged_change(claim: Claim, subject: str, row: Row, base: str) -> Judgement:
-    numbers = row["ratio"], row["ratio_low"], row["ratio_high"], row["basis"], row["p_value"], row["p_adjusted"]
-    verdict = OPEN if row["verdict"] in ("same", "inconclusive") else PROVEN
-    return Judgement(claim, subject, f"{row['metric']}_{row['statistic']}", base, *numbers, verdict)
+def _cost(change: Judgement) -> Judgement:
+    return replace(change, verdict=OPEN if change.verdict in ("same", "inconclusive") else PROVEN)
 
 
 def judged_candidates(recommendation: Recommendation) -> Iterator[Judgement]:

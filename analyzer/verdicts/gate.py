@@ -19,12 +19,12 @@ from ..model.metrics import METRICS, TOPIC_METRICS
 from ..model.names import is_topic
 from .compare import COMPARED_STATISTICS, RECEIVED_RATIO
 
-_SPLIT = {
+METRIC_AND_STATISTIC = {
     f"{metric}_{statistic}": (metric, statistic)
     for metric in (*METRICS, *TOPIC_METRICS)
     for statistic in COMPARED_STATISTICS
 }
-_GATE_METRICS = (*_SPLIT, RECEIVED_RATIO)
+_GATE_METRICS = (*METRIC_AND_STATISTIC, RECEIVED_RATIO)
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
@@ -161,7 +161,7 @@ def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate
     if match is None or match["metric"] != metric:
         raise OptionError(f"{where}: write what passes, for example latency_p99 = '< 20 ms'")
     of_topic = any(value.startswith("/") for _, value in results)
-    if of_topic and metric in VALUES_OF_TOPICS and metric not in _SPLIT:
+    if of_topic and metric in VALUES_OF_TOPICS and metric not in METRIC_AND_STATISTIC:
         name, statistic, against = metric, "", Against.NEW
         limit = _limit_of_topic(where, metric, match["limit"])
     else:
@@ -178,7 +178,7 @@ def _parse_metric(where: str, name: str) -> tuple[str, str]:
     if spelled not in _GATE_METRICS:
         near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
         raise OptionError(f"{where}: no metric {name!r}; did you mean {near!r}?")
-    return _SPLIT.get(spelled, (spelled, ""))
+    return METRIC_AND_STATISTIC.get(spelled, (spelled, ""))
 
 
 def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
@@ -214,7 +214,7 @@ def parse_topic_gate(text: str) -> Gate:
     name = match["metric"]
     if name not in VALUES_OF_TOPICS:
         raise OptionError(f"{where}: there is no {name!r} of a topic; choose from {', '.join(VALUES_OF_TOPICS)}")
-    metric, statistic = _SPLIT.get(name, (name, ""))
+    metric, statistic = METRIC_AND_STATISTIC.get(name, (name, ""))
     limit = _limit_of_topic(where, name, match["limit"])
     return Gate(text.strip(), metric, statistic, match["operator"], Against.NEW, limit, match["topic"])
 

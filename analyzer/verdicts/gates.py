@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dds_trace.base.units import counted, format_number
 
@@ -17,6 +17,7 @@ from ..statistics.intervals import MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, messages_to_close
 from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
 from .gate import Against, Gate, GateOutcome
+from .judgements import Claim, Judgement
 
 if TYPE_CHECKING:
     from .matching import Key
@@ -31,34 +32,43 @@ FAMILY = "Holm over groups"
 _MOST_TOPICS = 10
 
 
-@dataclass(frozen=True, slots=True)
-class GateResult:
-    """The outcome of a gate for one group.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateResult(Judgement):
+    """A row of the frame: the outcome of a gate for one result.
 
     Attributes:
-        where: the group in words.
-        measured: the measured value in the unit of the limit.
+        value: the measured value in the unit of the limit.
         reason: why the outcome is inconclusive, and what it takes to decide; or what is missing.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         smallest_drop: the same of a received ratio: the smallest loss of share.
         found_from: the change, in the unit of the limit, from which on the gate would have failed with a probability of 80 %
             if only this group had it.
-        runs_needed: runs a side that would decide an inconclusive gate, by the spread of the runs so far.
         runs_present: runs of the side that has fewer.
     """
 
     gate: Gate
-    where: str
-    outcome: GateOutcome
-    measured: float | None
-    low: float | None
-    high: float | None
-    reason: str = ""
     smallest_ratio: float | None = None
     smallest_drop: float | None = None
     found_from: float | None = None
-    runs_needed: int | None = None
     runs_present: int = 0
+
+    @property
+    def outcome(self) -> GateOutcome:
+        """The verdict."""
+        return GateOutcome(self.verdict)
+
+
+def _result(
+    gate: Gate,
+    where: str,
+    outcome: GateOutcome,
+    value: float | None = None,
+    low: float | None = None,
+    high: float | None = None,
+    **more: Any,
+) -> GateResult:
+    row = Claim.KEEPS, where, gate.name, gate.text, value, low, high
+    return GateResult(*row, verdict=outcome.value, gate=gate, **more)
 
 
 class _Advice(NamedTuple):
@@ -68,18 +78,17 @@ class _Advice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """A result by its group; `p_of_lost` is the p value of runs that are all lost, where the interval is infinite."""
+    """A result by its key; `p_of_lost` is the p value of runs that are all lost, where the interval is infinite."""
 
     result: GateResult
-    group: Key
-    basis: Basis
+    key: Key
     degrees: float | None
     advice: _Advice
     p_of_lost: float = 0.0
     base_ns: float = 0.0
 
     def p_beyond(self, confidence: float, *, is_ratio: bool) -> float:
-        limit, value, low, high = self.result.gate.limit, self.result.measured, self.result.low, self.result.high
+        limit, value, low, high = self.result.gate.limit, self.result.value, self.result.low, self.result.high
         end = low if value is not None and value > limit else high
         if value is None or end is None:
             return (1 - confidence) / 2
@@ -130,7 +139,7 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing:
     """
     if comparison.delivery.is_empty():
         return []
-    names = varying_columns(comparison)
+    names = varying_parameters(comparison.delivery, comparison.options.match)
     results = [] if allow_missing else list(_missing(comparison, names))
     families: dict[object, list[Gate]] = {}
     for number, gate in enumerate(gates):  # limits by result are one family, as one limit of all is
@@ -147,19 +156,14 @@ def overall_outcome(outcomes: Iterable[GateOutcome]) -> GateOutcome:
     return max(outcomes, key=worst_last.index, default=worst_last[0])
 
 
-def varying_columns(comparison: Comparison) -> list[str]:
-    """Return the match columns that differ between the compared groups, and the ones of vendor, bridge and message."""
-    return varying_parameters(comparison.delivery, comparison.options.match)
-
-
 def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResult]:
     for row in comparison.only_base.iter_rows(named=True):
         where = group_words(row, comparison.options.match)
-        yield GateResult(ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side")
-    for row, change in comparison.changes_of(RECEIVED_RATIO):
+        yield _result(ALL_GROUPS, where, GateOutcome.REGRESSED, reason="missing on the new side")
+    for number, (row, change) in enumerate(comparison.changes_of(RECEIVED_RATIO)):
         if row["is_dead"]:
-            where, why = group_words(row, names), "no reply was received on the new side"
-            yield GateResult(ALL_GROUPS, where, GateOutcome.REGRESSED, change.new.value, *change.new.range, why)
+            measured = group_words(row, names), GateOutcome.REGRESSED, change.new.value, *change.new.range
+            yield _result(ALL_GROUPS, *measured, reason="no reply was received on the new side", group=number)
 
 
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
@@ -168,44 +172,48 @@ def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str])
     if first.topic and not groups:
         topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
         reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
-        yield GateResult(first, first.topic, GateOutcome.INCONCLUSIVE, None, None, None, reason)
+        yield _result(first, first.topic, GateOutcome.INCONCLUSIVE, reason=reason)
     beyond = [
         index
         for index, group in enumerate(groups)
-        if group.result.outcome is GateOutcome.REGRESSED and group.basis is Basis.BETWEEN_RUNS
+        if group.result.outcome is GateOutcome.REGRESSED and group.result.basis == Basis.BETWEEN_RUNS.value
     ]
     is_ratio = first.against is Against.RATIO or bool(first.statistic and first.against is Against.NEW)
     p_values = [groups[index].p_beyond(confidence, is_ratio=is_ratio) for index in beyond]
     # Groups that are not beyond the limit are of the family, too: their p values are larger than these.
-    adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
-    by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
+    adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))]).tolist()
+    tests = dict(zip(beyond, zip(p_values, adjusted, strict=False), strict=True))
     for index, group in enumerate(groups):
-        result = group.result
-        is_equal = comparison.same_recordings and result.gate.against is not Against.NEW  # nothing can have changed
-        is_barred = group.group in comparison.barred and not is_equal
-        reason = "" if is_equal else _reason(comparison, group, len(groups) if index in by_chance else 0)
-        unfinished = comparison.unfinished.get(group.group, 0)
-        if unfinished and not is_equal and not reason and result.outcome is GateOutcome.PASSED:
-            reason = f"{counted(unfinished, 'run')} did not finish: record {'it' if unfinished == 1 else 'them'} again"
-        outcome = GateOutcome.INCONCLUSIVE if reason or is_barred else result.outcome
+        p, p_adjusted = tests.get(index, (None, None))
+        is_by_chance = p_adjusted is not None and p_adjusted > (1 - confidence) / 2 + 1e-12
+        # Between the same recordings nothing can have changed.
+        is_equal = comparison.same_recordings and group.result.gate.against is not Against.NEW
+        reason = "" if is_equal else _reason(comparison, group, len(groups) if is_by_chance else 0)
+        outcome = GateOutcome.PASSED if is_equal else GateOutcome.INCONCLUSIVE if reason else group.result.outcome
         yield replace(
-            result,
-            where=f"{result.where}; {NOT_APPLIED}" if is_barred else result.where,
-            outcome=GateOutcome.PASSED if is_equal else outcome,
+            group.result,
+            p=p,
+            p_adjusted=p_adjusted,
+            verdict=outcome.value,
             reason=reason,
             found_from=group.found_from(len(groups), confidence),
-            runs_needed=group.advice.runs if reason and group.advice.text in reason else None,
+            needs=group.advice.runs if reason and group.advice.text in reason else None,
         )
 
 
 def _reason(comparison: Comparison, group: _Measured, by_chance_of: int) -> str:
-    errors = [error.text for error in comparison.errors if error.is_about(group.group)]
+    errors = [error.text for error in comparison.errors if error.is_about(group.key)]
+    unfinished = comparison.unfinished.get(group.key, 0)
+    if group.key in comparison.barred:
+        return NOT_APPLIED
     if errors:
         return f"a side is not fit to be judged: {errors[0]}"
-    if group.basis is Basis.WITHIN_RUN:
+    if group.result.basis == Basis.WITHIN_RUN.value:
         return f"{Basis.WITHIN_RUN.value}: {group.advice.text}"
     if by_chance_of:
         return f"beyond the limit, but one of {by_chance_of} results is by chance ({FAMILY}); {group.advice.text}"
+    if group.result.outcome is GateOutcome.PASSED and unfinished:
+        return f"{counted(unfinished, 'run')} did not finish: record {'it' if unfinished == 1 else 'them'} again"
     return group.advice.text if group.result.outcome is GateOutcome.INCONCLUSIVE else ""
 
 
@@ -222,22 +230,25 @@ _VALUES = {
 def _measured(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
     is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
     columns = _VALUES.get((gate.metric, gate.against)) or _VALUES[gate.against]
+    keys = comparison.delivery.select(comparison.options.match).rows()
     for row, change in comparison.changes_of(gate.metric, gate.statistic):
         if not gate.applies_to(row):
             continue
+        key = tuple(row[name] for name in comparison.options.match)
         value, low, high = (row[columns.format(end)] for end in ("", "_low", "_high"))
         sides = [change.new] if is_of_new else [change.base, change.new]
         units = change.new.units if gate.statistic else change.new.runs
-        result = GateResult(
+        result = _result(
             *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
+            basis=(change.new.basis if is_of_new else change.basis).value,
+            group=keys.index(key),
             smallest_ratio=change.smallest_ratio,
             smallest_drop=None if is_of_new else row.get("smallest_drop"),
             runs_present=min(side.runs for side in sides),
         )
         yield _Measured(
             result=result,
-            group=tuple(row[name] for name in comparison.options.match),
-            basis=change.new.basis if is_of_new else change.basis,
+            key=key,
             degrees=max(1, units - 1) if is_of_new else change.degrees,
             advice=_advice(gate, change)
             if gate.statistic

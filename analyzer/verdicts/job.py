@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TypeVar
+
+import numpy as np
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, split_quantity
@@ -139,9 +140,5 @@ def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -
 
 
 def _between(line: Mapping[float, float], x: float) -> float | None:
-    if x in line:
-        return line[x]
-    for low, high in pairwise(sorted(line)):
-        if low < x < high:
-            return line[low] + (line[high] - line[low]) * (x - low) / (high - low)
-    return None
+    at, values = zip(*sorted(line.items()), strict=True) if line else ((), ())
+    return float(np.interp(x, at, values)) if at and at[0] <= x <= at[-1] else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,8 @@ class Claim(str, Enum):
     MEETS = "meets"
     MISSES = "misses"
     OWN_NODES = "differs by less than our own nodes"
+    CHANGED = "changed"
+    KEEPS = "keeps"
 
 
 class Reason(str, Enum):
@@ -89,7 +91,8 @@ JUDGEMENT_SCHEMA = frame_schema(
 
 
 def judgement_frame(rows: Iterable[Judgement]) -> pl.DataFrame:
-    return pl.DataFrame([{**asdict(row), "claim": row.claim.value} for row in rows], JUDGEMENT_SCHEMA)
+    values = [[getattr(row, name) for name in JUDGEMENT_SCHEMA] for row in rows]
+    return pl.DataFrame(values, JUDGEMENT_SCHEMA, orient="row")
 
 
 def judged_losses(subject: str, excess: LossExcess, group: int | None, *, is_requested: bool) -> Judgement | None:
@@ -118,6 +121,10 @@ def judged_losses(subject: str, excess: LossExcess, group: int | None, *, is_req
 def exceeds_lossy_share(lost: float) -> bool:
     """Return whether a share is more than `LOSSY_SHARE`; 1 of 100 is not, though 1 - 0.99 is."""
     return round(lost, 9) > LOSSY_SHARE
+
+
+def lossy_shares(received: Iterable[float | None]) -> tuple[float | None, ...]:
+    return tuple(share if share is not None and exceeds_lossy_share(1 - share) else None for share in received)
 
 
 def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:

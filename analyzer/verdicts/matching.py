@@ -15,6 +15,7 @@ from ..model.setting import without_relay
 from ..run_statistics.between_runs import Estimate, Scale, estimates_of_runs, scale_of
 from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
 from ..run_statistics.setups import RunLogarithms
+from .cases import partition_groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -168,12 +169,7 @@ def match_groups(
 
     A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else.
     """
-    parts = {
-        part.select(match).row(0): part
-        for part in roundtrips.sort(*match, nulls_last=False, maintain_order=True).partition_by(
-            *match, maintain_order=True
-        )
-    }
+    parts = {part.select(match).row(0): part for part in partition_groups(roundtrips, match)}
     for key in [key for key in parts if not knows_relay(key, match)]:
         alike = [other for other in parts if knows_relay(other, match) and _agree(key, other, match)]
         if len(alike) != 1:

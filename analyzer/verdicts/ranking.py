@@ -260,35 +260,23 @@ def _pairs(
     trust_order: bool,
 ) -> dict[int, list[SetupPair]]:
     means = {key: mean for runs in families.values() for key, mean in setup_means(runs).items()}
-    compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
-    pairs: dict[int, list[SetupPair]] = {}
-    for index, kind in compared.items():
-        order = sorted(kind.setups, key=lambda name: (_value(kind.setups[name], percentile), name))
-        pairs[index] = [
-            _pair(
-                kind,
-                percentile,
-                (fast, slow),
-                (means.get((index, fast)), means.get((index, slow))),
-                trust_order=trust_order,
-            )
-            for fast, slow in combinations(order, 2)
+
+    def order(item: tuple[str, SetupRuns]) -> tuple[float, str]:
+        value = item[1].estimates[percentile].interval.value
+        return math.inf if value is None else value, item[0]
+
+    return {
+        index: [
+            _pair(kind, percentile, names, [means.get((index, name)) for name in names], trust_order=trust_order)
+            for names in combinations(dict(sorted(kind.setups.items(), key=order)), 2)
         ]
-    return pairs
-
-
-def _value(setup: SetupRuns, percentile: str) -> float:
-    value = setup.estimates[percentile].interval.value
-    return math.inf if value is None else value
+        for index, kind in enumerate(kinds)
+        if percentile in kind.percentiles
+    }
 
 
 def _pair(
-    kind: Kind,
-    percentile: str,
-    names: tuple[str, str],
-    means: tuple[SetupMean | None, SetupMean | None],
-    *,
-    trust_order: bool,
+    kind: Kind, percentile: str, names: tuple[str, str], means: Sequence[SetupMean | None], *, trust_order: bool
 ) -> SetupPair:
     fast, slow = (kind.setups[name] for name in names)
     fewest = min(len(fast.starts_ns), len(slow.starts_ns))

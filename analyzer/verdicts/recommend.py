@@ -22,7 +22,7 @@ from ..run_statistics.spread import runs_to_settle_value
 from ..statistics.intervals import MIN_RUNS, Basis, Interval, Range, ranges_overlap
 from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
-from .cases import Setting, parts_of
+from .cases import Setting, partition_groups
 from .job import Job, SizeAndRate, guess_time
 from .matching import SetupRuns
 
@@ -148,8 +148,8 @@ def recommend_settings(
         is_of_job &= pl.col("domain_mode") == job.domain_mode
     candidates = [
         candidate
-        for setting, rows in parts_of(roundtrips.filter(is_of_job), SETTING_COLUMNS)
-        if (candidate := _candidate(setting, rows, request)) is not None
+        for rows in partition_groups(roundtrips.filter(is_of_job), SETTING_COLUMNS)
+        if (candidate := _candidate(rows, request)) is not None
     ]
     ranked: list[Candidate] = []
     for alternatives in _alternatives(candidates):
@@ -190,11 +190,9 @@ def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
     return float((len(times) - 1) * SECOND_NS / (int(times[-1]) - int(times[0])) / rate_hz)
 
 
-def _candidate(setting: Setting, rows: pl.DataFrame, request: _Request) -> Candidate | None:
-    size_and_rate = ("payload_bytes", "rate_hz")
-    parts: dict[SizeAndRate, pl.DataFrame] = {
-        part.select(size_and_rate).row(0): part for _, part in parts_of(rows, size_and_rate)
-    }
+def _candidate(rows: pl.DataFrame, request: _Request) -> Candidate | None:
+    setting, size_and_rate = rows.select(SETTING_COLUMNS).row(0, named=True), ("payload_bytes", "rate_hz")
+    parts = {part.select(size_and_rate).row(0): part for part in partition_groups(rows, size_and_rate)}
     measured = parts.get((request.job.payload_bytes, request.job.rate_hz))
     if measured is not None:
         return _measured(setting, measured, request)[0]

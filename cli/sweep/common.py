@@ -65,10 +65,10 @@ def thresholds_json(gates: Sequence[Gated]) -> object:
     judged = [
         {
             "threshold": result.gate.text,
-            "result": result.where,
-            "outcome": _OUTCOMES[result.outcome.value],
-            **{name: getattr(result, name) for name in ("measured", "low", "high")},
-            "reason": result.reason,
+            "result": result.subject,
+            "outcome": _OUTCOMES[result.verdict],
+            "measured": result.value,
+            **{name: getattr(result, name) for name in ("low", "high", "reason")},
         }
         for result in (gated.result for gated in gates)
     ]

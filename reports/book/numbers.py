@@ -10,9 +10,10 @@ from typing import Any
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.groups.report_values import LEVELS, curves, lossy_shares, planned_shares, sustained_shares
+from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.verdicts.judgements import lossy_shares
 from dds_trace.base.units import MISSING, counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
@@ -144,8 +145,8 @@ class Curves:
 def curves_info(analysis: Analysis) -> Curves:
     drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
-    losses = tuple(map(_loss_text, lossy_shares(analysis.summary)))
-    return Curves(LEVELS, values_ns, planned_shares(analysis.summary), losses)
+    shares = planned_shares(analysis.summary)
+    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, lossy_shares(shares))))
 
 
 def _loss_text(share: float | None) -> str:

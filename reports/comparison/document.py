@@ -45,11 +45,11 @@ def comparison_document(info: ComparisonInfo, comparison: Comparison) -> dict[st
             {
                 "gate": gated.result.gate.text,
                 "group": gated.where,
-                "outcome": gated.result.outcome.value,
-                **{name: getattr(gated.result, name) for name in _OF_RESULT},
+                **{name: getattr(gated.result, column) for name, column in FRAME_COLUMNS.items()},
             }
             for gated in info.gates
         ],
+        "judgements": comparison.frame(gated.result for gated in info.gates),
         "unlike": info.unlike,
         "ignore": info.ignore,
         "notes": info.notes,
@@ -80,7 +80,9 @@ def _curve(values_ns: list[float]) -> list[dict[str, float]]:
     return [{"level": level, "ns": value} for level, value in levels if math.isfinite(value)]
 
 
-_OF_RESULT = ("measured", "low", "high", "reason", "smallest_ratio", "smallest_drop")
+_GATE_FIELDS = ("outcome", "measured", "low", "high", "reason", "smallest_ratio", "smallest_drop")
+FRAME_COLUMNS = {name: {"outcome": "verdict", "measured": "value"}.get(name, name) for name in _GATE_FIELDS}
+"""Name in the format -> in the frame of judgements."""
 
 
 def _named(labels: tuple[str, ...], groups: pl.DataFrame) -> list[dict[str, object]]:
@@ -110,13 +112,13 @@ def render_junit(info: ComparisonInfo) -> str:
     suite = ET.SubElement(root, "testsuite", {"name": "dds-trace compare", **counts, "time": "0"})
     for result in results:
         name = {
-            "classname": printable(result.where, MAX_FINDING_CHARACTERS),
+            "classname": printable(result.subject, MAX_FINDING_CHARACTERS),
             "name": printable(result.gate.text),
             "time": "0",
         }
         case = ET.SubElement(suite, "testcase", name)
         why = why_words(result)
-        words = f"{measured_words(result, result.measured)}, interval {gate_interval_words(result)}"
+        words = f"{measured_words(result, result.value)}, interval {gate_interval_words(result)}"
         words += f"; {printable(why)}" if why else ""
         if result.outcome is GateOutcome.REGRESSED:
             ET.SubElement(case, "failure", {"message": words, "type": "regression"})
@@ -139,7 +141,7 @@ def render_annotations(info: ComparisonInfo) -> str:
     for gated in info.gates:
         kind, result = kinds.get(gated.result.outcome), gated.result
         if kind is not None:
-            text = "; ".join(filter(None, (gated.where, measured_words(result, result.measured), why_words(result))))
+            text = "; ".join(filter(None, (gated.where, measured_words(result, result.value), why_words(result))))
             title = _data(result.gate.text).replace(":", "%3A").replace(",", "%2C")
             lines.append(f"::{kind} title={title}::{_data(text)}")
     return "\n".join([*lines[: MOST_ANNOTATIONS - 1], f"::notice title=latency::{_data(info.said)}", ""])

@@ -13,11 +13,11 @@ from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.compare import FAMILY, Comparison
-from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.verdicts.gate import METRIC_AND_STATISTIC, GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
-from dds_trace.analyzer.verdicts.gates import GateResult, overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.gates import GateResult, overall_outcome
 from dds_trace.analyzer.verdicts.ignoring import columns_to_ignore, unlike_columns
-from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, shown_changes, verdict_of_result
+from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Judgement, shown_changes
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
@@ -38,9 +38,11 @@ UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
 
 @dataclass(frozen=True, slots=True)
 class ComparedGroup:
+    """A result of both sides: `judged` are its rows of the frame, of the share received and of each time."""
+
     label: str
     verdict: str
-    where: str
+    judged: tuple[Judgement, ...]
     delivery: Mapping[str, Any]
     changes: tuple[Mapping[str, Any], ...]
     distributions: tuple[Mapping[str, Any], ...]
@@ -56,6 +58,23 @@ class ComparedGroup:
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
         return shown_changes(self.changes)
+
+    def times(self, *, shown: bool = False) -> list[Judgement]:
+        names = {f"{row['metric']}_{row['statistic']}" for row in self.shown()}
+        return [row for row in self.judged[1:] if not shown or row.statistic in names]
+
+    @property
+    def where(self) -> str:
+        verdict = {"slower": "worse", "faster": "better"}.get(self.verdict, "")
+        metrics = {row.statistic: METRIC_AND_STATISTIC[row.statistic] for row in self.times()}
+        first = self.changes[0]["metric"]
+        tested = [row for row in self.times() if row.p is not None and metrics[row.statistic][0] == first]
+        agreeing = [row for row in tested if row.verdict == verdict]
+        if agreeing:
+            all_agree = len(agreeing) == len(tested)
+            return "" if all_agree else ", ".join(statistic_words(metrics[row.statistic][1]) for row in agreeing)
+        judged = [metric_words(metrics[row.statistic][0]).lower() for row in self.times() if row.verdict == verdict]
+        return ", ".join(dict.fromkeys(judged))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,18 +177,20 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
         frame.partition_by(match, as_dict=True, maintain_order=True) if len(frame) else {}
         for frame in (comparison.rows, comparison.distributions)
     )
+    judged: dict[int | None, list[Judgement]] = {}
+    for row in comparison.judgements:
+        judged.setdefault(row.group, []).append(row)
     groups = []
-    for label, delivery in zip(labels, comparison.delivery.to_dicts(), strict=True):
+    for number, (label, delivery) in enumerate(zip(labels, comparison.delivery.to_dicts(), strict=True)):
         key = tuple(delivery[name] for name in match)
-        rows = tuple(changes[key].to_dicts())
-        verdict = verdict_of_result(delivery, rows, is_busier=key in comparison.busier)
+        whole, *rows = judged[number]
         groups.append(
             ComparedGroup(
                 label=label,
-                verdict=verdict,
-                where=_where(rows, {"slower": "worse", "faster": "better"}.get(verdict, "")),
+                verdict=whole.verdict,
+                judged=tuple(rows),
                 delivery=delivery,
-                changes=rows,
+                changes=tuple(changes[key].to_dicts()),
                 distributions=tuple(distributions[key].to_dicts()),
                 unlike="" if delivery["environment"] in (SAME, UNKNOWN) else str(delivery["environment"]),
             )
@@ -177,22 +198,10 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
     return tuple(sorted(groups, key=_rank))
 
 
-def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
-    judged = [row for row in rows if row["verdict"] == verdict]
-    tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
-    agreeing = [row for row in tested if row["verdict"] == verdict]
-    if agreeing:
-        if len(agreeing) == len(tested):
-            return ""
-        return ", ".join(statistic_words(row["statistic"]) for row in agreeing)
-    return ", ".join(dict.fromkeys(metric_words(row["metric"]).lower() for row in judged))
-
-
 def _rank(group: ComparedGroup) -> tuple[int, float]:
-    ratios = [row["ratio"] for row in group.shown() if row["ratio"] is not None]
-    most = max(ratios, default=0.0)
+    most = max((row.value for row in group.times(shown=True) if row.value is not None), default=0.0)
     if group.verdict == "loses more":
-        most = -(group.delivery["difference"] or 0.0)
+        most = -(group.judged[0].value or 0.0)
     return WORST_FIRST.index(group.verdict), -most
 
 
@@ -208,16 +217,17 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
     slower = [
         (row, group)
         for group in groups
-        for row in group.changes
-        if row["verdict"] == "worse" and row["ratio"] is not None and math.isfinite(row["ratio"])
+        for row in group.times()
+        if row.verdict == "worse" and row.value is not None and math.isfinite(row.value)
     ]
     if slower:
-        shown = [pair for pair in slower if pair[0] in pair[1].shown()]
-        row, worst = max(shown or slower, key=lambda pair: pair[0]["ratio"])
+        shown = [pair for pair in slower if pair[0] in pair[1].times(shown=True)]
+        row, worst = max(shown or slower, key=lambda pair: pair[0].value or 0.0)
         where = f" in {worst.label}" if several else ""
-        what = f"{statistic_words(row['statistic'])} of the {metric_words(row['metric']).lower()}"
+        metric, statistic = METRIC_AND_STATISTIC[row.statistic]
+        what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()}"
         results = len({group.label for _, group in slower})
-        parts.append(f"slower in {results} of {count}, most the {what}{where}: {change_words(row['ratio'])}")
+        parts.append(f"slower in {results} of {count}, most the {what}{where}: {change_words(row.value)}")
     elif counts["too few runs"] == len(groups):
         parts.append(f"no verdict is possible: it needs {MIN_RUNS} runs a side")
     else:
@@ -228,11 +238,11 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], labels: Sequence[str]) -> str:
-    shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     # Where each result is slower or faster, no change was missed.
-    proven = ("worse", "better")
-    open_ones = {row["statistic"] for group in groups for row in group.shown() if row["verdict"] not in proven}
-    visible = [sight for sight in sights if (sight.metric, sight.statistic) in shown and sight.statistic in open_ones]
+    times = [row for group in groups for row in group.times(shown=True)]
+    open_ones = {row.statistic for row in times if row.verdict not in ("worse", "better")}
+    shown = {row.statistic for row in groups[0].times(shown=True)} & open_ones
+    visible = [sight for sight in sights if f"{sight.metric}_{sight.statistic}" in shown]
     parts = [
         f"of {with_article(sight.statistic)} {_range_words(sight, labels)}"
         for sight in visible
@@ -277,22 +287,15 @@ def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
 def _gates(
     comparison: Comparison, results: Sequence[GateResult], shared: Sequence[str], missing: Sequence[str]
 ) -> tuple[Gated, ...]:
-    match = comparison.options.match
-    labels = {
-        group_words(row, names): label
-        for frame, names, columns in (
-            (comparison.delivery, varying_columns(comparison), shared),
-            (comparison.only_base, match, missing),
-        )
-        for row, label in zip(frame.to_dicts(), columns, strict=True)
-    }
-    order = [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
+    match, order = comparison.options.match, [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
+    only_base = zip(comparison.only_base.to_dicts(), missing, strict=True)
+    labels = {group_words(row, match): label for row, label in only_base}
 
-    def named(where: str) -> str:
-        words = max((words for words in labels if where.startswith(words)), key=len, default="")
-        return f"{labels[words]}{where.removeprefix(words)}" if words else where
+    def named(row: GateResult) -> str:
+        label = labels.get(row.subject, row.subject) if row.group is None else shared[row.group]
+        return printable(label, MAX_FINDING_CHARACTERS)
 
-    gated = [Gated(printable(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
+    gated = [Gated(named(result), result) for result in results]
     return tuple(
         sorted(gated, key=lambda gate: order.index(gate.result.outcome) if gate.result.outcome in order else 9)
     )

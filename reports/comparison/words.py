@@ -163,12 +163,12 @@ def gate_rows(gates: Sequence[Gated], *, shows_all: bool = False) -> list[tuple[
 
 def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     is_above = alike[0].result.gate.operator in (">", ">=")
-    measured = [gated for gated in alike if gated.result.measured is not None] or alike
-    worst = max(measured, key=lambda gated: (gated.result.measured or 0.0) * (1 if is_above else -1))
+    measured = [gated for gated in alike if gated.result.value is not None] or alike
+    worst = max(measured, key=lambda gated: (gated.result.value or 0.0) * (1 if is_above else -1))
     limits = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
     is_ratio = worst.result.gate.against is Against.RATIO
     limit_words = [found_from_words(end) if is_ratio else measured_words(worst.result, end) for end in limits]
-    words = measured_words(worst.result, worst.result.measured)
+    words = measured_words(worst.result, worst.result.value)
     interval = gate_interval_words(worst.result)
     _, space, unit = words.rpartition(" ")
     more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
@@ -197,9 +197,9 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
         if gated.result.gate.accepted
     )
     unsure = [gated for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
-    by_runs = [gated for gated in unsure if gated.result.runs_needed is not None]
+    by_runs = [gated for gated in unsure if gated.result.needs is not None]
     if by_runs:
-        most = max(by_runs, key=lambda gated: gated.result.runs_needed or 0)
+        most = max(by_runs, key=lambda gated: gated.result.needs or 0)
         result, present = most.result, min(gated.result.runs_present for gated in by_runs)
         where = f" ({result.gate.text} in {most.where} takes most)" if len(by_runs) > 1 else ""
         rests = (
@@ -208,8 +208,8 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
             else f"there {'is' if present == 1 else 'are'} {present}"
         )
         notes.append(
-            f"Undecided: {counted(len(by_runs), 'gate')}; {result.runs_needed} runs a side would decide{where}: {rests}."
+            f"Undecided: {counted(len(by_runs), 'gate')}; {result.needs} runs a side would decide{where}: {rests}."
         )
-    others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.runs_needed is None)
+    others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.needs is None)
     notes += [f"Undecided: {counted(count, 'gate')}: {reason.rstrip('.')}." for reason, count in others.items()]
     return [printable(note, MAX_FINDING_CHARACTERS) for note in notes]

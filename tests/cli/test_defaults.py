@@ -47,7 +47,7 @@ def in_force(run):
     def call(*arguments):
         code, out, err = run(record.app, "--print-config", *arguments)
         assert (code, err) == (0, "")
-        return {name: (value, source) for name, value, source in (line.split(None, 2) for line in out.splitlines())}
+        return {name: (value, source) for name, value, source in (re.split(" {2,}", line) for line in out.splitlines())}
 
     return call
 
@@ -97,7 +97,7 @@ def test_an_option_counts_before_ros_before_the_file_before_the_users_file_befor
     assert said["--rmw"] == ("-", "environment: RMW_IMPLEMENTATION=rmw_y_cpp")
     assert said["--rate"] == ("20", str(near))
     assert said["--domain"] == ("7", str(near))
-    assert said["--label"] == ("site=lab", str(near))
+    assert said["-o label"] == ("site=lab", str(near))
     assert said["--tuned"] == ("true", str(own))
     assert said["--depth"] == ("10", "default")
     monkeypatch.setenv("ROS_DOMAIN_ID", "3")

@@ -43,7 +43,7 @@ def judged(path, text, base, new):
 def test_the_last_limit_that_fits_a_result_judges_it(tmp_path):
     results = judged(tmp_path / "limits.toml", LIMITS, side([5, 5, 5, 15]), side([6, 6, 6, 30]))
     changes = {
-        r.where.partition("payload_bytes=")[2][:4]: r for r in results if r.gate.text.startswith("latency_p50 < +")
+        r.subject.partition("payload_bytes=")[2][:4]: r for r in results if r.gate.text.startswith("latency_p50 < +")
     }
     assert {size: (r.gate.text, r.outcome.value) for size, r in changes.items()} == {
         "1000": ("latency_p50 < +10 %", "regressed"),

@@ -1,11 +1,11 @@
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from page_reader import open_browser
+from visible_text import Page
 
 import dds_trace
 from dds_trace.analyzer.findings.table import CHECKS
@@ -30,24 +30,17 @@ def site(tmp_path_factory):
     return folder / "html"
 
 
-class _Page(HTMLParser):
-    def __init__(self, path):
-        super().__init__()
-        self.loads, self.anchors, self.text = [], set(), ""
-        self.feed(path.read_text(encoding="utf-8"))
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.anchors.add(given.get("id"))
-        if tag in LOADED and LOADED[tag] in given and given.get("rel") not in ("next", "prev", "index", "search"):
-            self.loads.append(given[LOADED[tag]])
-
-    def handle_data(self, data):
-        self.text += data
+def read(path):
+    return Page(path.read_text(encoding="utf-8"))
 
 
 def test_no_page_loads_anything_from_the_network(site):
-    loads = {load for path in site.rglob("*.html") for load in _Page(path).loads}
+    elements = [element for path in site.rglob("*.html") for element in read(path).elements]
+    loads = {
+        given[LOADED[tag]]
+        for tag, given in elements
+        if LOADED.get(tag) in given and given.get("rel") not in ("next", "prev", "index", "search")
+    }
     assert len(loads) > 10
     assert {load for load in loads if "//" in load} == set()
     styles = "\n".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
@@ -67,11 +60,11 @@ def test_every_page_of_the_folder_is_a_page_of_the_site(site):
 
 
 def test_the_reference_has_every_name_of_the_code(site):
-    reference = {path.stem: _Page(path) for path in (site / "reference").glob("*.html")}
-    shown = {anchor.replace("-", "_") for anchor in reference["findings"].anchors if anchor}
+    reference = {path.stem: read(path) for path in (site / "reference").glob("*.html")}
+    shown = {anchor.replace("-", "_") for anchor in reference["findings"].values("id") if anchor}
     assert {check.code for check in CHECKS} - shown == set()
     names = set(dds_trace.__all__) - {"__version__"}
-    assert {f"dds_trace.{name}" for name in names} - reference["python"].anchors == set()
+    assert {f"dds_trace.{name}" for name in names} - reference["python"].values("id") == set()
     for column in (*ROUNDTRIP_COLUMNS, *SUMMARY_COLUMNS):
         assert column.name in reference["columns"].text
     for option in ("bridge_peer", "--print-config", "--deadline", "--fail-if", "--host"):

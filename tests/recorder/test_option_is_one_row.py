@@ -74,10 +74,10 @@ RECORD = ("-m", "dds_trace.cli.record")
 def test_it_is_in_the_help_and_among_the_defaults(ran):
     assert "toy_level=N " in ran(*RECORD, "-o", "help")[0]
     config, _ = ran(*RECORD, "--print-config", "--toy-level", "7")
-    assert ["--toy-level", "7", "option"] in [line.split() for line in config.splitlines()]
+    assert ["-o", "toy_level", "7", "option"] in [line.split() for line in config.splitlines()]
     (ran.folder / "dds-trace.toml").write_text("[record]\ntoy-level = 4\n")
     config, _ = ran(*RECORD, "--print-config", DDS_TRACE_CONFIG="dds-trace.toml")
-    assert ["--toy-level", "4", "dds-trace.toml"] in [line.split() for line in config.splitlines()]
+    assert ["-o", "toy_level", "4", "dds-trace.toml"] in [line.split() for line in config.splitlines()]
 
 
 def test_it_is_checked(ran):

@@ -2,11 +2,11 @@ import json
 import webbrowser
 from dataclasses import replace
 from functools import cache
-from html.parser import HTMLParser
 
 import pytest
 from analyses import HOSTILE, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
+from visible_text import Page
 
 from dds_trace import OptionError, compare
 from dds_trace.reports.book.book import Book
@@ -20,36 +20,16 @@ HARMLESS = {
 }
 
 
-class Screen(HTMLParser):
-    """Tags, styles and texts of a first screen; every tag that opens is closed."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.styles, self.texts, self.open = [], set(), [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append(tag)
-        if tag != "br":
-            self.open.append(tag)
-        self.styles |= {value for name, value in attributes if name == "style"}
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
 def test_the_first_screen_has_the_table_and_takes_the_grounds_own_colours():
     text = CAMPAIGNS["demo"]()._repr_html_()
-    screen = Screen(text)
+    screen = Page(text)
     assert screen.open == []
     assert {"b", "table"} <= set(screen.tags) <= HARMLESS
     # The ground and the ink are the notebook's own, light or dark.
-    assert not any("background" in style for style in screen.styles)
-    assert {style for style in screen.styles if "color" in style} <= {"color:#e5484d"}
-    assert "569 µs / 828 µs" in "".join(screen.texts)
+    styles = screen.values("style")
+    assert not any("background" in style for style in styles)
+    assert {style for style in styles if "color" in style} <= {"color:#e5484d"}
+    assert "569 µs / 828 µs" in screen.text
 
 
 @cache
@@ -67,13 +47,13 @@ def test_25_cells_of_the_largest_campaigns_stay_below_300_kb():
     for text, html in outputs:
         cell = {"data": {"text/plain": [text], "text/html": html.splitlines(keepends=True)}}
         assert 25 * len(json.dumps(cell, ensure_ascii=False).encode()) < 300_000
-        assert Screen(html).open == []
+        assert Page(html).open == []
 
 
 def test_a_comparison_shows_its_answer_a_row_a_result_and_what_is_left_out():
     campaign = CAMPAIGNS["500 groups"]()
     html = of_500_with_itself()._repr_html_()
-    text = " ".join(Screen(html).texts)
+    text = " ".join(Page(html).texts)
     assert text.startswith("Both sides are the same recordings")
     rows = html.count("<tr ")
     assert f"And {len(campaign.summary) - rows} more results." in text
@@ -93,7 +73,7 @@ def test_what_does_not_fit_is_counted():
     )
     text = analysis._repr_html_()
     assert len(text) <= MOST_CHARACTERS
-    assert Screen(text).open == []
+    assert Page(text).open == []
     shown = sum(f"{place}," in text or f"{place}<" in text for place in places)
     assert f"And {60 - text.count('<tbody>')} more pairs of devices and links." in text
     assert shown

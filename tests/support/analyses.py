@@ -23,7 +23,7 @@ from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.groups.timeline import run_frame
-from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA, no_wire_frames
+from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_FRAMES, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.model.metrics import schema_of
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
@@ -223,8 +223,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         interference=find_interference(judged),
         head_of_line=find_head_of_line(judged),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
-        **{name: pl.DataFrame(schema=schema) for name, schema in FAN_OUT_FRAMES.items()},
-        **no_wire_frames()._asdict(),
+        **{name: pl.DataFrame(schema=schema) for name, schema in {**FAN_OUT_FRAMES, **WIRE_FRAMES}.items()},
         answers=find_answers(judged),
     )
 

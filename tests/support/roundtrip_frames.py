@@ -132,3 +132,9 @@ def in_runs(
         steady([None if ns is None else round(ns * factor) for ns in held], run_id=first + number, **parameters)
         for number, factor in enumerate(factors)
     )
+
+
+def of_sizes(factors):
+    """Three runs of a size for each factor of 5 ms."""
+    sizes = enumerate(factors)
+    return pl.concat(in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i) for i, f in sizes)

@@ -102,7 +102,7 @@ def test_a_gate_that_meets_a_barred_group_is_inconclusive(tmp_path, side):
     results = judge_gates(compare(base, new, options_for(gates, CompareOptions())), gates)
     expected = GateOutcome.PASSED if side is None else GateOutcome.INCONCLUSIVE
     assert [result.outcome for result in results] == [expected] * 2
-    assert all(("was not applied" in result.where) is (side is not None) for result in results)
+    assert all(("was not applied" in result.reason) is (side is not None) for result in results)
     assert GateOutcome.INCONCLUSIVE.exit_code == 21
 
 

@@ -42,7 +42,9 @@ TRIED_WITH_MIDDLEWARE = {
         "test_tuned_receive_buffers_help_on_a_link_slower_than_the_burst",
     ),
     "retransmission_storms": ("test_tuned_receive_buffers_end_a_storm_of_repeats",),
-    "unsent_fragments": ("test_without_a_larger_send_buffer_the_own_queue_takes_the_burst",),
+    "A host dropped IP fragments before they were sent": (
+        "test_without_a_larger_send_buffer_the_own_queue_takes_the_burst",
+    ),
     "several_networks": ("test_a_message_crosses_one_network_if_one_is_named",),
 }
 """Check -> tests of `test_tried_cures.py`."""

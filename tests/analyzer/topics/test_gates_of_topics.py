@@ -34,7 +34,7 @@ def one_recording(tmp_path_factory):
 def outcomes(base, new, *texts):
     gates = [parse_gate(text) for text in texts]
     results = judge_gates(compare(base, new, options_for(gates, CompareOptions())), gates)
-    return {(result.gate.text, "relay_device=laptop" in result.where): result for result in results}
+    return {(result.gate.text, "relay_device=laptop" in result.subject): result for result in results}
 
 
 @pytest.mark.parametrize(

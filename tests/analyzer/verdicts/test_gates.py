@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
-from roundtrip_frames import MS, in_runs, steady
+from roundtrip_frames import MS, in_runs, of_sizes, steady
 from wording import numbers
 
 from dds_trace.analyzer.model.finding import Finding, Severity
@@ -20,11 +20,11 @@ from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import DEFAULT_GATES, Against, GateOutcome, parse_gate, parse_gates
 from dds_trace.analyzer.verdicts.gates import (
-    GateResult,
     _Advice,
     _advice,
     _advice_on_received,
     _Measured,
+    _result,
     judge_gates,
     options_for,
     overall_outcome,
@@ -107,9 +107,9 @@ def test_gates_on_frames():
     ]
     results = results_of(texts, base, new)
     assert [r.outcome.value for r in results] == ["regressed", "passed", "regressed", "passed", "inconclusive"]
-    assert [r.measured for r in results[:4]] == pytest.approx([1.2, MS, 6 * MS, 1.0])
+    assert [r.value for r in results[:4]] == pytest.approx([1.2, MS, 6 * MS, 1.0])
     assert results[4].reason.startswith("within one run: ")
-    assert "payload_bytes=33000 rate_hz=10" in results[0].where
+    assert "payload_bytes=33000 rate_hz=10" in results[0].subject
     outcomes = [r.outcome for r in results]
     assert (overall_outcome([]), overall_outcome(outcomes)) == (GateOutcome.NOTHING_TO_COMPARE, GateOutcome.REGRESSED)
     assert overall_outcome(outcomes[1:2]) is GateOutcome.PASSED
@@ -163,7 +163,7 @@ def test_an_inconclusive_received_ratio_says_how_many_runs_and_what_it_could_hav
     )
     (result,) = results_of(["received_ratio < -0.5 points"], base, new)
     assert result.outcome is GateOutcome.INCONCLUSIVE
-    assert result.measured == pytest.approx(-0.004)
+    assert result.value == pytest.approx(-0.004)
     assert numbers(result.reason)[1:] == [3, 3]
     assert "would decide" in result.reason
     # The runs vary by less than outages of half the mean one of 12 messages do; with Welch's four degrees that is found in 80 of 100.
@@ -185,7 +185,7 @@ def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed(sentences):
     assert missing == "missing on the new side"
     assert unanswered.startswith("no reply was received")
     sentences(missing, unanswered)
-    assert "payload_bytes=3" in results[0].where
+    assert "payload_bytes=3" in results[0].subject
     allowed = judge_gates(comparison, gates, allow_missing=True)
     assert "every group" not in " ".join(r.gate.text for r in allowed)
 
@@ -211,13 +211,8 @@ def test_an_error_of_a_recording_is_about_the_whole_side_though_it_names_its_gro
 
 
 def test_many_groups_are_adjusted_by_holm():
-    def side(factors):
-        return pl.concat(
-            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i) for i, f in enumerate(factors)
-        )
-
-    (alone,) = results_of(["latency_p50 > +1%"], side([1.0]), side([1.1]))
-    among = results_of(["latency_p50 > +1%"], side([1.0] * 40), side([1.1] + [1.0] * 39))
+    (alone,) = results_of(["latency_p50 > +1%"], of_sizes([1.0]), of_sizes([1.1]))
+    among = results_of(["latency_p50 > +1%"], of_sizes([1.0] * 40), of_sizes([1.1] + [1.0] * 39))
     assert alone.outcome is GateOutcome.REGRESSED
     assert among[0].outcome is GateOutcome.INCONCLUSIVE
     assert "Holm over groups" in among[0].reason
@@ -252,8 +247,8 @@ Z = 1.959963984540054  # standard errors that an interval of 95 % reaches
 )
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
     gate = replace(parse_gate("latency_p50 > +10%"), limit=limit)
-    result = GateResult(gate, "", GateOutcome.REGRESSED, value, low, high)
-    judged = _Measured(result, (), Basis.BETWEEN_RUNS, None, _Advice(""))
+    result = _result(gate, "", GateOutcome.REGRESSED, value, low, high)
+    judged = _Measured(result, (), None, _Advice(""))
     assert judged.p_beyond(0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
     few = replace(judged, degrees=2).p_beyond(0.95, is_ratio=is_ratio)
     assert few > p or p in {0.0, 0.025}
@@ -345,8 +340,8 @@ def test_each_gate_asks_how_likely_its_groups_are_by_chance(family):
         value, end, limit = (
             scale(each)
             for each in (
-                result.measured,
-                result.low if result.measured > result.gate.limit else result.high,
+                result.value,
+                result.low if result.value > result.gate.limit else result.high,
                 result.gate.limit,
             )
         )

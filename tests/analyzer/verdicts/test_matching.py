@@ -39,16 +39,16 @@ def test_a_relay_without_a_trace_matches_one_that_was_asked_otherwise_than_the_p
     assert (found.only_base.height, found.only_new.height) == (0, 0)
 
 
-def test_two_relays_that_left_traces_are_compared_only_where_they_were_asked_alike():
-    one = in_runs([5 * MS] * 20, setting="relay.depth=3")
-    other = in_runs([5 * MS] * 20, run_id=2, setting="relay.depth=4")
-    assert compare_roundtrips(one, other, P50_ONLY).delivery.is_empty()
-
-
-def test_a_relay_without_a_trace_does_not_hide_that_the_ping_was_asked_otherwise():
-    tuned = in_runs([5 * MS] * 20, setting="relay.depth=3,tuned=true")
-    plain = in_runs([5 * MS] * 20, run_id=2, setting="", **NO_RELAY)
-    assert compare_roundtrips(tuned, plain, P50_ONLY).delivery.is_empty()
+@pytest.mark.parametrize(
+    ("base", "new"),
+    [
+        pytest.param({"setting": "relay.depth=3"}, {"setting": "relay.depth=4"}, id="two relays that left traces"),
+        pytest.param({"setting": "relay.depth=3,tuned=true"}, {"setting": "", **NO_RELAY}, id="the ping otherwise"),
+    ],
+)
+def test_what_was_asked_otherwise_is_not_compared(base, new):
+    sides = in_runs([5 * MS] * 20, **base), in_runs([5 * MS] * 20, run_id=2, **new)
+    assert compare_roundtrips(*sides, P50_ONLY).delivery.is_empty()
 
 
 def test_of_relays_asked_for_two_things_nobody_knows_which_one_is_silent():

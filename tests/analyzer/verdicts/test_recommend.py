@@ -56,10 +56,13 @@ def test_two_that_cannot_be_told_apart_are_both_best():
     assert not ranking.is_conclusive
 
 
-def test_one_run_is_likely_at_best(sentences):
-    (candidate,) = recommend_settings(steady(noisy(10 * MS)), JOB).candidates
-    assert candidate.fit is Fit.LIKELY
-    assert numbers(candidate.reason) == [3, 1]
+@pytest.mark.parametrize(
+    ("rows", "needs"), [(steady(noisy(10 * MS)), [3, 1]), (in_runs(noisy(10 * MS, 9), runs=5, spread=1e-3), [3, 10])]
+)
+def test_one_run_or_short_ones_are_likely_at_best(rows, needs, sentences):
+    (candidate,) = recommend_settings(rows, JOB).candidates
+    assert (candidate.fit, candidate.basis) == (Fit.LIKELY, "within one run")
+    assert numbers(candidate.reason) == needs
     sentences(candidate.reason)
 
 
@@ -87,12 +90,13 @@ def test_a_deadline_inside_the_interval_is_inconclusive():
     assert "within the interval" in candidate.reason
 
 
-def test_losses_miss_a_deadline_that_every_latency_meets():
-    lossy = [None if i % 3 == 0 else 5 * MS for i in range(300)]
-    (candidate,) = recommend_settings(steady(lossy), JOB).candidates
-    assert candidate.fit is Fit.MISSES
-    assert candidate.value_ns == math.inf
-    assert candidate.margin_ns is None
+def test_losses_miss_a_deadline_and_without_the_relays_trace_there_is_no_answer():
+    lossy = steady([None if i % 3 == 0 else 5 * MS for i in range(300)])
+    bare = steady([5 * MS] * 50).with_columns(latency_ns=pl.lit(None, pl.Int64))
+    missing, unknown = (recommend_settings(rows, JOB).candidates[0] for rows in (lossy, bare))
+    assert (missing.fit, missing.value_ns, missing.margin_ns) == (Fit.MISSES, math.inf, None)
+    assert (unknown.fit, unknown.value_ns) == (Fit.INCONCLUSIVE, None)
+    assert "no relay trace" in unknown.reason
 
 
 def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
@@ -109,13 +113,6 @@ def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
     assert only.setting["bridge"] == "builtin"
 
 
-def test_without_the_relays_trace_there_is_no_answer():
-    frame = steady([5 * MS] * 50).with_columns(latency_ns=pl.lit(None, pl.Int64))
-    (candidate,) = recommend_settings(frame, JOB).candidates
-    assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
-    assert "no relay trace" in candidate.reason
-
-
 def test_an_unmeasured_cell_is_a_guess_that_says_so():
     sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
     frame = pl.concat([steady([size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes])
@@ -128,14 +125,10 @@ def test_an_unmeasured_cell_is_a_guess_that_says_so():
     assert recommend_settings(frame, Job("binary", 300_000, 10.0, 20 * MS, 0.9)).candidates == ()
 
 
-def test_nothing_measured_nothing_recommended():
-    ranking = recommend_settings(steady([]), JOB)
-    assert ranking.candidates == ranking.best == ()
-    assert not ranking.is_conclusive
-
-
-def test_all_surely_late_is_an_answer_too():
+def test_all_surely_late_is_an_answer_and_nothing_measured_is_none():
     assert recommend_settings(steady(noisy(40 * MS)), JOB).is_conclusive
+    ranking = recommend_settings(steady([]), JOB)
+    assert (ranking.candidates, ranking.best, ranking.is_conclusive) == ((), (), False)
 
 
 def test_a_deadline_is_for_the_response_unless_the_job_names_another_metric():

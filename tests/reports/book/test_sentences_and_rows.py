@@ -1,4 +1,4 @@
-"""Every number of an answer is one of the frame: a row of `judgements`, `groups` or another frame of the JSON report."""
+"""Every number of an answer, and of a comparison, is one of the frame: a row of `judgements` or another frame of the JSON report."""
 
 import json
 import random
@@ -7,6 +7,7 @@ import tarfile
 from functools import partial
 from pathlib import Path
 
+import polars as pl
 import pytest
 from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
@@ -15,6 +16,11 @@ from trace_files import SAMPLE_NAMES, SAMPLES
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.model.setting import CONDITIONS
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.statistics.power import POWER
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
+from dds_trace.analyzer.verdicts.gate import parse_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.base.units import format_duration, format_number, format_rate, format_size
 from dds_trace.recorder.sweep.plan.cells import AXES
 from dds_trace.reports import document
@@ -22,6 +28,9 @@ from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio
 from dds_trace.reports.book.verdicts import setup_labels
+from dds_trace.reports.comparison.info import comparison_info
+from dds_trace.reports.comparison.report import ComparisonReport
+from dds_trace.reports.comparison.words import change_words, gate_notes
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 STORED = sorted({path.parent.name for path in RESULTS.glob("*/*.tar.xz")} - {"drive"})
@@ -101,6 +110,33 @@ def check(book):
     assert is_of_one_clause or kind is PointKind.TOPIC or any(";" in label for label in book.groups.labels)
 
 
+def compared(report):
+    yield from map(str, range(1 + len(report["groups"] + report["only_base"] + report["gates"])))
+    for group in report["groups"] + report["only_base"]:
+        yield from named([{"rate_hz": 0.0, "depth": 0, **group["parameters"]}])
+    for delivery in (group["delivery"] for group in report["groups"]):
+        yield from (format_ratio(delivery[f"{side}_received_ratio"]) for side in ("base", "new"))
+        yield from (str(delivery[f"{side}_runs"]) for side in ("base", "new"))
+    for row in report["judgements"]:
+        yield from (*TOKEN.findall(change_words(row["value"]) + row["base"] + row["reason"]), str(row["needs"]))
+    for sight in report["sights"]:
+        yield from TOKEN.findall(change_words(sight["least_ratio"]) + change_words(sight["smallest_ratio"]))
+        yield from map(str, (100, round(100 * POWER), MIN_RUNS, sight["groups"], sight["groups"] - sight["told"]))
+
+
+def check_comparison(messages):
+    """Compare every other run of a campaign with the others."""
+    gates = parse_gates(["default", "latency_p50 > +2ms", "latency_p50 > 1us"])
+    is_base = pl.col("run_id").is_in(messages["run_id"].unique().sort()[::2].to_list())
+    sides = messages.filter(is_base), messages.filter(~is_base)
+    found = compare_roundtrips(*sides, options_for(gates, CompareOptions()))
+    info = comparison_info(found, judge_gates(found, gates))
+    report = json.loads(document.render(ComparisonReport(info, found, "halves")))
+    known = {*compared(report)}
+    for sentence in (info.said, info.seen if info.groups else "", *gate_notes(info.gates)):
+        assert {*TOKEN.findall(sentence)} <= known, sentence
+
+
 def campaign(name, folder):
     if name in SAMPLE_NAMES:
         return analyze(SAMPLES / name)
@@ -112,7 +148,9 @@ def campaign(name, folder):
 
 @pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *MADE])
 def test_every_number_of_an_answer_is_one_of_its_frames(tmp_path, name):
-    check(Book(campaign(name, tmp_path)))
+    analysis = campaign(name, tmp_path)
+    check(Book(analysis))
+    check_comparison(analysis.load_messages())
 
 
 def test_a_setup_is_not_compared_with_one_that_was_measured_with_another_message():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
-from .groups.batch import AnalysisOptions, Batch, Grouping
+from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
 from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
@@ -63,7 +63,11 @@ def collect_details(
         "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
     }
-    recoveries, job = recovery_frame(campaign.traces, grouping, rows), options.job
+    recoveries = recovery_frame(campaign.traces, grouping, rows)
+    recommendation = None
+    if options.job is not None:
+        messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
+        recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values())
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(
@@ -86,10 +90,8 @@ def collect_details(
         answers=answers,
         deadline_ns=options.deadline_ns,
         deadline_metric=options.deadline_metric,
-        recommendation=job
-        and recommend_settings(
-            judged.frame(judged.groups.filter(data_type=job.data_type)), job, runs=campaign.runs.values()
-        ),
+        recommendation=recommendation,
+        requested=True,
     )
 
 
@@ -111,6 +113,9 @@ def details_not_requested() -> Details:
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
         **{name: pl.DataFrame(schema=schema) for name, schema in {**FAN_OUT_FRAMES, **WIRE_FRAMES}.items()},
         answers=(),
+        deadline_ns=None,
+        deadline_metric=DEADLINE_METRIC,
+        recommendation=None,
         requested=False,
     )
 

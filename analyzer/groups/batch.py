@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -124,7 +125,11 @@ def columns_by_group(batch: Batch, rows: RoundTrips) -> Iterator[tuple[int, Call
     bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]
-        yield group, lambda name, first=first, after=after: rows.column(name).slice(first, after - first)
+        yield group, partial(_part_of_column, rows, first, after)
+
+
+def _part_of_column(rows: RoundTrips, first: int, after: int, name: str) -> pl.Series:
+    return rows.column(name).slice(first, after - first)
 
 
 def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:

@@ -79,7 +79,9 @@ Label = dict[str, ParameterValue]
 
 RECEIVED_RATIO = "received_ratio"
 BASE = "the base"
-_SHARE_COLUMNS = ("difference", "difference_low", "difference_high", "basis", "p_value", "p_adjusted", "verdict")
+_SHARE_COLUMNS = {"value": "difference", "low": "difference_low", "high": "difference_high", "p": "p_value"}
+_SHARE_COLUMNS |= {name: name for name in ("basis", "p_adjusted", "verdict")}
+"""Column of a judgement of the share received -> column of `delivery`."""
 
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
@@ -158,10 +160,10 @@ class Comparison:
         ):
             whole = verdict_of_result(received, changes[key], is_busier=key in self.busier)
             about = Claim.CHANGED, group_words(received, names)
-            shares = (received[name] for name in _SHARE_COLUMNS)
+            numbers = {name: received[column] for name, column in _SHARE_COLUMNS.items()}
             rows += [
                 Judgement(*about, "", BASE, verdict=whole, group=number),
-                Judgement(*about, RECEIVED_RATIO, BASE, *shares, group=number),
+                Judgement(*about, RECEIVED_RATIO, BASE, **numbers, group=number),
                 *(judged_change(*about, row, BASE, number) for row in changes[key]),
             ]
         return tuple(rows)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
 from dds_trace.analyzer.verdicts.cases import Setting
 from dds_trace.analyzer.verdicts.job import Job

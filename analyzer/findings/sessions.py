@@ -267,7 +267,7 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _fragments(evidence: Evidence) -> pl.DataFrame:
-    """List recordings with messages that are cut; the kernel counts for a whole network namespace."""
+    """The kernel counts for a whole network namespace: of recordings with messages that are cut."""
     captured, cut = set(evidence.details.wire["group"]), evidence.groups_by_session(may_be_cut)
     rows = []
     for session in evidence.campaign.sessions.values():

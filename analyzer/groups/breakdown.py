@@ -97,10 +97,7 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def _messages(batch: Batch, roundtrips: RoundTrips) -> pl.LazyFrame:
-    """Return parts of each message, and how long it took from and to the middleware, by the anchors of both wall clocks.
-
-    Stamps prove nothing unless both devices have reception stamps. A bridge writes source stamps of its own.
-    """
+    """Return the parts of each message; stamps prove nothing unless both devices have reception stamps."""
     stamps = roundtrips.stamp_names if roundtrips.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
     exchanges = pl.DataFrame(
         {

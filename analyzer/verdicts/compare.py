@@ -81,7 +81,6 @@ RECEIVED_RATIO = "received_ratio"
 BASE = "the base"
 _SHARE_COLUMNS = {"value": "difference", "low": "difference_low", "high": "difference_high", "p": "p_value"}
 _SHARE_COLUMNS |= {name: name for name in ("basis", "p_adjusted", "verdict")}
-"""Column of a judgement of the share received -> column of `delivery`."""
 
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
@@ -150,7 +149,7 @@ class Comparison:
 
     @cached_property
     def judgements(self) -> tuple[Judgement, ...]:
-        """What is said of each result: as a whole (without a statistic), of the share received, and of each time."""
+        """Of each result as a whole (without a statistic), of its share received, and of each time."""
         match = self.options.match
         names = varying_parameters(self.delivery, match)
         changes = self.rows.rows_by_key(match, named=True)

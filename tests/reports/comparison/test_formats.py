@@ -223,10 +223,10 @@ def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
     assert "default-src 'none'; script-src 'sha256-" in html.unescape(text)
     assert read.tags.count("script") == 1
     assert read.tags.count("svg") == 30 * 2  # a strip and a curve for each group
-    assert text.count('class="base range"') == text.count('class="new range"') == 30
-    joined = read.text
-    assert joined.index(info.said) < joined.index("Gates") < joined.index("Results, worst first")
-    assert "Binary 7 B at 10 Hz" in joined
+    drawn = [text.count(f'class="{name}"') for name in ("base range", "new range", "drawn")]
+    assert drawn == [30, 30, 31]  # and a heading
+    assert read.text.index(info.said) < read.text.index("Gates") < read.text.index("Results, worst first")
+    assert "Binary 7 B at 10 Hz" in read.text
     assert comparison_as("html", info) == text
 
 

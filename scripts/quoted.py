@@ -4,8 +4,9 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the first table of the Markdown report; `ratios node` that of `bench_node.py --csv`,
-`claims study` and `needs study` those of a sweep of plans/paper-claims.toml.
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the first table of the Markdown report; `ratios node` and `ratios
+throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a sweep of
+plans/paper-claims.toml; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import tarfile
 import tempfile
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
 from stored_tables import RATIOS, ratio_table, read_rows
@@ -24,6 +26,9 @@ from stored_tables import RATIOS, ratio_table, read_rows
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.cli.sweep.advise import proof_of, shown
+from dds_trace.cli.sweep.common import plan_of
+from dds_trace.cli.sweep.explain import answer, answer_lines
+from dds_trace.recorder.sweep import explain
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import render, render_screen
@@ -35,8 +40,12 @@ QUOTE = re.compile(
     r"(?P<head><!-- quoted: (?P<kind>\w+) (?P<campaign>[\w-]+) -->\n)(?P<text>```text\n.*?```\n|(?:\|[^\n]*\n)+)",
     re.DOTALL,
 )
-FOLDER_OF = {"robot-and-laptop": "two-machines"}
-"""Folder that a person analyzes -> folder of docs/results/, where the two differ."""
+FOLDER_OF = {
+    "robot-and-laptop": "two-machines",
+    **{f"paper-explain-{of}": f"study/explain-{of}" for of in ("size", "rates")},
+}
+"""Folder that a person analyzes, or plan -> folder of docs/results/, where the two differ."""
+EXPLAINED_SIZES = {"paper-explain-size": "145KB..1MB"}
 
 
 def unpack(campaign: str, into: Path) -> Path:
@@ -50,11 +59,20 @@ def unpack(campaign: str, into: Path) -> Path:
     return folder
 
 
+def explained(plan_name: str, folder: Path) -> list[str]:
+    """Return the answer of `dds-trace explain` to the traces of a plan, whatever can be varied on this machine."""
+    plan, sizes = plan_of(TOP / "plans" / f"{plan_name}.toml", folder), EXPLAINED_SIZES.get(plan_name)
+    with patch.multiple(explain, read_limits=dict, _refused_conditions=lambda _slow_hz: {}):
+        explanation = explain.explain_size(plan, sizes) if sizes else explain.explain_rates(plan)
+    answers, _ = answer(explanation, folder)
+    return [line for setup in explanation.setups for line in answer_lines(explanation, setup, answers[setup.name])]
+
+
 @cache
 def quote(kind: str, campaign: str) -> str:
     """Return what is quoted: the block or the table, as it is on the page."""
     if kind == "ratios":
-        return ratio_table(read_rows(RATIOS))
+        return ratio_table(read_rows(RATIOS), is_throughput=campaign == "throughput")
     if kind == "claims":
         return claim_table(read_rows(CLAIMS))
     if kind == "needs":
@@ -68,6 +86,8 @@ def quote(kind: str, campaign: str) -> str:
                 lines = render(BagReport(analyze_topics([Path(campaign)]))).splitlines()
             finally:
                 os.chdir(here)
+        elif kind == "explained":
+            lines = explained(campaign, folder)
         elif kind == "advice":
             (path,) = folder.glob("*.xml")
             lines = shown({"vendor": "fastdds", **proof_of(path.stem, folder / "base", folder / "new")})

@@ -80,7 +80,7 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
     else:
         print(f"Wrote {outcome.folder}")
         for setup in explanation.setups:
-            print("\n".join(_lines(explanation, setup, answers.get(setup.name))))
+            print("\n".join(answer_lines(explanation, setup, answers.get(setup.name))))
         print("".join(f"not varied: {_WORDS.get(name, name)}: {reason}\n" for name, reason in left_out.items()), end="")
     say_missing(outcome.missing)
     return INCOMPLETE_EXIT_CODE if outcome.missing else 0
@@ -119,7 +119,7 @@ def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | N
     return answers, {key: reason for key, reason in refused.items() if key in varied}
 
 
-def _lines(explanation: Explanation, setup: ExplainedSetup, result: Answer | None) -> Iterator[str]:
+def answer_lines(explanation: Explanation, setup: ExplainedSetup, result: Answer | None) -> Iterator[str]:
     from dds_trace.recorder.sweep.explain import AS_IS
 
     before, after = setup.pairs[AS_IS]

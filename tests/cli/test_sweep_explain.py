@@ -6,7 +6,7 @@ from campaigns import write_run
 from processes import run as run_program
 from trace_files import evenly
 
-from dds_trace.cli.sweep.explain import _lines, answer
+from dds_trace.cli.sweep.explain import answer, answer_lines
 from dds_trace.recorder.sweep.explain import explain_rates, explain_size
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
@@ -66,7 +66,7 @@ def test_shares_of_made_traces_are_the_ones_they_were_made_with(tmp_path):
         "machine": 120,
         "middleware and client library": 80,
     }
-    lines = list(_lines(explanation, explanation.setups[0], found))
+    lines = list(answer_lines(explanation, explanation.setups[0], found))
     assert lines[0].startswith(name)
     assert len(lines) == 1 + len(found.shares) + len(found.removed)
     removed = {one.name: round(one.value / US) for one in found.removed}
@@ -119,4 +119,4 @@ def test_without_a_rise_there_are_no_shares(tmp_path):
     explanation = rates()
     name = write_campaign(tmp_path, explanation, LATENCY_US | {"as is": (300, 290)})
     found = answer(explanation, tmp_path)[0][name]
-    assert len(list(_lines(explanation, explanation.setups[0], found))) == 2
+    assert len(list(answer_lines(explanation, explanation.setups[0], found))) == 2

@@ -151,18 +151,21 @@ def times_in(printed: str) -> list[int]:
     return times
 
 
+def record(backend: str, more: Sequence[object], of_ping: Sequence[object], folder: Path) -> Path:
+    """Record a ping of binary data and its relay; return the ping's trace, which is next to the relay's."""
+    common = [RECORD, "--backend", backend, "--domain", DOMAIN_ID, "--discovery", "localhost", "--force", *more]
+    relay, ping = (folder / f"{backend}-{role}.mcap" for role in ("relay", "ping"))
+    with serving([*common, "--role", "relay", "--out", relay], "serves domain"):
+        output_of([*common, "--role", "ping", "--out", ping, "--data", "binary", *of_ping])
+    return ping
+
+
 def ours(backend: str, *more: str) -> Measure:
     """Return the contender that is `dds-record` on a backend, with `more` options."""
 
     def measure(load: Load, folder: Path) -> float:
-        common = [RECORD, "--backend", backend, "--domain", DOMAIN_ID, "--discovery", "localhost", "--force", *more]
-        trace = folder / f"{backend}.mcap"
-        relay = [*common, "--role", "relay", "--out", folder / f"{backend}-relay.mcap"]
-        ping = [*common, "--role", "ping", "--out", trace, "--data", "binary", "--size", load.size_bytes]
-        ping += ["--rate", load.rate_hz, "--messages", load.messages, "--warmup", load.warm_up]
-        with serving(relay, "serves domain"):
-            output_of(ping)
-        events = read_trace(trace).events
+        counts = ["--rate", load.rate_hz, "--messages", load.messages, "--warmup", load.warm_up]
+        events = read_trace(record(backend, more, ["--size", load.size_bytes, *counts], folder)).events
         sent, received = events[Stage.T1], events[Stage.T2]
         _, at, of = np.intersect1d(sent.sequence, received.sequence, return_indices=True)
         return median_us((received.monotonic_ns[of] - sent.monotonic_ns[at]).tolist(), load)
@@ -236,6 +239,7 @@ class Contest:
         measure: measures the other program's median RTT in us.
         bar: largest good ratio of ours to theirs; None where it is only stated.
         most_bytes: largest message that the other program sends.
+        own: measures ours, None for the median RTT.
     """
 
     backend: str
@@ -245,6 +249,7 @@ class Contest:
     needs: str | None = None
     more: tuple[str, ...] = ()
     most_bytes: int = 4_000_000
+    own: Measure | None = None
 
     @property
     def label(self) -> str:
@@ -270,7 +275,10 @@ CONTESTS = (
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The ratio of one contest under one load; times are medians over the rounds of the median RTT, in us."""
+    """The ratio of one contest under one load; times are medians over the rounds of the median RTT, in us.
+
+    At rate 0 (as fast as it goes) of the time between two messages, and the ratio is of messages a second.
+    """
 
     ours: str
     against: str
@@ -281,6 +289,8 @@ class Result:
     ratio: float
     ratios: tuple[float, ...]
     bar: float | None
+    client_bound: int | None = None
+    """Rounds in which ours found that a throughput is the sending program's."""
 
     @property
     def holds(self) -> bool:
@@ -301,7 +311,7 @@ def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: P
     """Measure every program once a round, each of ours once for all that it is compared with, every second round backwards."""
     contenders: dict[str, Measure] = {}
     for contest in contests:
-        contenders[contest.label] = ours(contest.backend, *contest.more)
+        contenders[contest.label] = contest.own or ours(contest.backend, *contest.more)
         contenders[f"against {contest.name}"] = contest.measure
     times_us: dict[str, list[float]] = {name: [] for name in contenders}
     for number in range(rounds):
@@ -312,7 +322,7 @@ def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: P
         own, other = times_us[contest.label], times_us[f"against {contest.name}"]
         pairs = [pair for pair in zip(own, other, strict=True) if not math.isnan(sum(pair))]
         if pairs:
-            ratios = [mine / theirs for mine, theirs in pairs]
+            ratios = [mine / theirs if load.rate_hz else theirs / mine for mine, theirs in pairs]
             medians_us = [round(statistics.median(times), 1) for times in zip(*pairs, strict=True)]
             sizes = load.size_bytes, load.rate_hz, *medians_us
             rounded = tuple(round(ratio, 3) for ratio in ratios)
@@ -320,6 +330,17 @@ def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: P
                 Result(contest.label, contest.name, *sizes, round(statistics.median(ratios), 3), rounded, contest.bar)
             )
     return results
+
+
+def print_result(result: Result) -> None:
+    """Print one line of the table."""
+    bar = "stated" if result.bar is None else f"<= {result.bar}"
+    missed = "" if result.holds else "  MISSED"
+    print(
+        f"{result.ours:13}{result.against:16}{result.size_bytes:>8} B{result.rate_hz:>6} Hz"
+        f"{result.ours_us:>9.0f} us{result.theirs_us:>9.0f} us{result.ratio:>7.2f}  {bar}{missed}",
+        flush=True,
+    )
 
 
 def loads_of(sizes: Sequence[int], rates: Sequence[int] | None) -> list[tuple[int, int]]:
@@ -338,8 +359,11 @@ def write_csv(results: Sequence[Result], path: Path) -> None:
     if path.exists():
         with path.open(encoding="utf-8", newline="") as file:
             rows += [row for row in csv.DictReader(file) if (row["ours"], row["against"]) not in measured]
-    order = [(contest.label, contest.name) for contest in CONTESTS]
-    rows.sort(key=lambda row: (order.index((row["ours"], row["against"])), int(row["size_bytes"]), int(row["rate_hz"])))
+    order = {(contest.label, contest.name): place for place, contest in enumerate(CONTESTS)}
+    last = len(order)
+    rows.sort(
+        key=lambda row: (order.get((row["ours"], row["against"]), last), int(row["size_bytes"]), int(row["rate_hz"]))
+    )
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, rows[0], lineterminator="\n")
         writer.writeheader()
@@ -381,14 +405,8 @@ def main() -> int:
             fitting = [contest for contest in contests if size_bytes <= contest.most_bytes]
             for result in measure_load(fitting, load, options.rounds, Path(folder)):
                 results.append(result)
-                bar = "stated" if result.bar is None else f"<= {result.bar}"
-                missed = "" if result.holds else "  MISSED"
                 if not options.json:
-                    print(
-                        f"{result.ours:13}{result.against:16}{size_bytes:>8} B{rate_hz:>6} Hz"
-                        f"{result.ours_us:>9.0f} us{result.theirs_us:>9.0f} us{result.ratio:>7.2f}  {bar}{missed}",
-                        flush=True,
-                    )
+                    print_result(result)
             if options.csv and results:  # an interrupted run keeps what it measured
                 write_csv(results, options.csv)
     if options.json:

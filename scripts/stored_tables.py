@@ -27,8 +27,9 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *rows))
 
 
-def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return `bench_node.py --csv` as a table: a row for each contest, the ratio of each load with its extremes, misses bold."""
+def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = False) -> str:
+    """Return the round trips or the throughputs of `benchmarks/node.csv`: a row for each contest, the ratio of each load with its extremes, misses bold."""
+    rows = [row for row in rows if (float(row["rate_hz"]) == 0) is is_throughput]
     loads = sorted({(int(row["size_bytes"]), float(row["rate_hz"])) for row in rows})
     ratios = {(row["ours"], row["against"], int(row["size_bytes"]), float(row["rate_hz"])): row for row in rows}
     contests = dict.fromkeys((row["ours"], row["against"], row["bar"]) for row in rows)
@@ -40,7 +41,8 @@ def ratio_table(rows: Sequence[Mapping[str, str]]) -> str:
         shown = f"{float(row['ratio']):.2f}"
         is_missed = row["bar"] and float(row["ratio"]) > float(row["bar"])
         span = f"<br>{ends[0]:.2f}-{ends[-1]:.2f}" if len(ends) > 1 else ""
-        return (f"**{shown}**" if is_missed else shown) + span
+        is_bound = f"<br>`client_bound` {row['client_bound']} of {len(ends)}" if is_throughput else ""
+        return (f"**{shown}**" if is_missed else shown) + span + is_bound
 
     return markdown(
         ["ours", "against", *(f"{format_size(size)}<br>{format_rate(rate)}" for size, rate in loads), "bar"],

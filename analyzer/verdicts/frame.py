@@ -71,7 +71,7 @@ _DIFFERENT = (Claim.FASTEST, Claim.SLOWER)
 
 
 def judge_own_nodes(answers: Iterable[CaseAnswer], summary: pl.DataFrame) -> Iterator[Judgement]:
-    """Judge for each comparison with proven differences whether one is less than what our nodes cost more on the slower side.
+    """Judge for each proven difference whether it is less than what our nodes cost more on the slower side.
 
     `value` is that cost in ns: half of the difference of `own_cost_ns`, which is of a round trip.
     """
@@ -80,7 +80,7 @@ def judge_own_nodes(answers: Iterable[CaseAnswer], summary: pl.DataFrame) -> Ite
         times_ns = {one.name: (one.p50_ns, own_ns[one.groups[-1]] if one.groups else None) for one in answer.contenders}
         proven = [row for row in answer.judgements if row.verdict == PROVEN and row.statistic == "latency_p50"]
         judged = [_own_nodes(row, times_ns, answer.words) for row in proven if row.claim in _DIFFERENT]
-        yield from sorted(judged, key=lambda row: row.verdict != PROVEN)[:1]
+        yield from {(row.subject, row.base): row for row in judged}.values()
 
 
 def _own_nodes(proven: Judgement, times_ns: Mapping[str, tuple[float | None, float | None]], words: str) -> Judgement:

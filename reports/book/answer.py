@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -131,7 +132,10 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
-        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged) if has_latency else ""),
+        (
+            PointKind.CLIENT_FLOOR,
+            own_nodes_sentence(judged, contender_labels(answers, groups.vendors)) if has_latency else "",
+        ),
         (PointKind.PLACE, place_sentence(judged) if has_latency else ""),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
@@ -153,14 +157,18 @@ def _who_is_fastest(
     return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, values, answers)]
 
 
-def own_nodes_sentence(judged: pl.DataFrame) -> str:
+def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
     compared = judged.filter(claim=Claim.OWN_NODES.value)
     below = compared.filter(verdict=PROVEN)
     if below.is_empty():
         return ""
+    pairs = [
+        (labels[fast], labels[slow.partition(";")[0]]) for slow, fast in below.select("subject", "base").iter_rows()
+    ]
+    parts = [f"{fast} before {slow} in {count}" for (fast, slow), count in Counter(pairs).most_common()]
     return (
-        f"In {below.height} of {counted(compared.height, 'comparison')} the proven difference is less than what our own nodes cost more "
-        "on the slower side (`own_cost_ns`): it may be our Python, not the middleware."
+        f"{below.height} of {counted(compared.height, 'proven difference')} may be our Python, not the middleware, as our own nodes "
+        f"cost more than that on the slower side (`own_cost_ns`): {joined(parts)}."
     )
 
 

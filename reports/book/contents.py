@@ -88,7 +88,7 @@ class Contents:
 
     @cached_property
     def advice(self) -> Advice | None:
-        return recommendation_info(self.analysis.details.recommendation, self.groups.vendors)
+        return recommendation_info(self.analysis.details.recommendation, self.groups.vendors, self.analysis.summary)
 
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:

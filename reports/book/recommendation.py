@@ -7,8 +7,9 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.model.parameters import SITE_COLUMNS
+from dds_trace.analyzer.model.parameters import SETTING_COLUMNS, SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
@@ -20,6 +21,9 @@ from dds_trace.base.units import MISSING, counted, format_duration, format_rate,
 
 from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels
 from .verdicts import few_words, place_label
+
+if TYPE_CHECKING:
+    import polars as pl
 
 COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
 """`Of received` is the time over the received messages only."""
@@ -51,7 +55,9 @@ def _brief(
     return setting, fit, "; ".join([", ".join(numbers), basis, why]).removeprefix("; ").removesuffix("; ")
 
 
-def recommendation_info(recommendation: Recommendation | None, vendors: VendorLabels) -> Advice | None:
+def recommendation_info(
+    recommendation: Recommendation | None, vendors: VendorLabels, summary: pl.DataFrame | None = None
+) -> Advice | None:
     if recommendation is None:
         return None
     candidates = recommendation.candidates
@@ -73,6 +79,7 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         sentences.append(
             f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
         )
+    sentences += [] if summary is None else _own_nodes(recommendation, names, summary)
     missing, commands = _missing(recommendation, full_names)
     return Advice(
         job=_job_words(recommendation.job),
@@ -81,6 +88,26 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         missing=missing,
         commands=commands,
     )
+
+
+def _own_nodes(recommendation: Recommendation, names: Sequence[str], summary: pl.DataFrame) -> Iterator[str]:
+    job = recommendation.job
+    matching = summary.filter(data_type=job.data_type, payload_bytes=job.payload_bytes, rate_hz=job.rate_hz)
+    own_ns = {
+        tuple(row[name] for name in SETTING_COLUMNS): row["own_cost_ns"] for row in matching.iter_rows(named=True)
+    }
+    leaders: dict[object, tuple[float, float, str]] = {}
+    for candidate, name in zip(recommendation.candidates, names, strict=True):
+        value_ns, cost_ns = candidate.value_ns, own_ns.get(tuple(candidate.setting[name] for name in SETTING_COLUMNS))
+        if value_ns is None or cost_ns is None or math.isinf(value_ns):
+            continue
+        cost_ns /= 1 if job.metric == "response" else 2  # it is of a round trip
+        lead_ns, lead_cost_ns, leader = leaders.setdefault(place_of(candidate.setting), (value_ns, cost_ns, name))
+        if 0 < value_ns - lead_ns < cost_ns - lead_cost_ns:
+            yield (
+                f"{name} comes {format_duration(value_ns - lead_ns)} after {leader}, and our own nodes cost "
+                f"{format_duration(cost_ns - lead_cost_ns)} more on it: it may be our Python, not the middleware."
+            )
 
 
 def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:

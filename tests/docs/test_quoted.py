@@ -105,9 +105,10 @@ def test_rows_of_the_claims_are_those_of_the_kept_traces(quoted, tmp_path):
         assert (tmp_path / kept.name).read_text() == kept.read_text(), "run `just kept-claims`"
 
 
-def test_a_ratio_above_its_bar_is_bold(quoted):
+def test_a_ratio_above_its_bar_is_bold_and_a_throughput_has_its_finding(quoted):
     row = {"ours": "zenoh", "size_bytes": "64", "rate_hz": "100", "ratio": "1.3", "ratios": "1.4 1.2", "bar": "1.2"}
-    text = quoted.ratio_table([{**row, "against": "bare"}, {**row, "against": "C", "bar": ""}])
-    above, without = ([cell.strip() for cell in line.split("|")] for line in text.splitlines()[-2:])
-    assert above[2:5] == ["bare", "**1.30**<br>1.20-1.40", "1.2"]
-    assert without[2:5] == ["C", "1.30<br>1.20-1.40", ""]
+    most = {**row, "against": "max", "rate_hz": "0", "bar": "", "client_bound": "2"}
+    rows = [{**row, "against": "bare"}, {**row, "against": "C", "bar": ""}, most]
+    table = [line.split(" | ")[1:] for line in quoted.ratio_table(rows).splitlines()[2:]]
+    assert table == [["bare", "**1.30**<br>1.20-1.40", "1.2 |"], ["C", "1.30<br>1.20-1.40", " |"]]
+    assert quoted.ratio_table(rows, is_throughput=True).count("max | 1.30<br>1.20-1.40<br>`client_bound` 2 of 2") == 1

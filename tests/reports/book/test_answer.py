@@ -9,6 +9,8 @@ from wording import numbers
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
+from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown
@@ -42,11 +44,13 @@ def test_a_lead_below_the_difference_of_our_own_nodes_is_said(sentences, slow_ns
     # The medians are 9 ms apart; a node's own cost is of a round trip, so twice as much of it shows.
     analysis = make_analysis(Measured(SLOW, runs=3), Measured(FAST, runs=3, **ZENOH))
     cost_ns = pl.when(pl.col("vendor") == "zenoh").then(pl.lit(fast_ns)).otherwise(pl.lit(slow_ns)) * MS
-    answer = Book(replace(analysis, summary=analysis.summary.with_columns(own_cost_ns=cost_ns.cast(pl.Float64)))).answer
-    assert "Zenoh (the next" in answer.headline
-    said = [text for kind, text in answer.sentences if kind is PointKind.CLIENT_FLOOR]
-    assert [numbers(text) for text in said] == [[1, 1]] * below
-    sentences(*said)
+    ranked = recommend_settings(analysis.load_roundtrips(), Job("binary", 33_000, 10.0, 50 * MS, 0.9, metric="latency"))
+    summary = analysis.summary.with_columns(own_cost_ns=cost_ns.cast(pl.Float64))
+    book = Book(replace(analysis, summary=summary, details=replace(analysis.details, recommendation=ranked)))
+    assert "Zenoh (the next" in book.answer.headline
+    said, choice = dict(book.answer.sentences).get(PointKind.CLIENT_FLOOR, ""), book.advice.sentence
+    assert (numbers(said), "our own nodes" in choice) == ([1, 1, 1] * below, bool(below))
+    sentences(*filter(None, (said, choice)))
 
 
 def test_lost_messages_are_infinitely_late(sentences):

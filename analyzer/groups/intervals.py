@@ -24,17 +24,10 @@ INTERVAL_SCHEMA = frame_schema(
     "within:f64 typical_ns:f64"
 )
 
-ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "metric": pl.String,
-    "messages": pl.UInt64,
-    "mean_ns": pl.Float64,
-    "min_ns": pl.Float64,
-    **{f"{p.name}_ns": pl.Float64 for p in PERCENTILES},
-    "max_ns": pl.Float64,
-    "bound_p50_ns": pl.Float64,
-    "bound_max_ns": pl.Float64,
-}
+ONE_WAY_SCHEMA = frame_schema(
+    "group:u32 metric:str messages:u64 mean_ns:f64 min_ns:f64 "
+    f"{' '.join(f'{p.name}_ns:f64' for p in PERCENTILES)} max_ns:f64 bound_p50_ns:f64 bound_max_ns:f64"
+)
 
 ONE_WAY_METRICS = ("outbound", "return")
 """Metrics that are wrong by at most `clock_bound_ns`."""

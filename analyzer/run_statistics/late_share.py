@@ -9,18 +9,16 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ..statistics.distributions import student_quantile
+from ..statistics.distributions import special, student_quantile
 from ..statistics.intervals import MIN_RUNS, mean_and_variance
 from .runs import Float64, Runs
 
 _NORMAL = NormalDist()
-_LEVELS, _SPREADS, _BINS = 25, 25, 128
-_FAR = 8.0
-_GRID = np.linspace(-_FAR, _FAR, 3201)
+_STEPS, _BINS = 25, 128
+_GRID = np.linspace(-8.0, 8.0, 3201)
 _CUMULATIVE = np.maximum([_NORMAL.cdf(z) for z in _GRID.tolist()], np.exp(np.minimum(_GRID - 1, 0)))
 """Probability that a run is so many standard deviations slower than the mean, or more, at the negative of these: the normal one, or the
 exponential one of levels that are skewed, whichever is larger. With the normal one, skewed runs are said to meet in 12 to 21 %."""
-
 
 SKEWED = 0.5
 """By simulation (`coverage-deadlines-kinds`)."""
@@ -84,11 +82,6 @@ def _pivots(runs: int) -> tuple[Float64, Float64]:
 
     The ratio is larger by `SKEWED / n`, as the fewer skewed runs there are, the lower both their mean and their deviation tend to be.
     """
-    degrees = runs - 1
-    spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
-    logs = np.linspace(-3 * spread, spread, 4000)  # of chi-square by its degrees
-    density = np.exp(degrees / 2 * (logs - np.exp(logs) + 1))
-    cumulative = np.cumsum(density) / density.sum()
-    ratios = np.exp(-np.interp((np.arange(_SPREADS) + 0.5) / _SPREADS, cumulative, logs) / 2)
-    normals = np.array([_NORMAL.inv_cdf((number + 0.5) / _LEVELS) for number in range(_LEVELS)])
-    return np.repeat(normals, _SPREADS), np.tile(ratios * (1 + SKEWED / runs), _LEVELS)
+    halves, shares = (runs - 1) / 2, (np.arange(_STEPS) + 0.5) / _STEPS
+    ratios = np.sqrt(halves / special().gammaincinv(halves, shares))
+    return np.repeat(special().ndtri(shares), _STEPS), np.tile(ratios * (1 + SKEWED / runs), _STEPS)

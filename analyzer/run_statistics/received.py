@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics.distributions import poisson_cdf, poisson_limits, student_cdf, student_quantile
+from ..statistics.distributions import poisson_limits, special, student_cdf, student_quantile
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, smallest_shift
 from .bursts import COSINES, Float64, Int64, episode_sizes, share_inflation
@@ -248,7 +248,7 @@ class _Losses:
     def p_value(self, limit: float, variance: float, degrees: float) -> float:
         if len(self.sizes) < MIN_EPISODES:
             equal = int(self.lost / self.episode)
-            return 1 - poisson_cdf(equal - 1, limit * self.messages / self.episode) if equal else 1.0
+            return float(special().gammainc(equal, limit * self.messages / self.episode)) if equal else 1.0
         error = math.sqrt(max(variance, self.variance) / self.runs)
         return student_cdf((math.asin(math.sqrt(limit)) - self.angle) / error, degrees)
 

@@ -22,19 +22,17 @@ from numpy.typing import NDArray
 
 from ..statistics.distributions import special, student_cdf
 from ..statistics.intervals import MIN_RUNS
-from .two_samples import StudentTest
+from .two_samples import StudentTest, welch
 
 Float64 = NDArray[np.float64]
 Key = tuple[Hashable, str]
 """Kind of message and setup."""
-
 
 ALIKE_FROM = 0.25
 """P value from which on spreads are pooled: high, as few repeats hide unlike spreads."""
 
 MORE_UP_TO = 0.05
 """P value of an F test up to which one kind of message keeps its own spread."""
-
 
 ENOUGH_RUNS = 5
 """Runs from which on a spread may be smaller than the campaign's."""
@@ -56,11 +54,7 @@ class SetupMean:
     degrees: float
 
     def against(self, other: SetupMean) -> StudentTest:
-        total = self.variance + other.variance
-        weights = self.variance**2 / self.degrees + other.variance**2 / other.degrees
-        degrees = total**2 / weights if weights else self.degrees + other.degrees
-        errors = math.sqrt(self.variance), math.sqrt(other.variance)
-        return StudentTest(other.mean - self.mean, *errors, degrees, 0)
+        return welch(other.mean - self.mean, (self.variance, other.variance), (self.degrees, other.degrees))
 
 
 def residuals_by_setup(runs: Mapping[Key, RunLogarithms]) -> dict[tuple[Hashable, ...], tuple[list[Key], Float64]]:

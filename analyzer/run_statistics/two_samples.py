@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,16 +41,17 @@ class StudentTest:
         return student_quantile((1 + confidence) / 2, self.degrees)
 
 
-def welch_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:
-    """Return the test of two independent samples with different variances (B. L. Welch, Biometrika 34, 1947).
+def welch(difference: float, variances: Sequence[float], degrees: Sequence[float]) -> StudentTest:
+    """Return the test of two means by the variance of each and its degrees of freedom (B. L. Welch, Biometrika 34, 1947)."""
+    weights = sum(variance**2 / freedom for variance, freedom in zip(variances, degrees, strict=True))
+    base_error, new_error = map(math.sqrt, variances)
+    return StudentTest(difference, base_error, new_error, sum(variances) ** 2 / weights if weights else sum(degrees), 0)
 
-    `least_variance` is a lower bound of the variance of a value: samples that are equal by chance do not make the mean surer.
-    """
+
+def welch_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:
+    """Return `welch` of two samples; a value has at least `least_variance`, as samples may be equal by chance."""
     variances = [max(float(side.var(ddof=1)), least_variance) / len(side) for side in (base, new)]
-    weights = [variance**2 / (len(side) - 1) for variance, side in zip(variances, (base, new), strict=True)]
-    degrees = sum(variances) ** 2 / sum(weights) if sum(weights) else len(base) + len(new) - 2.0
-    errors = [math.sqrt(variance) for variance in variances]
-    return StudentTest(float(new.mean() - base.mean()), errors[0], errors[1], degrees, 0)
+    return welch(float(new.mean() - base.mean()), variances, [len(side) - 1 for side in (base, new)])
 
 
 def paired_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:

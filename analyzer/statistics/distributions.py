@@ -66,7 +66,3 @@ def poisson_limits(count: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return exact limits of a Poisson mean after `count` events, each with half of the error (F. Garwood, 1936)."""
     tail, limit = (1 - confidence) / 2, special().gammaincinv
     return float(limit(count, tail)) if count else 0.0, float(limit(count + 1, 1 - tail))
-
-
-def poisson_cdf(count: int, mean: float) -> float:
-    return float(special().pdtr(count, max(mean, 0.0)))

@@ -100,8 +100,8 @@ def main() -> int:
                     table.write(options.write)
             print(f"{seconds:.0f} s of CPU time  {name}", file=sys.stderr)
     if options.write is not None:
-        page = options.write / "coverage.md"
-        page.write_text(MARK.sub(partial(_table, folder=options.write), page.read_text()))
+        for page in (options.write / "coverage.md", options.write.parent / "explanation" / "statistics.md"):
+            page.write_text(MARK.sub(partial(_table, folder=options.write), page.read_text()))
     print("\n".join(["missed bars:", *missed] if missed else ["every bar holds"]))
     return 1 if missed else 0
 

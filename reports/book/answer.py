@@ -11,7 +11,7 @@ import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
-from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
 from dds_trace.base.units import counted, format_duration
 
@@ -46,7 +46,7 @@ from .headline import (
 )
 from .numbers import Values
 from .topics import is_of_topics, topic_sentences
-from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
+from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
 
 class PointKind(str, Enum):
@@ -121,6 +121,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     )
     verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
+    if any(answer.clarity is Clarity.CLEAR and answer.fewest_runs == MIN_RUNS for answer in answers):
+        rule += FEW_PASSES
     first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),

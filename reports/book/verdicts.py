@@ -29,6 +29,7 @@ CLEARLY = (
     "of setups recorded one after the other, and of passes that depend on each other there is no clear winner. A setup is advised "
     "against where surely more than 1 % is lost, by its runs and over all results. Plain sockets are not a middleware and not compared."
 )
+FEW_PASSES = " Three passes may not show that passes depend on each other."
 
 WITHIN_ONE_RUN = (
     f"Setups are compared for the same message. A verdict needs {MIN_RUNS} runs of each: runs of equal settings differ by more than "

@@ -15,7 +15,7 @@ from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown
 from dds_trace.reports.book.overview import Fact
-from dds_trace.reports.book.verdicts import DataVerdict, WinCount
+from dds_trace.reports.book.verdicts import CLEARLY, FEW_PASSES, DataVerdict, WinCount
 from dds_trace.reports.reporters import load_reporter
 
 SLOW = around(10 * MS)
@@ -36,6 +36,7 @@ def test_a_clear_winner_is_named(sentences):
     )
     assert "Zenoh (the next" in answer.headline
     assert 9.92 in numbers(answer.headline)
+    assert FEW_PASSES not in answer.rule
     sentences(answer.headline, *answer.points, answer.rule)
 
 
@@ -48,6 +49,7 @@ def test_a_lead_below_the_difference_of_our_own_nodes_is_said(sentences, slow_ns
     summary = analysis.summary.with_columns(own_cost_ns=cost_ns.cast(pl.Float64))
     book = Book(replace(analysis, summary=summary, details=replace(analysis.details, recommendation=ranked)))
     assert "Zenoh (the next" in book.answer.headline
+    assert book.answer.rule == CLEARLY + FEW_PASSES  # of three passes
     said, choice = dict(book.answer.sentences).get(PointKind.CLIENT_FLOOR, ""), book.advice.sentence
     assert (numbers(said), "our own nodes" in choice) == ([1, 1, 1] * below, bool(below))
     sentences(*filter(None, (said, choice)))

@@ -12,8 +12,8 @@ equal sides that say "better" or "worse", gates `> +10%` that fail between equal
 
 The bars, each with two standard errors of the simulation: intervals hold in 92 to 98 % (from 90 % where there are bursts or
 outages), at most 7 % of A/A verdicts are false and 3 % of the gates, +20 % is found in 80 % with five runs of 1000 messages a
-side that spread by 5 %. Two kinds of cells are shown and not held against the bars of intervals: those with fewer than five bursts or outages on
-average, because one in a hundred of their samples and more has none at all and is a sample of independent messages, and
+side that spread by 5 %. Two kinds of cells are shown and not held against the bars of intervals: those with fewer than three bursts or outages on
+average, because one in twenty of their samples and more has none at all and is a sample of independent messages, and
 figures of which less than one sample in twenty has both ends.
 """
 
@@ -56,10 +56,10 @@ MOST_FALSE_VERDICTS, MOST_FALSE_GATES = 0.07, 0.03
 LEAST_FOUND = 0.80
 LEAST_PRINTED = 0.05
 """Share of samples with both ends from which on they are held against the bars. Bursts that were all too short to be seen are
-rarer than that from five on average."""
+rarer than that from three on average."""
 
-LEAST_EPISODES = 5
-"""Mean number of bursts or outages from which on a cell is held against the bars: exp(-5) of its samples, 0.7 %, have none."""
+LEAST_EPISODES = 3
+"""Mean number of bursts or outages from which on a cell is held against the bars: exp(-3) of its samples, 5 %, have none."""
 
 
 @dataclass(frozen=True, slots=True)

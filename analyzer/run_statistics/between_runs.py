@@ -17,7 +17,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ..statistics.distributions import student_quantile
-from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance, without_open_end
+from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance, tail_share, without_open_end
 from ..statistics.percentiles import order_statistic_ranks
 from .bursts import COSINES, long_run_variance
 from .runs import Float64, Run, Runs, Statistic, joined_runs, quantile_at
@@ -59,12 +59,28 @@ def estimates_of_runs(
     """
     group = Runs.of(runs)
     units = units_of_runs(group, statistics)
-    open_ = [statistic for statistic, unit in zip(statistics, units, strict=True) if unit is None]
-    within = iter(_intervals_within(group, open_, confidence))
+    joined = [
+        statistic
+        for statistic, unit in zip(statistics, units, strict=True)
+        if unit is None or has_few_bursts(unit.episodes, unit.messages, statistic.quantile)
+    ]
+    within = dict(zip(joined, _intervals_within(group, joined, confidence), strict=True))
     return [
-        Estimate(next(within) if unit is None else _interval_of_units(unit, confidence), unit)
+        Estimate(without_open_end(within[statistic], statistic.quantile), None)
+        if unit is None
+        else Estimate(_interval_of_units(unit, confidence, within.get(statistic)), unit)
         for statistic, unit in zip(statistics, units, strict=True)
     ]
+
+
+FEW_BURSTS = 6
+"""Bursts below which runs are alike by chance."""
+
+
+def has_few_bursts(episodes: int | None, messages: int, quantile: float | None) -> bool:
+    if quantile is None or episodes is None:
+        return False
+    return episodes < min(FEW_BURSTS, messages * tail_share(quantile) / 2)
 
 
 def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | None]:
@@ -133,21 +149,15 @@ def _independent_for_mean(run: Run) -> float:
     return len(run) if long_run <= variance else len(run) * variance / long_run
 
 
-def _interval_of_units(units: Units, confidence: float) -> Interval:
+def _interval_of_units(units: Units, confidence: float, within: Interval | None) -> Interval:
     value, lower, upper, unit_spread = ends_of_units(units.values, confidence)
-    return Interval(
-        value=value,
-        lower=lower,
-        upper=upper,
-        confidence=confidence,
-        samples=units.messages,
-        independent=units.independent,
-        basis=Basis.BETWEEN_RUNS,
-        runs=units.runs,
-        units=len(units),
-        episodes=units.episodes,
-        unit_spread=unit_spread,
-    )
+    if within is not None and lower is not None:
+        lowers, uppers = (
+            [end for end in ends if end is not None] for ends in zip((lower, upper), within.range, strict=True)
+        )
+        lower, upper = min(lowers), max(uppers, default=None)
+    counts = units.messages, units.independent, Basis.BETWEEN_RUNS, units.runs, len(units), units.episodes
+    return Interval(value, lower, upper, confidence, *counts, unit_spread=unit_spread)
 
 
 class Scale(Enum):
@@ -218,11 +228,14 @@ def _quantile_within(ordered: Float64, quantile: float, tail: Tail, confidence: 
     # The inflation is estimated from COSINES numbers: Student's t over the normal quantile, squared, is 1.24 at 95 %.
     penalty = (student_quantile(probability, COSINES) / NormalDist().inv_cdf(probability)) ** 2
     independent = max(1, int(n / max(1.0, tail.inflation * penalty)))
+    if has_few_bursts(episodes, n, quantile):
+        independent = min(independent, int((episodes or 1) / tail_share(quantile)))
     lowest, highest = order_statistic_ranks(independent, quantile, confidence)
+    has_lower, has_upper = order_statistic_ranks(n, quantile, confidence)
     stretch = n / independent
-    lower = None if lowest is None else float(ordered[math.floor((lowest - 1) * stretch)])
-    upper = None if highest is None else float(ordered[math.ceil(round(highest * stretch, 6)) - 1])
-    lower, upper = without_open_end(lower, upper, quantile, n)
+    # The extreme where too few are independent: a rule by the tail would print only lucky ends.
+    lower = float(ordered[math.floor(((lowest or 1) - 1) * stretch)]) if has_lower else None
+    upper = float(ordered[math.ceil(round((highest or independent) * stretch, 6)) - 1]) if has_upper else None
     value = quantile_at(ordered, 1 + (n - 1) * quantile)
     return Interval(value, lower, upper, confidence, n, independent, Basis.WITHIN_RUN, runs, 0, episodes)
 

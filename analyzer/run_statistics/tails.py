@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from operator import itemgetter
-from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, WIDEST_TAIL, mean_and_variance
+from ..statistics.distributions import special
+from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, WIDEST_TAIL, mean_and_variance, tail_share
 from .bursts import (
     EPISODE_GAP_SHARE,
     LEAST_GAP,
@@ -50,7 +50,6 @@ LEAST_PART = 0.1
 """Bursts with a smaller part of a tail do not decide it."""
 
 LIKELY = 0.95
-_LIKELY_DEVIATIONS = NormalDist().inv_cdf(LIKELY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +173,12 @@ def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
     squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes]).tolist()
     spans = list(pairwise(episodes.tolist()))
     inflations = share_inflations(runs.cells, [(beyond.indices, beyond.offsets) for beyond in tails])
+    # Short bursts are seen only beyond the quantile.
     bursts = [
-        None if level is None else bursts_to_count(at[level].by_run, beyond.by_run, len(runs.values))
+        None
+        if level is None
+        else bursts_to_count(at[level].by_run, beyond.by_run, len(runs.values))
+        or bursts_to_count(beyond.by_run, beyond.by_run, len(runs.values))
         for level, beyond in zip(levels, tails, strict=True)
     ]
     rows = [
@@ -206,7 +209,7 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
 
     At most the unbroken streaks, the few bursts, and what the runs make likely: if E episodes fall on R runs by chance, the squared
     coefficient of variation of the messages that each run has beyond is about R / E. The limit is the E for which so large a variation
-    has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and M. Hilferty's cube, 1931).
+    has a probability of 5 % (chi-square with R - 1 degrees).
     """
     counts = [tail.messages for tail in tails]
     equal = equal_episodes(sum(counts), sum(tail.squared / tail.squares for tail in tails))
@@ -218,15 +221,14 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
     if len(tails) < MIN_RUNS or min(counts) == max(counts):
         return equal
     mean, variance = mean_and_variance(np.array(counts, np.float64))
-    variation = variance / mean**2
-    ninth = 2 / (9 * (len(tails) - 1))
-    least_likely = (1 - ninth + _LIKELY_DEVIATIONS * math.sqrt(ninth)) ** 3
-    return min(equal, max(1, round(least_likely * len(tails) / variation)))
+    degrees = len(tails) - 1
+    least_likely = float(special().chdtri(degrees, 1 - LIKELY)) / degrees
+    return min(equal, max(1, round(least_likely * len(tails) * mean**2 / variance)))
 
 
 def level_below(quantile: float) -> float | None:
-    tail = min(quantile, 1 - quantile)
-    if round(tail, 9) >= WIDEST_TAIL:
+    tail = tail_share(quantile)
+    if tail >= WIDEST_TAIL:
         return None
     wider = min(LEVEL_BELOW * tail, WIDEST_TAIL)
     return 1 - wider if quantile >= 0.5 else wider

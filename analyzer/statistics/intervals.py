@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -26,7 +26,6 @@ MIN_EPISODES = 10
 
 LEAST_BEYOND = 50
 """Expected messages beyond a quantile from which on one or two runs give it an end there."""
-
 
 WIDEST_TAIL = 0.1
 """Share of the messages beyond a quantile below which they are a tail."""
@@ -82,13 +81,17 @@ def ranges_overlap(first: Range, other: Range) -> bool:
     return low <= high
 
 
-def without_open_end(lower: float | None, upper: float | None, quantile: float, messages: int) -> Range:
+def without_open_end(interval: Interval, quantile: float | None) -> Interval:
     """Leave out the end beyond a tail of fewer than `LEAST_BEYOND` expected messages, whatever bursts are in it."""
-    if messages >= messages_to_end(quantile) or lower == math.inf:
-        return lower, upper
-    return (lower, None) if quantile >= 0.5 else (None, upper)
+    if quantile is None or interval.samples >= messages_to_end(quantile) or interval.lower == math.inf:
+        return interval
+    return replace(interval, upper=None) if quantile >= 0.5 else replace(interval, lower=None)
 
 
 def messages_to_end(quantile: float) -> int:
-    tail = round(min(quantile, 1 - quantile), 9)
+    tail = tail_share(quantile)
     return math.ceil(round(LEAST_BEYOND / tail, 6)) if tail < WIDEST_TAIL else 1
+
+
+def tail_share(quantile: float) -> float:
+    return round(min(quantile, 1 - quantile), 9)

@@ -110,6 +110,5 @@ def messages_to_close(interval: Interval, quantile: float) -> int | None:
         return 0
     if not interval.samples:
         return None
-    independent = planned_messages(quantile, interval.confidence)
-    times = independent / max(1, interval.independent), messages_to_end(quantile) / interval.samples
-    return max(1, math.ceil(round(interval.samples * (max(times) - 1), 6)))
+    least = max(planned_messages(quantile, interval.confidence), messages_to_end(quantile))
+    return max(1, least - interval.samples)

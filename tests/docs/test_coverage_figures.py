@@ -1,4 +1,4 @@
-"""The rates of docs/explanation/statistics.md are those of the files of docs/results."""
+"""The rates of docs/explanation/statistics.md and docs/results/coverage.md are those of the files of docs/results."""
 
 import csv
 import re
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
+PAGES = "\n\n".join((DOCS / page).read_text() for page in ("results/coverage.md", "explanation/statistics.md"))
 FILES = {
     file.stem.removeprefix("coverage-"): list(csv.DictReader(file.read_text().splitlines()))
     for file in (DOCS / "results").glob("coverage-*.csv")
@@ -14,40 +15,64 @@ FILES = {
 
 
 def numbers(table, *columns, **where):
-    rows = [row for row in FILES[table] if where.items() <= row.items()]
-    return [float(number) for row in rows for column in columns for number in row[column].split(" / ")]
+    rows = [row for row in FILES[table] if all(re.fullmatch(value, row[name]) for name, value in where.items())]
+    cells = [row[column].partition(" (")[0] for row in rows for column in columns]
+    return [float(number) for cell in cells for number in cell.split(" / ") if number not in ("", "-")]
+
+
+def ends(*where, **more):
+    found = numbers(*where, **more)
+    return [min(found), max(found)]
 
 
 KINDS = ("kinds: 1", "kinds: 6", "kinds: 20")
+LEADERS, EACH_KIND = ("leaders-dependent", "called the fastest"), "a walk.*|.*to pass"
+LEVELS = {"levels of runs": "levels.*"}
+FIVE = {"runs x messages": "5 x 1000"}
+NOT_SINGLE = {"losses, 3 x 1000": "shares.*|outages.*"}
 
 
 @pytest.mark.parametrize(
     ("said", "figures"),
     [
-        (
-            "`compare`: slower, faster",
-            [
-                *numbers(
-                    "verdicts", "+20 % found", scenario="independent, runs +-5 %", **{"runs x messages": "5 x 1000"}
-                )
-            ],
-        ),
+        ("| `compare`: slower", numbers("verdicts", "+20 % found", scenario="independent, runs .-5 %", **FIVE)),
         *(
-            (said, [max(numbers("comparisons", column, **{"equal results": results})) for results in ("1", "50")])
+            (said, [max(numbers("comparisons", column, **{"equal results": n})) for n in ("1", "50")])
             for said, column in (
-                ("`compare`: slower, faster", "slower or faster"),
-                ("a gate fails", "`latency_p99 > +20%` fails"),
+                ("| `compare`: slower", "slower or faster"),
+                ("| a gate fails |", "`latency_p99 > +20%` fails"),
             )
         ),
-        ("more is lost", numbers("losses", "0.5 % against 5 %", runs="5 x 1000")[0:4:3]),
-        ("is fastest", [max(numbers("leaders", *KINDS)), max(numbers("leaders-messages", *KINDS))]),
-        ("is fastest", numbers("leaders-found", "called, kinds: 1")[:3]),
-        ("loses more", [max(numbers("losers", *KINDS))]),
-        ("`--until` is reached", [min(numbers("until", "of these hold")[:8])]),
+        ("| more is lost", numbers("losses", "0.5 % against 5 %", runs="5 x 1000")[0:4:3]),
+        ("| is fastest", [max(numbers("leaders", *KINDS)), max(numbers("leaders-messages", *KINDS))]),
+        ("| is fastest", numbers("leaders-found", "called, kinds: 1")[:3]),
+        ("No test of three", numbers("leaders-found", "called, kinds: 1", repeats="3")),
+        ("| loses more", [max(numbers("losers", *KINDS))]),
+        ("| `--until` is", [min(numbers("until", "of these hold")[:8])]),
+        ("**Outages of 100", numbers("losses", "0.5 % against 5 %")[-2:-1]),
+        ("**Passes that depend", numbers("leaders-found", "called, kinds: 1")[1:2]),
+        ("`compare` of 1, 6", [max(numbers("comparisons-kinds", "measured in turns", "independent"))]),
+        ("`--fail-if default`", [max(numbers("default", "equal: fail")), *ends("default", "equal: undecided")]),
+        ("`--fail-if default`", numbers("default", "+50 % of one: fail", lost="0 %")),
+        ("Campaigns of equal", [max(numbers("leaders", kinds, setups="2")) for kinds in KINDS]),
+        ("Campaigns of equal", [max(numbers("leaders-kinds", "kinds: 1", "kinds: 6", "kinds: 12"))]),
+        *(
+            ("each other, by a correlation", ends(*LEADERS, setups="2", passes=passes, **where))
+            for passes, where in (
+                (EACH_KIND, {"repeats": "5", "kinds": "6|12"}),
+                (EACH_KIND, {"repeats": "3", "kinds": "6|12"}),
+                (EACH_KIND, {"kinds": "1"}),
+                (".*together", {}),
+            )
+        ),
+        ("- `coverage-losers.csv`", [max(numbers("losers", *KINDS))]),
+        ("- `coverage-advice.csv`", ends("advice", "3 %, of two setups", "3 %, of twelve", **NOT_SINGLE)),
+        ("said to meet 99 %", ends("deadlines-kinds", "runs: 3", "runs: 5", "runs: 10", "runs: 20", **LEVELS)),
+        ("said to meet 99 %", numbers("deadlines-kinds", "runs: 3", "runs: 20")[-2:]),
+        ("`coverage-until.csv`", numbers("until", "stop", **{"runs vary by": "10 %|14 %"})),
     ],
 )
-def test_the_rates_of_the_statistics_are_those_of_the_files(said, figures):
-    page = (DOCS / "explanation/statistics.md").read_text()
-    line = page[page.rindex(f"\n| {said} |") :].splitlines()[1]
-    written = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", line)}
-    assert all(figure in written or round(figure) in written for figure in figures), (figures, line)
+def test_the_rates_of_the_pages_are_those_of_the_files(said, figures):
+    paragraph = re.split(r"\n\n|\n- |\n\| ", PAGES[PAGES.rindex(said) :], maxsplit=1)[0]
+    written = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", paragraph)}
+    assert all(figure in written or round(figure) in written for figure in figures), (figures, paragraph)

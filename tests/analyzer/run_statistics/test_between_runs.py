@@ -162,14 +162,6 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(runs, correlation, quantile
     assert 0.915 <= held / 300 <= 0.985  # 95 expected, with a standard error of 1.3
 
 
-def test_pooled_messages_would_fail_the_same_test():
-    held = 0
-    for group in log_normal_groups(100, 5, 500, 0.05, seed=5):
-        found = interval_of_runs([Run(np.concatenate(list(group)))], P50)
-        held += found.lower <= 1 <= found.upper
-    assert held < 88  # runs of 5 % spread by more than their messages do
-
-
 @given(
     values=st.lists(st.lists(st.integers(1, 10**9), min_size=20, max_size=40), min_size=3, max_size=6),
     factor=st.sampled_from([2, 10, 1000]),
@@ -206,9 +198,11 @@ def coverage():
 @pytest.mark.usefixtures("coverage")
 def test_the_page_of_figures_is_made_of_its_data():
     tables = importlib.import_module("coverage")
-    page = BENCHMARKS.parent / "docs" / "results" / "coverage.md"
-    assert tables.MARK.sub(partial(tables._table, folder=page.parent), page.read_text()) == page.read_text()
-    assert page.read_text().count("\n| --- ") == len(tables.MARK.findall(page.read_text()))
+    docs = BENCHMARKS.parent / "docs"
+    for page in (docs / "results" / "coverage.md", docs / "explanation" / "statistics.md"):
+        text = page.read_text()
+        assert tables.MARK.sub(partial(tables._table, folder=docs / "results"), text) == text
+        assert text.count("\n| --- ") == len(tables.MARK.findall(text)) > 0
 
 
 @pytest.mark.usefixtures("coverage")
@@ -249,13 +243,21 @@ def test_a_missed_bar_is_named(coverage):
     assert list(cell.missed()) == ["p50 held in 85.0%", "p50: 12.0% false verdicts"]
 
 
+@pytest.mark.parametrize(("runs", "messages", "least"), [(3, 1000, 86), (5, 1000, 92), (1, 5000, 92)])
+def test_nine_of_ten_printed_intervals_hold_a_p99_that_rests_on_three_to_five_bursts(coverage, runs, messages, least):
+    (scenario,) = (scenario for scenario in coverage.SCENARIOS if scenario.name == "bursts of 20, 2 %, runs +-5 %")
+    found = coverage.measure(scenario, runs, messages, 100).intervals[0.99]
+    assert found.printed == 100
+    assert found.held >= least  # without the widening 83, 89 and of 44 printed 80 percent
+
+
 @pytest.mark.parametrize(
     ("name", "messages", "printed", "is_missed"),
     [
         ("independent", 1000, 51, True),  # one sample in twenty has both ends
         ("independent", 1000, 49, False),
-        ("bursts of 20, 2 %, runs +-5 %", 5000, 1000, True),  # five bursts on average: one sample in 150 has none
-        ("bursts of 20, 2 %, runs +-5 %", 4000, 1000, False),
+        ("bursts of 20, 2 %, runs +-5 %", 3000, 1000, True),  # three bursts on average: one sample in 20 has none
+        ("bursts of 20, 2 %, runs +-5 %", 2000, 1000, False),
     ],
 )
 def test_what_cannot_be_known_is_not_asked(coverage, name, messages, printed, is_missed):

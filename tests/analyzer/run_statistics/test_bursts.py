@@ -55,11 +55,6 @@ def test_shares_of_bursts_are_inflated_by_their_length():
     assert np.mean(found) == pytest.approx(20, rel=0.1)
 
 
-def test_an_outage_of_a_hundredth_inflates():
-    # The bug of `intervals.percentile_interval`: 5000 messages, one outage of 100, counted as 5000 independent ones.
-    assert share_inflation(np.arange(2000, 2100), 5000) > 50
-
-
 @pytest.mark.parametrize("marked", ["", "xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", "x..x"])
 def test_series_without_anything_to_compare_count_in_full(marked):
     assert share_inflation(places(marked), len(marked)) == 1.0

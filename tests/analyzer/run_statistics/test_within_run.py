@@ -7,7 +7,7 @@ from drawn_series import autoregressive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.between_runs import has_few_bursts, interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.statistics.intervals import Basis
 
@@ -32,14 +32,20 @@ def test_what_a_run_does_not_support_has_no_value():
     assert interval_of_runs([], P50).value is None
 
 
-def test_an_outage_is_one_episode_and_leaves_the_end_open():
+def test_an_outage_is_one_episode_that_the_end_reaches():
     values = np.random.default_rng(1).random(5000) + 1
     values[2000:2100] = math.inf
     new = interval_of_runs([Run(values)], P99)
     assert new.independent < 100
-    assert (new.value, new.upper, new.episodes) == (math.inf, None, 1)
+    assert (new.value, new.upper, new.episodes) == (math.inf, math.inf, 1)
     assert new.lower is not None
     assert new.lower < 2
+
+
+def test_bursts_are_few_below_six_and_below_half_of_the_messages_of_a_tail():
+    assert [has_few_bursts(episodes, 3000, 0.99) for episodes in (5, 6, None)] == [True, False, False]
+    assert [has_few_bursts(episodes, 1000, 0.01) for episodes in (4, 5)] == [True, False]
+    assert not has_few_bursts(1, 3000, None)
 
 
 def test_many_outages_close_the_end():

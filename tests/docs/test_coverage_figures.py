@@ -46,7 +46,7 @@ NOT_SINGLE = {"losses, 3 x 1000": "shares.*|outages.*"}
         ("| more is lost", numbers("losses", "0.5 % against 5 %", runs="5 x 1000")[0:4:3]),
         ("| is fastest", [max(numbers("leaders", *KINDS)), max(numbers("leaders-messages", *KINDS))]),
         ("| is fastest", numbers("leaders-found", "called, kinds: 1")[:3]),
-        ("No test of three", numbers("leaders-found", "called, kinds: 1", repeats="3")),
+        ("(of independent passes", numbers("leaders-found", "called, kinds: 1", repeats="3")),
         ("| loses more", [max(numbers("losers", *KINDS))]),
         ("| `--until` is", [min(numbers("until", "of these hold")[:8])]),
         ("**Outages of 100", numbers("losses", "0.5 % against 5 %")[-2:-1]),

@@ -1,24 +1,19 @@
 """Fixtures that every room's tests share."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
 import shutil
 import tempfile
 import uuid
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import kept
 import pytest
 from hypothesis import settings
 from shared_memory import middleware_files, remove_orphans
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 # The tools themselves default to the subnet; tests never leave this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -90,7 +85,7 @@ _SHM_BEFORE = pytest.StashKey["set[Path]"]()
 class ToldAtOnce:
     """Failures are printed when they happen: a worker that dies later takes pytest's own account of them with it."""
 
-    def __init__(self, terminal: pytest.TerminalReporter) -> None:
+    def __init__(self, terminal: "pytest.TerminalReporter") -> None:
         self._terminal = terminal
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

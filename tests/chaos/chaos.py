@@ -9,8 +9,6 @@ exit code is true, complete cells stayed, no process, shared memory, namespace o
 every event that was stamped for it, once. A round has its own mounts, `/dev/shm`, network and processes; it needs root.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json
@@ -22,11 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 SEED = 1
 OWN_WORLD = ("unshare", "--mount", "--net", "--pid", "--fork", "--mount-proc", "--kill-child")

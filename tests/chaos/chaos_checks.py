@@ -1,25 +1,18 @@
 """Checks after each call of a sweep and at a round's end; every function yields what is wrong."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from chaos_draw import Fault
 from shared_memory import PATTERNS, SHM
 
 from dds_trace.base.errors import TraceError
 from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from chaos_draw import Fault
-
-    from dds_trace.tracefile.reading.trace import Trace
+from dds_trace.tracefile.reading.trace import Trace
 
 COMPLETE, INCOMPLETE, FULL, UNAVAILABLE, INTERRUPTED, KILLED = 0, 10, 6, 7, 130, -9
 OWN_FILES = {"state.json", ".lock", ".parts"}

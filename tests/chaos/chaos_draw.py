@@ -1,7 +1,5 @@
 """A round of chaos as its seed draws it: a small plan, and what goes wrong while it is recorded."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 from importlib.util import find_spec

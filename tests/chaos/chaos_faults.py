@@ -1,23 +1,18 @@
 """What goes wrong in a round, one class a kind, and the processes that it may strike."""
 
-from __future__ import annotations
-
 import itertools
 import os
+import random
 import signal
 import subprocess
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from chaos_draw import Fault
 
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
-
-if TYPE_CHECKING:
-    import random
-
-    from chaos_draw import Fault
 
 FIND_S = 3.0
 """Longest wait of a fault for its process: some live only for a moment of each cell."""

@@ -1,7 +1,5 @@
 """Whole commands on what trials and hypothesis have found: a documented exit code and one line, never a traceback."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -9,8 +9,6 @@ crashes, hangs (more than ten seconds for one input) or takes memory without bou
 module that they are about; of the reader in `tests/tracefile/reading/test_reader_finds.py`.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from importlib import import_module

@@ -1,9 +1,8 @@
 """Fuzz target `bag`: payloads and topics of any recording are read, or refused with one line that names it."""
 
-from __future__ import annotations
-
 import shutil
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 from bags import ROS1, imu, text, write_bag1, write_bag2
 from fuzz_shapes import changed, shaped, shaped_seeds
@@ -12,10 +11,6 @@ from rosbags.rosbag2 import StoragePlugin
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import TraceError
 from dds_trace.recorder.payloads.bag import load_payload
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 TOPIC = "/imu"
 

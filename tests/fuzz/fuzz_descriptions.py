@@ -1,11 +1,9 @@
 """Fuzz target `descriptions`: sessions, runs and samples of hosts and wires give an analysis and its reports, or a `TraceError`."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
@@ -14,9 +12,6 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceError
 from dds_trace.reports.reporters import REPORT_MODULES, render_report
 from dds_trace.tracefile.format.descriptions import Run, Session
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MESSAGES = [
     Message(n, t0=1000 * n, t1=1000 * n + 5, t3=1000 * n + 9, t4=1000 * n + 12, t2=1000 * n + 30) for n in range(12)

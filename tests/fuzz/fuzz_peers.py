@@ -3,14 +3,12 @@
 Whatever comes, nothing is raised but the end of that connection, and the next good message is answered.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 import struct
 import weakref
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
@@ -26,9 +24,6 @@ from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.relay import Relay
 from dds_trace.tracefile.format.descriptions import Qos
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 KNOWN, UNKNOWN = ("127.0.0.1", 9), ("127.0.0.1", 10)
 RELAY = 0xBEEF

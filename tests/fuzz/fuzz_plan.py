@@ -1,8 +1,7 @@
 """Fuzz target `plan`: a plan is read, scheduled and made into commands, or refused with an `OptionError` that names its file."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 
@@ -11,9 +10,6 @@ from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_argument
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.recorder.sweep.plan.schedule import Estimate, schedule
 from dds_trace.recorder.sweep.plan.toml_table import TomlTable
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PLAN = """
 name = "fuzzed"

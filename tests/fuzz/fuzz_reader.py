@@ -1,13 +1,12 @@
 """Fuzz target `reader`: whatever bytes lie on disk, `read_trace` gives a usable trace or a `TraceError` that names the file."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct
 import zlib
+from collections.abc import Mapping
 from contextlib import closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import lz4.frame
 import zstandard
@@ -23,10 +22,6 @@ from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 
 def record(opcode: int, content: bytes) -> bytes:

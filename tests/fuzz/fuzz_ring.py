@@ -1,8 +1,6 @@
 """Fuzz target `ring`: `--recover` makes a closed trace of any ring, beside a file or alone, or says in a `TraceError` why not."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from fuzz_reader import small_ring
 from fuzz_shapes import changed, shaped, shaped_seeds
@@ -12,9 +10,6 @@ from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 class Target:

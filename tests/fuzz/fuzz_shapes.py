@@ -4,13 +4,9 @@ No mutation finds its way through a CRC, a compressed frame or the braces of JSO
 shapes: the bytes as they are, and the bytes as changes to something good.
 """
 
-from __future__ import annotations
-
 import struct
-from typing import TYPE_CHECKING, Any, TypeVar
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 

@@ -3,10 +3,8 @@
 A topic is joined or refused in one printable line, a note is believed or ignored, a file is read or refused with its name.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import typer
 from fake_clock import FakeClock
@@ -23,9 +21,6 @@ from dds_trace.recorder.backends.zenoh_ros import parse_token
 from dds_trace.recorder.beacon.exchange import Exchanges
 from dds_trace.recorder.tap.tap import Tap, chosen_qos
 from dds_trace.tracefile.format.encoding import encode_string
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TOKEN = "@ros2_lv/0/aa/0/1/MP/%/%/driver/%camera/sensor_msgs::msg::dds_::Image_/RIHS01_aa/::,10:,:,:,,"
 NOTE = (

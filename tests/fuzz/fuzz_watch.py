@@ -1,17 +1,12 @@
 """Fuzz target `watch`: any bytes that a program sends to the page's port get an answer of HTTP or none; nothing is raised."""
 
-from __future__ import annotations
-
 import socket
 from http import HTTPStatus
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from fuzz_shapes import shaped, shaped_seeds
 
 from dds_trace.reports.html.live import Watcher, WatchOptions
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SECRET = b"not for visitors"
 REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"

@@ -1,7 +1,5 @@
 """The core, whose mistakes would change a result without a word: its modules and the tests that are to see a mutant of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Give a loaded module the code and the values of a changed one, where others hold its functions and classes already."""
 
-from __future__ import annotations
-
 import struct
 import sys
 from functools import cached_property

@@ -6,8 +6,6 @@ and ends at the first that fails. Nothing is written to the tree. What was compu
 then, so a mutant of a line that runs at import and that nobody noticed is tried once more with everything imported anew.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib
@@ -25,23 +23,17 @@ import threading
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import grafting
 import pytest
-from core import CORE
+from core import CORE, Part
 from hypothesis import Phase, settings
-from mutations import mutants_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from core import Part
-    from mutations import Mutant
+from mutations import Mutant, mutants_of
 
 ROOT = Path(__file__).parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.json")

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
 

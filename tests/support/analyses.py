@@ -1,14 +1,13 @@
 """Hand-made `Analysis` values: say what each group sent and what became of each message, get all the frames."""
 
-from __future__ import annotations
-
 import math
-import random
 import statistics
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from random import Random
+from typing import Any
 
 import polars as pl
 from kept import kept
@@ -37,9 +36,6 @@ from dds_trace.analyzer.verdicts.compare import CompareOptions
 from dds_trace.analyzer.verdicts.costs import bridge_cost, find_head_of_line, find_interference
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 MS = 1_000_000
 WALL_START_NS = 1_790_000_000 * 10**9  # 2026-09-21 14:13:20 UTC
 QUANTILES = {percentile.name: percentile.quantile for percentile in PERCENTILES}
@@ -63,7 +59,7 @@ TIMELINE = {
 
 ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
-MIXED = random.Random(1).sample(range(20), 20)
+MIXED = Random(1).sample(range(20), 20)
 """0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20."""
 
 
@@ -514,7 +510,7 @@ class Campaign:
     strings: tuple[int, ...] = (4, 91, 1405, 2675)
     bridged: bool = True
     watched: Watched = Watched()
-    random: random.Random = field(default_factory=lambda: random.Random(5))
+    random: Random = field(default_factory=lambda: Random(5))
 
     def analysis(self, findings: Sequence[Finding] = ()) -> Analysis:
         groups = [

@@ -1,15 +1,13 @@
 """A ping and a relay on one backend as two processes, and what each read back of itself."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from waiting import PATIENCE_S, read_past
@@ -19,9 +17,6 @@ from dds_trace.recorder.applied.asked import Asked
 from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.records import from_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 LIMIT_BYTES = min(int(Path(f"/proc/sys/net/core/{name}").read_text()) for name in ("rmem_max", "wmem_max"))
 needs_large_buffers = pytest.mark.skipif(

@@ -1,7 +1,5 @@
 """An arm64 Python on this machine: Debian's packages unpacked into a folder, aarch64 wheels beside them, run by qemu-user."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,11 +1,12 @@
 """Campaigns of several runs in files of their own, and two analyses of one compared."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from trace_files import (
     WALL_ANCHOR_NS,
+    Event,
     Message,
     event,
     ping_events,
@@ -17,16 +18,8 @@ from trace_files import (
     write_trace,
 )
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.tracefile.format.events import Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-    from pathlib import Path
-    from typing import Any
-
-    from trace_files import Event
-
-    from dds_trace.analyzer.analysis import Analysis
 
 MESSAGES = 40
 MS = 1_000_000

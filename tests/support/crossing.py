@@ -5,8 +5,6 @@ sender in the first domain publishes on every topic, a listener there hears it (
 domain answers on the `_relay` twin, and the sender counts the answers.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -4,8 +4,6 @@ cyclone_statistics.py write COUNT BYTES     prints rexmit_bytes when all is ackn
 cyclone_statistics.py read                  until it is ended
 """
 
-from __future__ import annotations
-
 import ctypes
 import re
 import signal

@@ -1,13 +1,13 @@
 """Recordings with damages of every kind at random places, and the messages of which not a byte was touched."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import struct
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TypeAlias
 
 import zstandard
 from bags import ROS1, ROS2
@@ -17,10 +17,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 
 from dds_trace.tracefile.reading.sqlite_rows import SQLITE_TABLES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 START_NS = 1_700_000_000 * 10**9
 MAGIC_BYTES = 8

@@ -1,7 +1,5 @@
 """Series with a known truth: correlated, in bursts, in runs that differ."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ The sink is in a child process: a page of its ring that waits for the disk must 
 the disk still shows is copied to `FOLDER/left`. Printed: JSON, what the sink said.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Events as bytes, packed and unpacked by hand after `docs/trace-format.md`: what the writer and the reader are held to."""
 
-from __future__ import annotations
-
 import struct
 
 CDR_HEADER = b"\x00\x01\x00\x00"

@@ -1,15 +1,10 @@
 """Time that passes only when somebody waits, so that a test can draw a timeline and assert every number."""
 
-from __future__ import annotations
-
 import heapq
-from typing import TYPE_CHECKING
+import threading
+from collections.abc import Callable
 
 from dds_trace.recorder.host.clock import ClockAnchor
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable
 
 
 class FakeClock:

@@ -1,18 +1,13 @@
 """A node without middleware: what is published is kept, and a test decides when which callback gets what."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
 from dds_trace.recorder.backends.other_side import Strangers
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from dds_trace.recorder.host.clock import Clock
-    from dds_trace.tracefile.format.descriptions import Qos, Run
+from dds_trace.recorder.host.clock import Clock
+from dds_trace.tracefile.format.descriptions import Qos, Run
 
 
 @dataclass

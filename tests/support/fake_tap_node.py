@@ -1,19 +1,14 @@
 """A node without middleware that a tap listens on: a test decides what the graph shows and what arrives."""
 
-from __future__ import annotations
-
+from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fake_node import FakeNode, FakeSubscription
 
 from dds_trace.base.errors import BackendUnavailableError
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable
-
-    from dds_trace.recorder.backends.node import Publication, TopicPatterns
-    from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.recorder.backends.node import Publication, TopicPatterns
+from dds_trace.tracefile.format.descriptions import Qos
 
 
 @dataclass

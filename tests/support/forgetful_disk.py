@@ -6,22 +6,17 @@ same, where a kernel has it). Protocol: Linux `include/uapi/linux/fuse.h`, versi
 of its own.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
+import random
 import shutil
 import stat
 import struct
 import subprocess
 import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import random
-    from collections.abc import Callable
 
 SECTOR_BYTES = 512
 """What a disk writes whole or not at all."""

@@ -3,22 +3,15 @@
 Latencies follow no real middleware. They grow with the size and the link's speed; what a link cannot carry is lost.
 """
 
-from __future__ import annotations
-
 import random
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 from kept import kept
 
-from dds_trace import Finding, Severity
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from dds_trace import Analysis
+from dds_trace import Analysis, Finding, Severity
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ Mounts a tmpfs at `FOLDER` (the mount ends with the process), records, and write
 and, as a copy beside it, what was left on the disk.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

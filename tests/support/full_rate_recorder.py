@@ -7,8 +7,6 @@ stamped (so many returned), uint64 state. Each is stored whole, by one instructi
 With `EVENTS` a thread stops there and the trace is closed.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 import sys

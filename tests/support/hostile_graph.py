@@ -3,8 +3,6 @@
 hostile_graph.py cyclonedds|zenoh DOMAIN
 """
 
-from __future__ import annotations
-
 import os
 import re
 import select

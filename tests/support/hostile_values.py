@@ -1,7 +1,5 @@
 """Values that nobody means, as text of a command line and as values of TOML and JSON, and commands run on them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

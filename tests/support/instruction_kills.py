@@ -7,24 +7,20 @@ runs the action; the tracing hook of the interpreter counts the bytecodes of the
 the n-th. The first child that gets through ends the series. Printed: JSON, [n, whether it was killed] of each child.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import FrameType
+from typing import Any
 
 from trace_files import ping_session, run
 
 import dds_trace.tracefile.writing.sink
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import FrameType
 
 BEFORE = 5
 RING_SLOTS = 16

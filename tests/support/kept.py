@@ -1,16 +1,12 @@
 """Values that are dear to make: made by the first worker of a test run that asks for one, read from a file by the others."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pickle
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import TypeVar
 
 T = TypeVar("T")
 

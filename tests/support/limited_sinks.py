@@ -6,8 +6,6 @@ The limit is the whole process's, so it is never a test worker's: whatever else 
 milliseconds (what it captured, byte code, its own report) would fail, too.
 """
 
-from __future__ import annotations
-
 import resource
 import sys
 from pathlib import Path

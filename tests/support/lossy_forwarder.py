@@ -6,8 +6,6 @@ takes the devices as open file descriptors. LOG gets one record a frame: side (0
 It ends when standard input closes.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import select

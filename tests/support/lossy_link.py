@@ -1,33 +1,25 @@
 """Two network namespaces joined by `lossy_forwarder`, and recordings over it under a capture."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from waiting import PATIENCE_S, read_past
-from wire_truth import truth_of
+from wire_truth import Truth, truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.records import from_json, to_json
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, open_tap, tc
 from dds_trace.recorder.sweep.station.namespaces import Side
+from dds_trace.recorder.wire.capture import WireOptions
 from dds_trace.recorder.wire.counts import WireCounts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from wire_truth import Truth
-
-    from dds_trace.recorder.wire.capture import WireOptions
 
 SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}

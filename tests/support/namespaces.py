@@ -1,21 +1,16 @@
 """Whether a test can make network namespaces here."""
 
-from __future__ import annotations
-
 import os
 import shutil
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from itertools import count
-from typing import TYPE_CHECKING
 
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.sweep.station.emulation import ip
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _numbers = count()
 

@@ -1,9 +1,8 @@
 """Round trips of a frame as a batch of paired exchanges, which the frames of groups are made of."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import polars as pl
@@ -11,14 +10,10 @@ import polars as pl
 from dds_trace.analyzer.groups.batch import AnalysisOptions, Batch
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA
+from dds_trace.analyzer.pairing.exchanges import Exchange
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA
 from dds_trace.analyzer.pairing.pair import LOSSES, OUTCOMES
 from dds_trace.analyzer.pairing.roundtrips import MIDDLEWARE_STAMPS, RoundTrips
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.analyzer.pairing.exchanges import Exchange
 
 _STAMPS = [name for names in MIDDLEWARE_STAMPS.values() for name in names]
 

@@ -3,13 +3,12 @@
 python tests/support/pinned.py
 """
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +23,6 @@ from dds_trace.analyzer.run_statistics.received import change_of_received, recei
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.statistics.power import messages_to_close, runs_to_decide
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 FOLDER = Path(__file__).parents[1] / "data" / "pinned"
 SECOND_NS = 1_000_000_000

@@ -1,7 +1,5 @@
 """What each detector and each building block of the statistics says of short drawn series: see `pinned.py`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

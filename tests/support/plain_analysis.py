@@ -4,20 +4,16 @@ The expected values of `sample_traces/` come from here, so that a mistake of the
 It follows `docs/trace-format.md` for closed traces of one ping and one relay session a file.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from mcap.reader import make_reader
 from plain_roundtrips import STAGES, plain_roundtrips
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 PERCENTILES = {"p50": 0.50, "p90": 0.90, "p95": 0.95, "p99": 0.99, "p99_9": 0.999}
 SUPPORT = {"p50": 1, "p90": 10, "p95": 20, "p99": 100, "p99_9": 1000}

@@ -1,13 +1,8 @@
 """Round trips by struct and loops: what `analyzer` must find, written without it and without numpy."""
 
-from __future__ import annotations
-
 import struct
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 EVENT = struct.Struct("<QQqqqqII")
 STAGES = ("t1", "t2", "t3", "t4")

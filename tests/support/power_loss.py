@@ -8,23 +8,18 @@ its files are copied to `FOLDER/cuts/N`. The whole recording is in `FOLDER/truth
 CLOCK_MONOTONIC, and `stall_ns`, how long this process did not get to run at the worst.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from forgetful_disk import ForgetfulDisk
 from waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 DISK_BYTES = 40 << 20
 RATE_HZ = 500

@@ -1,23 +1,16 @@
 """A trace as the public `mcap` reader gives it, and our columns of events as rows."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from event_cdr import unpack_event
 from mcap.reader import make_reader
+from trace_files import Event
 
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from trace_files import Event
-
-    from dds_trace.tracefile.format.events import Stage
-    from dds_trace.tracefile.reading.trace import Trace
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
+from dds_trace.tracefile.reading.trace import Trace
 
 FIELDS = (
     *("run_id", "sequence", "monotonic_ns", "scheduled_ns", "source_ns", "received_ns"),

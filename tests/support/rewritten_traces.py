@@ -1,20 +1,17 @@
 """Real traces rewritten: a relay on another clock, or sessions that say something else."""
 
-from __future__ import annotations
-
 import json
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from trace_files import string_cdr
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
+Change = Callable[[str, bytes], bytes]
 
-    Change = Callable[[str, bytes], bytes]
 
 _MONOTONIC_AT = 4 + 16
 """Bytes before `monotonic_ns` in an event: CDR header, run_id, sequence."""

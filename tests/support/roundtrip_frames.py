@@ -1,9 +1,8 @@
 """Round trips written down by hand: the columns of `roundtrips.parquet` from a few stamps and parameters."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,9 +13,6 @@ from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pairing.one_way import ONE_WAY_COLUMNS, fit_exchanges
 from dds_trace.analyzer.pairing.pair import MISSING
 from dds_trace.analyzer.pairing.rows import RowStore
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 MS = 1_000_000
 S = 1_000_000_000

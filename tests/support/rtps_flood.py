@@ -3,8 +3,6 @@
 rtps_flood.py ADDRESS PACKETS
 """
 
-from __future__ import annotations
-
 import socket
 import sys
 

@@ -1,7 +1,5 @@
 """An environment with the Python package of Cyclone DDS built against a library with security plugins, as Debian has it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,15 +1,10 @@
 """Twenty recordings of shapes that public bags have, with known deletions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from card_bags import HEADER, MS, START_NS, blob, write_mcap
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @dataclass

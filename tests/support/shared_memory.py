@@ -4,8 +4,6 @@ Tests that SIGKILL a recorder are about our traces; that Fast DDS and zenoh cann
 theirs, and the machine is left as it was found.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import suppress

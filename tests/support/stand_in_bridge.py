@@ -3,8 +3,6 @@
 `BRIDGE` registers it like a real one; its configuration file holds nothing but the name of the part it plays.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,11 +1,11 @@
 """Traces of taps and a beacon on two devices whose clocks are known: what was measured can be held against the truth."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from event_cdr import pack_event
@@ -23,13 +23,8 @@ from trace_files import (
     write_trace,
 )
 
+from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, SESSION_TOPIC, TAP_DEFINITION, Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from dds_trace.tracefile.format.descriptions import Session
 
 MS, SECOND = 1_000_000, 1_000_000_000
 FAR_NS, NEAR_NS = 900_000, 60_000

@@ -3,8 +3,6 @@
 `python topic_publisher.py TOPIC HZ POINTS`, in the domain of ROS_DOMAIN_ID.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

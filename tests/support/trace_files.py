@@ -6,15 +6,14 @@ gives `ping.mcap` and `relay.mcap` of one run: message 0 came back, message 1 wa
 `write_trace` with events of each stage made by `event`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from event_cdr import pack_event
 from mcap.writer import CompressionType, IndexType, Writer
@@ -33,9 +32,6 @@ from dds_trace.tracefile.format.wire import WIRE_TOPIC
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces"
 SAMPLE_NAMES = ["different_domains", "losses", "same_domain"]
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
 
 PING_SESSION_ID = 0x00000000000000A1
 RELAY_SESSION_ID = 0x00000000000000B2

@@ -1,22 +1,17 @@
 """Two network namespaces that pass for two devices, and the commands that a page of the docs gives for each."""
 
-from __future__ import annotations
-
 import re
 import subprocess
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from namespaces import needs_namespaces
 from processes import RunningCommand
 
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
 from dds_trace.recorder.sweep.station.namespaces import NamespacePair, Side
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 SUBNET = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}
 """The tests' own environment keeps to this machine; a namespace of two may look around."""

@@ -12,8 +12,6 @@ Run as a program, this is the process that forks: it is given one end of a socke
 the first, and its children go on.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import gc

@@ -5,8 +5,6 @@
 writes OUT.json (the counts) and OUT.npy (the rows). SIGTERM ends the command and not the session.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

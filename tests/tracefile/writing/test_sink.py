@@ -1,7 +1,5 @@
 """What a sink leaves behind, read with the public `mcap` and `rosbags` packages."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

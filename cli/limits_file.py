@@ -9,8 +9,6 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import polars as pl
-
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.streams import say
 from dds_trace.base.units import format_duration, three_digits
@@ -18,6 +16,8 @@ from dds_trace.base.units import format_duration, three_digits
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+
+    import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
     from dds_trace.analyzer.verdicts.compare import Comparison
@@ -116,6 +116,8 @@ def limits_text(comparison: Comparison) -> str:
 
 
 def topic_limits_text(topics: pl.DataFrame) -> str:
+    import polars as pl  # not of a sweep
+
     from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
 
     sections: dict[str, list[str]] = {}

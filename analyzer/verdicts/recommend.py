@@ -284,7 +284,7 @@ _ROUNDING = 1e-12
 
 
 def _needed_messages(interval: Interval, request: _Request) -> int | None:
-    """Return the messages in all from which the tail is known; None where it is, and without a message."""
+    """Return the messages in all from which the tail is known, if there are fewer."""
     reliability, samples = request.job.reliability, interval.samples
     needs = planned_messages(reliability, request.confidence, samples / max(1, interval.independent))
     needs = max(needs, Statistic(reliability).needs * (interval.runs if interval.basis is Basis.WITHIN_RUN else 1))

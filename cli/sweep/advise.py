@@ -53,7 +53,7 @@ app = make_app()
 def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Look for settings better than a middleware's defaults.
 
-    They serve the plan's link and messages; the file and the proof are printed.
+    For the plan's link and messages; prints file and proof.
     """
     requested = plan_of(plan, out)
     check_advisable(requested)

@@ -49,7 +49,7 @@ def size_command(
 ) -> None:
     """Explain a jump of the latency around a size.
 
-    Varies buffer, segment, fragment, history and a link's queue one at a time.
+    Varies buffer, segment, fragment, history and queue one at a time.
     """
     from dds_trace.recorder.sweep.explain import explain_size
 

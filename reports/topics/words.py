@@ -148,7 +148,7 @@ def _age_words(row: TopicRow) -> str:
 
 
 def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tuple[str, ...]:
-    # Without a rhythm, a topic's own time may be that of one burst.
+    # Without a rhythm, messages may be one burst.
     rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] / (health.duration_ns / 1e9))
     return (
         printable(row["topic"]),

@@ -60,9 +60,7 @@ class Card:
         times = [topic.times(*within, lost.get(topic.topic.name), counter) for topic in columns]
         set_over = self._note_clocks(columns, times)
         losses = [  # a tap's own topics are events
-            Losses()
-            if topic.topic.name.startswith(TOPIC_PREFIX)
-            else topic_times.find_losses(*within).without(set_over)
+            Losses() if topic.topic.name.startswith(TOPIC_PREFIX) else topic_times.find_losses(*within, set_over)
             for topic, topic_times in zip(columns, times, strict=True)
         ]
         pauses, stalls = _find_silences(logged, losses)

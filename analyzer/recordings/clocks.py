@@ -13,7 +13,7 @@ from dds_trace.base.units import clock_words, counted, format_duration
 from .periods import Int64
 
 DAY_NS = 86_400 * 10**9
-_APART_NS = 30 * DAY_NS
+_APART_NS, _LONGEST_UP_NS = 30 * DAY_NS, 365 * DAY_NS
 _SIMULATED_BEFORE_NS = 10**9 * 10**9  # September 2001: no recorder of today
 _JUMP_NS = 10**9
 _COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
@@ -196,7 +196,7 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 def count_latched(stamps: Stamps, start_ns: int) -> int:
     log_ns, stamp_ns, _ = stamps
     is_soon = (log_ns < start_ns + 2 * 10**9) | (len(log_ns) < _FEWEST)
-    early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS)
+    early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS) & (stamps.age_ns < _LONGEST_UP_NS)
     count = int(early.sum())
     if count == len(log_ns) >= _FEWEST:  # nodes' starts, not a stream of messages
         return 0 if 0.5 < stamps.speed < 2 else count

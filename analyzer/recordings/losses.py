@@ -45,15 +45,6 @@ class Losses:
     holes: Sequence[Hole] = ()
     regularity: Regularity | None = None
 
-    def without(self, set_over: Sequence[tuple[int, int]]) -> Losses:
-        """Leave out the holes of a rhythm over which the recorder's clock was set."""
-        if self.missing is None or self.low is None or self.high is None or self.evidence != "period":
-            return self
-        real = [hole for hole in self.holes if not any(hole.overlaps(*stretch) for stretch in set_over)]
-        less = sum(hole.missing for hole in self.holes) - sum(hole.missing for hole in real)
-        low, missing, high = (max(count - less, 0) for count in (self.low, self.missing, self.high))
-        return replace(self, low=low, missing=missing, high=high, holes=real)
-
 
 @dataclass(slots=True)
 class TopicTimes:
@@ -75,8 +66,9 @@ class TopicTimes:
     left_out_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
     """Such stamps of messages that were logged by another clock."""
 
-    def find_losses(self, start_ns: int, end_ns: int) -> Losses:
-        losses, jumps = self._by_rhythm(start_ns, end_ns), self._jumps()
+    def find_losses(self, start_ns: int, end_ns: int, set_over: Sequence[tuple[int, int]] = ()) -> Losses:
+        """Find what is missing; nothing is where the recorder's clock was set over a stretch."""
+        losses, jumps = self._by_rhythm(start_ns, end_ns, set_over), self._jumps()
         if self.lost is not None and self.counter == "tap":
             return _by_counts(losses, sum(self.lost), self.counter)
         if jumps is not None:
@@ -112,10 +104,14 @@ class TopicTimes:
         ordered = np.concatenate(jumps, axis=1)
         return ordered[:, np.argsort(ordered[0], kind="stable")]
 
-    def _by_rhythm(self, start_ns: int, end_ns: int) -> Losses:
+    def _by_rhythm(self, start_ns: int, end_ns: int, set_over: Sequence[tuple[int, int]]) -> Losses:
         """Count by stamps on a grid, else by the rhythm of arrival; a late start and an early end are holes without a count."""
         grid = self._by_grid()
-        regularity = self._by_arrival() if grid is None or not grid.missing else None
+        regularity = self._regularity(self.log_ns) if grid is None or not grid.missing else None
+        if regularity is not None:
+            regularity = regularity.without(
+                lambda hole: self._is_late(hole) or any(hole.overlaps(*s) for s in set_over)
+            )
         evidence = "period"
         if grid is not None and (
             regularity is None
@@ -190,16 +186,6 @@ class TopicTimes:
                 holes.append(Hole(round(log_ns[at] + period_ns), round(duration_ns), missing))
         missing, holes = max(total, 0), sorted(holes, key=lambda hole: hole.start_ns)
         return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
-
-    def _by_arrival(self) -> Regularity | None:
-        regularity = self._regularity(self.log_ns)
-        if regularity is None:
-            return None
-        holes = regularity.holes
-        holes_left = [hole for hole in holes if not self._is_late(hole)]
-        late = sum(hole.missing for hole in holes) - sum(hole.missing for hole in holes_left)
-        low, missing, high = (max(count - late, 0) for count in (regularity.low, regularity.missing, regularity.high))
-        return replace(regularity, missing=missing, low=low, high=high, holes=holes_left)
 
     def _regularity(self, times_ns: Int64) -> Regularity | None:
         best = find_regularity(times_ns)

@@ -6,7 +6,7 @@ that sends batches, repeat a pattern of m messages.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -71,6 +71,12 @@ class Regularity:
     @property
     def rate_hz(self) -> float:
         return self.in_pattern / self.period_ns * 1e9
+
+    def without(self, is_none: Callable[[Hole], bool]) -> Regularity:
+        real = [hole for hole in self.holes if not is_none(hole)]
+        less = sum(hole.missing for hole in self.holes) - sum(hole.missing for hole in real)
+        low, missing, high = (max(count - less, 0) for count in (self.low, self.missing, self.high))
+        return replace(self, missing=missing, low=low, high=high, holes=real)
 
 
 def spread(values: Int64 | Float64) -> float:

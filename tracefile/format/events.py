@@ -225,6 +225,14 @@ class TapColumns:
         )
 
 
+def event_fault(stage: Stage, encoding: str, schema_name: str | None) -> str | None:
+    """Return why a topic's messages are no events of `stage`; a schema that is not known is none."""
+    if encoding != "cdr":
+        return f"its messages are encoded as {encoding!r}, not 'cdr'"
+    is_other = schema_name not in {None, stage.schema_name}
+    return f"its schema is {schema_name!r}, not {stage.schema_name!r}" if is_other else None
+
+
 def hash_content(message: bytes | bytearray | memoryview) -> int:
     """Return the identity of a serialized message, 1 to 2^64 - 1: its encapsulation and padding at the end do not count."""
     digest = blake2b(memoryview(message)[4:], digest_size=8)

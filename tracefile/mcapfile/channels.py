@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
+from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from .records import Buffer, parse_record, record_name
 
 _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hundred
@@ -82,16 +82,9 @@ class ChannelTable:
                 offset,
             )
         stage = STAGE_OF_TOPIC.get(channel.topic)
-        fault = self._fault(channel, stage.schema_name) if stage else None
-        self._channels[channel.id] = DeclaredChannel(channel, stage, fault)
-
-    def _fault(self, channel: Channel, expected: str) -> str | None:
-        if channel.message_encoding != "cdr":
-            return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
         schema = self.schemas.get(channel.schema_id)  # a lost schema is not another schema
-        if schema is not None and schema.name != expected:
-            return f"its schema is {schema.name!r}, not {expected!r}"
-        return None
+        fault = event_fault(stage, channel.message_encoding, schema and schema.name) if stage else None
+        self._channels[channel.id] = DeclaredChannel(channel, stage, fault)
 
 
 def _parse(opcode: int, content: Buffer) -> Schema | Channel:

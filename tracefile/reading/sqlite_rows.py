@@ -20,7 +20,7 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 
-from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage
+from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from ..mcapfile.file import MAX_RECORD_BYTES
 from ..mcapfile.records import crc32
 from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
@@ -257,7 +257,7 @@ class SqliteSource:
         try:
             for topic, log_ns, _, _, data in sqlite_messages(self._path, self._condition):
                 stage = STAGE_OF_TOPIC.get(topic.name)
-                if stage and (fault := _fault(topic)):
+                if stage and (fault := event_fault(stage, topic.encoding, topic.message_type)):
                     faulty[topic.name] = fault
                     last.unreadable += 1
                 elif stage:
@@ -283,13 +283,3 @@ def _batches(events: list[tuple[Stage, bytes]], texts: list[Text]) -> Iterator[B
     batch = event_batch(events)
     batch.texts = texts
     yield batch
-
-
-def _fault(topic: RecordedTopic) -> str:
-    if topic.encoding != "cdr":
-        return f"they are encoded as {topic.encoding!r}, not 'cdr'"
-    return (
-        ""
-        if topic.message_type == EVENT_SCHEMA_NAME
-        else f"their type is {topic.message_type!r}, not {EVENT_SCHEMA_NAME!r}"
-    )

@@ -286,6 +286,7 @@ CLOCKS = {
     "a stall": ({"/a": ages(2000, 100, lambda n: queued_ms(n * 10)), "/b": ages(1000, 50, lambda n: queued_ms(n * 20))}, "2 times, for up to 800 ms at 00:05"),
     "latched": ({"/tf_static": [(START_NS + n * MS, START_NS - 156 * S // (n + 1)) for n in range(3)], **STEADY}, "nodes that started earlier"),
     "two kinds": ({"/tf": sorted(ages(1000, 20, lambda _: 2) + [(at + 7 * MS, at + 1200 * MS) for at, _ in ages(100, 2, lambda _: 0)])}, "two kinds"),
+    "two clocks by turns": ({"/diagnostics": [(at, at - MS if n % 3 else 5 * S + n * MS) for n, (at, _) in enumerate(timer(3, 60))]}, "two kinds"),
     "a slow simulation": ({"/pose": [(START_NS + int(n * 0.1 / 0.28 * S), 10 * S + n * 100 * MS) for n in range(1200)]}, "0.28 of real time"),
     "TAI": ({"/points": ages(200, 10, lambda _: -36_995), **STEADY}, "TAI"),
     "GPS": ({"/fix": ages(200, 10, lambda _: -17_950), **STEADY}, "GPS"),

@@ -150,7 +150,7 @@ class TestDatabases:
         ("statement", "note"),
         [
             ("UPDATE topics SET serialization_format = 'json' WHERE name = '/dds_trace/t1'", "encoded as 'json'"),
-            ("UPDATE topics SET type = 'x/msg/X' WHERE name = '/dds_trace/t1'", "their type is 'x/msg/X'"),
+            ("UPDATE topics SET type = 'x/msg/X' WHERE name = '/dds_trace/t1'", "its schema is 'x/msg/X'"),
         ],
     )
     def test_event_topics_of_another_kind_are_named_and_not_used(self, tmp_path, statement, note):

@@ -54,6 +54,9 @@ class Hole:
     def overlaps(self, start_ns: int, end_ns: int) -> bool:
         return self.start_ns < end_ns and start_ns < self.start_ns + self.duration_ns
 
+    def meets(self, other: Hole) -> bool:
+        return self.overlaps(other.start_ns, other.start_ns + other.duration_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class Regularity:
@@ -101,14 +104,7 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
 
 def joined(parts: Sequence[Regularity]) -> Regularity:
     first = parts[0]
-    holes = [
-        hole
-        for hole in first.holes
-        if all(
-            any(other.overlaps(hole.start_ns, hole.start_ns + hole.duration_ns) for other in part.holes)
-            for part in parts[1:]
-        )
-    ]
+    holes = [hole for hole in first.holes if all(any(map(hole.meets, part.holes)) for part in parts[1:])]
     rate = sum(part.rate_hz for part in parts)
     slowest = max(parts, key=lambda part: part.period_ns)
     return replace(

@@ -23,7 +23,7 @@ from ..reading.source import unpack_message
 from ..reading.sqlite_pages import SQLITE_MAGIC
 from ..reading.sqlite_rows import sqlite_messages
 from .bag1 import BAG1_MAGIC, bag1_messages
-from .recording_files import missing_messages, open_recording
+from .recording_files import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -69,8 +69,12 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
 
 
 def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str, condition: Condition) -> None:
-    for topic, note in missing_messages(claimed, delivered, who):
-        (condition.damages if delivered.get(topic, 0) < claimed[topic] else condition.notes).append(note)
+    for topic, count in claimed.items():
+        got = delivered.get(topic, 0)
+        if got != count:
+            read = f"{got} {'was' if got == 1 else 'were'} read"
+            note = f"{who} says that {topic} has {counted(count, 'message')}, {read}"
+            (condition.damages if got < count else condition.notes).append(note)
 
 
 class _UnpackedBytes:

@@ -53,16 +53,6 @@ def copied_messages(topic: str, copies: int) -> Iterator[str]:
         yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag, or a reset?"
 
 
-def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[tuple[str, str]]:
-    for topic, count in claimed.items():
-        got = delivered.get(topic, 0)
-        if got != count:
-            yield (
-                topic,
-                f"{who} says that {topic} has {counted(count, 'message')}, {got} {'was' if got == 1 else 'were'} read",
-            )
-
-
 def _described(folder: Path) -> RecordingFiles:
     stored = storage_files(folder)
     listed, claimed = _read_metadata(folder / METADATA_NAME)

@@ -15,7 +15,6 @@ from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 from dds_trace.reports.terminal import print_report
 from dds_trace.reports.topics.report import BagReport
 from dds_trace.reports.topics.words import COLUMNS
-from dds_trace.tracefile.recovery.recordings import recover_recording
 
 
 def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
@@ -332,13 +331,6 @@ def test_three_impossible_times_cost_no_message_and_none_is_missing(tmp_path):
     report, health, rows = card(write(tmp_path / "x.mcap", {"/cam": frames}))
     assert (rows["/cam"]["messages"], rows["/cam"]["missing"], health.duration_ns) == (300, 0, 29.9 * S)
     assert ("2 messages" in health.damages[0], len(health.damages), len(report.holes)) == (True, 1, 0)
-
-
-@pytest.mark.parametrize("cut", range(1, 9))
-def test_a_file_without_its_last_bytes_is_recovered_whole(tmp_path, cut):
-    path = write(tmp_path / "x.mcap", {"/a": timer(10, 10)})
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert card(path)[2]["/a"]["messages"] == recover_recording(path).messages == 100
 
 
 def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path, capsys):

@@ -67,7 +67,6 @@ class TopicTimes:
     """Such stamps of messages that were logged by another clock."""
 
     def find_losses(self, start_ns: int, end_ns: int, set_over: Sequence[tuple[int, int]] = ()) -> Losses:
-        """Find what is missing; nothing is where the recorder's clock was set over a stretch."""
         losses, jumps = self._by_rhythm(start_ns, end_ns, set_over), self._jumps()
         if self.lost is not None and self.counter == "tap":
             return _by_counts(losses, sum(self.lost), self.counter)

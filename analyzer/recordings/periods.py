@@ -21,7 +21,7 @@ _FEWEST = 8
 _TOLERANCE = 0.35
 """Deviation, in mean intervals, of an interval of one period."""
 
-_LEAST_SHARE = 0.5
+_LEAST_SHARE, _SAME_SHARE, _RIVAL_SHARE, _CLEAR_SHARE = 0.5, 0.02, 0.15, 0.3
 _MOST_IN_PATTERN = 16
 _WINDOW = 20
 _EQUAL_SHARE = 0.8
@@ -30,12 +30,10 @@ _EQUAL_SHARE = 0.8
 _LEAST_STALL, _QUEUED = 2.5, 0.75
 """Least interval that a queue follows, and the largest interval within that queue, in periods."""
 
-_OFF_GRID, _LEAST_ON_GRID, MOST_STEPS, _OFF_MEAN = 0.2, 0.95, 20, 0.015
+_OFF_GRID, _LEAST_ON_GRID, MOST_STEPS, _OFF_MEAN = 0.2, 0.95, 20, 0.002
 """Deviation of a stamp in periods, the least share within it, the longest step that is compared, the mean deviation of equal steps."""
 
 _MOST_PAUSED = 2.5
-"""Expected messages per message of a topic that pauses too often to be periodic."""
-
 _MOST_TWICE = 0.9
 """Least expected messages per message of a pattern."""
 
@@ -91,13 +89,25 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
     patterns = [pattern for m in range(1, _MOST_IN_PATTERN + 1) if (pattern := _pattern(times_ns, m)) is not None]
     if not patterns:
         return None
-    fewest = min(pattern.expected for pattern in patterns)
+    clearest = max(pattern.share for pattern in patterns)
+    fewest = min(pattern.expected for pattern in patterns if pattern.share > clearest - _CLEAR_SHARE)
     near = [pattern for pattern in patterns if pattern.expected <= 1.15 * fewest + 1]
-    best = max(near, key=lambda pattern: (round(pattern.share, 2), -pattern.length))
+    most = max(pattern.share for pattern in near)
+    best = next(pattern for pattern in near if pattern.share > most - _SAME_SHARE)
     if patterns[0].length == 1 < best.length and _is_single_with_stalls(np.diff(times_ns) / patterns[0].period_ns):
         best = patterns[0]
     period_ns, in_pattern = best.period_ns, best.length
-    regularity = _single(times_ns, period_ns) if in_pattern == 1 else _several(times_ns, period_ns, in_pattern)
+    if in_pattern == 1:
+        regularity = _single(times_ns, period_ns)
+    else:
+        regularity = _several(times_ns, period_ns, in_pattern)
+        rivals = [
+            _several(times_ns, rival.period_ns, rival.length)
+            for rival in near
+            if rival.length > in_pattern and rival.share > most - _RIVAL_SHARE
+        ]
+        low, high = min(r.low for r in (regularity, *rivals)), max(r.high for r in (regularity, *rivals))
+        regularity = replace(regularity, low=low, high=high)
     pauses = len(regularity.holes) > 2 and len(times_ns) + regularity.missing > _MOST_PAUSED * len(times_ns)
     return None if pauses else replace(regularity, share=best.share)
 
@@ -300,14 +310,14 @@ def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
     missing, most = (_lacking(part_ns, period_ns, in_pattern, usual_ns) for part_ns in (inner_ns, times_ns))
     gaps = np.flatnonzero(intervals_ns > usual_ns + 0.8 * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
-    unsure = 0 if missing == 0 else in_pattern
+    unsure = in_pattern + round(missing**0.5)
     return Regularity(
         period_ns,
         in_pattern,
         spread(periods_ns),
         missing,
         max(missing - unsure, 0),
-        max(most, missing) + in_pattern,
+        max(most, missing) + unsure,
         holes=[
             Hole(int(times_ns[at] + usual_ns), int(intervals_ns[at] - usual_ns), count)
             for at, count in zip(gaps.tolist(), lost.tolist(), strict=True)

@@ -83,7 +83,7 @@ class ChannelTable:
             )
         stage = STAGE_OF_TOPIC.get(channel.topic)
         schema = self.schemas.get(channel.schema_id)  # a lost schema is not another schema
-        fault = event_fault(stage, channel.message_encoding, schema and schema.name) if stage else None
+        fault = event_fault(stage, channel.message_encoding, schema.name if schema else None) if stage else None
         self._channels[channel.id] = DeclaredChannel(channel, stage, fault)
 
 

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import Flag, auto
+from itertools import groupby
 from typing import Any, ClassVar, TypeAlias
 
 from dds_trace.base.units import MISSING
@@ -23,10 +24,16 @@ EVERYWHERE = TERMINAL | MARKDOWN | PAGE
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Part of a text; the tone is a class of the page's style."""
+    """The tone is a class of the page's style, where it opens the result `group`."""
 
     text: str
     tone: str = "strong"
+    group: int | None = None
+
+
+PASS, FAIL, OPEN = Span("✓", "good"), Span("✗", "bad"), Span("·", "soft")
+MARKS = {"meets": PASS, "misses": FAIL, "pass": PASS, "fail": FAIL}
+"""Outcome -> its mark; others are `OPEN`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +52,9 @@ class Figure(Block):
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Texts one below the other; Markdown has commas between them."""
+    """Lines one below the other; Markdown has commas between them."""
 
-    spans: Sequence[Span]
+    lines: Sequence[Sequence[Span]]
 
 
 Words: TypeAlias = str | Sequence[Span] | Stack | Figure
@@ -68,6 +75,8 @@ class Sentence(Block):
 
 @dataclass(frozen=True, slots=True)
 class Points(Block):
+    """A bullet of `1.` numbers the items."""
+
     items: Sequence[Words]
     bullet: str = "-"
 
@@ -78,11 +87,17 @@ class Key(Block):
 
 
 @dataclass(frozen=True, slots=True)
+class Facts(Block):
+    entries: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
 class Column(Block):
-    """Widths are of a terminal, which ends a longer text with an ellipsis if it `is_cut`."""
+    """Widths are of a terminal, which ends a longer text with an ellipsis if it `is_cut`; `head` is above equal ones."""
 
     name: str
     _: KW_ONLY
+    head: str = ""
     right: bool = False
     width: int | None = None
     least: int | None = None
@@ -91,7 +106,7 @@ class Column(Block):
 
 @dataclass(frozen=True, slots=True)
 class Row(Block):
-    """Below the cells are `figure`, `notes` and, on a page, `details`; `part` is a heading of a terminal."""
+    """Below the cells are `figure`, `notes` and, on a page, `details`; `part` is above rows."""
 
     cells: Sequence[Words]
     _: KW_ONLY
@@ -103,27 +118,44 @@ class Row(Block):
 
 @dataclass(frozen=True, slots=True)
 class Table(Block):
-    """`gap` is of a terminal; `opens` is the summary of the rows' details."""
+    """`gap` is of a terminal, `look` a class of the page; `opens` names details; `parted` have the rows' parts."""
 
     columns: Sequence[Column]
     rows: Sequence[Row]
-    caption: str = ""
+    caption: Words = ""
     _: KW_ONLY
     label: str = ""
     gap: int = 1
+    look: str = ""
     opens: str = ""
+    parted: Medium = TERMINAL
 
     def seen(self, medium: Medium) -> tuple[list[Column], list[tuple[Row, list[Words]]]]:
-        """Return the columns of a medium, and its rows with their cells."""
         indices = [index for index, column in enumerate(self.columns) if medium in column.media]
         rows = [(row, [row.cells[index] for index in indices]) for row in self.rows if medium in row.media]
         return [self.columns[index] for index in indices], rows
 
+    def parts(self, medium: Medium) -> list[tuple[str, list[tuple[Row, list[Words]]]]]:
+        _, rows = self.seen(medium)
+        return [
+            (part, [*part_rows])
+            for part, part_rows in groupby(rows, lambda row: row[0].part if medium in self.parted else "")
+        ]
+
+    @property
+    def heads(self) -> list[tuple[str, int]]:
+        return [(head, len([*columns])) for head, columns in groupby(self.columns, lambda column: column.head)]
+
 
 @dataclass(frozen=True, slots=True)
 class Fold(Block):
-    summary: str
+    """A terminal shows the summary and the first of the blocks; `name` and `tone` are the page's."""
+
+    summary: Words
     blocks: Sequence[Block]
+    _: KW_ONLY
+    name: str = ""
+    tone: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,12 +215,12 @@ def plain_text(words: Words) -> str:
     if isinstance(words, Figure):
         return words.text
     if isinstance(words, Stack):
-        return "\n".join(span.text for span in words.spans)
+        return "\n".join(map(plain_text, words.lines))
     return words if isinstance(words, str) else "".join(span.text for span in words)
 
 
 def stack(*spans: Span) -> Stack:
-    return Stack([span for span in spans if span.text not in ("", MISSING)])
+    return Stack([[span] for span in spans if span.text not in ("", MISSING)])
 
 
 def visible(sections: Iterable[Section], medium: Medium) -> list[tuple[str, list[Block]]]:

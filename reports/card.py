@@ -19,8 +19,8 @@ from dds_trace.base.version import __version__
 
 from .book.answer import PointKind
 from .book.book import Book
+from .book.fastest import shown_case
 from .book.groups import data_type_label
-from .book.outcomes import shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
 from .topics.report import STRIP_WIDTH, strip_parts

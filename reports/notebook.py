@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from . import blocks
-from .blocks import MARKDOWN, Span, Words
+from .blocks import MARKDOWN, Span, Table, Words
 from .book.book import Book
 from .book.findings import severity_counts
-from .book.sizes import HOW_TO_READ, SizeTable, size_rows
+from .book.sizes import HOW_TO_READ, size_block
 from .comparison.info import comparison_info
 from .comparison.report import result_table
 from .plotting import line_figure
@@ -38,6 +38,7 @@ _BELOW = 700
 _LOST = "color:#e5484d"
 _SOFT = "font-size:90%"
 _CELL = "text-align:left;white-space:nowrap"
+_TOO_LONG = "The table is too long for a cell of a notebook."
 
 
 def first_screen(analysis: Analysis) -> str:
@@ -55,34 +56,31 @@ def first_screen(analysis: Analysis) -> str:
     top = "".join(above)
     if len(top) >= MOST_CHARACTERS // 2:  # strings of a trace may be long
         top = f"<p>{escape(top[: MOST_CHARACTERS // 4])} ...</p>"
-    table = "" if sizes is None else _table(sizes, MOST_CHARACTERS - len(top) - len(below) - _BELOW)
-    return f"<div>{top}{table}{below}</div>"
+    if sizes is not None:
+        room = MOST_CHARACTERS - len(top) - len(below) - _BELOW
+        pairs = ("more pair of devices and links", "more pairs of devices and links")
+        top += f"{_table(size_block(sizes), room, pairs)}<p style='{_SOFT}'>{escape(HOW_TO_READ)}</p>"
+    return f"<div>{top}{below}</div>"
 
 
-def _table(sizes: SizeTable, room: int) -> str:
-    span = len(sizes.choices) + 1
-    names = "".join(f"<th style='{_CELL}'>{escape(choice)}</th>" for choice in sizes.choices)
-    start = (
-        f"<table><caption style='{_CELL}'>{escape(sizes.caption)}</caption>"
-        f"<thead><tr><th style='{_CELL}'>Size</th>{names}</tr></thead>"
-    )
+def _table(table: Table, room: int, noun: tuple[str, str]) -> str:
+    columns, rows = table.seen(MARKDOWN)
+    caption = f"<caption style='{_CELL}'>{_html(table.caption)}</caption>" if table.caption else ""
+    names = "".join(f"<th style='{_CELL}'>{escape(column.name)}</th>" for column in columns)
+    start = f"<table>{caption}<thead><tr>{names}</tr></thead>"
+    parts = table.parts(MARKDOWN)
+    if not any(part for part, _ in parts):
+        parts = [("", [row]) for row in rows]
     bodies: list[str] = []
-    for rows in sizes.places:
-        lines = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(rows.place)}</th></tr>"]
-        lines += [_row(row.cells) for row in size_rows(sizes, rows, separator="")]
-        body = f"<tbody>{''.join(lines)}</tbody>"
+    for part, own_rows in parts:
+        head = f"<tr><th colspan='{len(columns)}' style='{_CELL}'>{escape(part)}</th></tr>" if part else ""
+        body = f"<tbody>{head}{''.join(_row(cells) for _, cells in own_rows)}</tbody>"
         if len(start) + sum(map(len, bodies)) + len(body) > room:
             break
         bodies.append(body)
-    remaining = len(sizes.places) - len(bodies)
-    more = (
-        f" And {counted(remaining, 'more pair of devices and link', 'more pairs of devices and links')}."
-        if remaining
-        else ""
-    )
-    if not bodies:
-        return f"<p style='{_SOFT}'>The table of sizes is too long for a cell of a notebook.</p>"
-    return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
+    remaining = len(parts) - len(bodies)
+    more = f"<p style='{_SOFT}'>And {counted(remaining, *noun)}.</p>" if remaining else ""
+    return f"{start}{''.join(bodies)}</table>{more}" if bodies else f"<p style='{_SOFT}'>{_TOO_LONG}</p>"
 
 
 def _row(cells: Sequence[Words]) -> str:
@@ -94,15 +92,16 @@ def _row(cells: Sequence[Words]) -> str:
 def _html(words: Words) -> str:
     if isinstance(words, (str, blocks.Figure)):
         return escape(blocks.plain_text(words))
-    spans = words.spans if isinstance(words, blocks.Stack) else words
-    return ("<br>" if isinstance(words, blocks.Stack) else "").join(map(_span, spans))
+    if isinstance(words, blocks.Stack):
+        return "<br>".join(map(_html, words.lines))
+    return "".join(map(_span, words))
 
 
 def _span(span: Span) -> str:
-    text = escape(span.text)
-    if span.tone == "bad":
-        return f" <span style='{_LOST}'>{text}</span>"
-    return f"<b>{text}</b>" if span.tone == "strong" or span.tone.startswith("verdict") else text
+    text, tones = escape(span.text), span.tone.split()
+    if "bad" in tones and "verdict" not in tones:
+        return f"<span style='{_LOST}'>{text}</span>"
+    return f"<b>{text}</b>" if {"strong", "verdict"} & {*tones} else text
 
 
 def comparison_screen(comparison: Comparison) -> str:
@@ -113,18 +112,8 @@ def comparison_screen(comparison: Comparison) -> str:
         top = f"<p>{escape(info.said[: MOST_CHARACTERS // 8])} ...</p>"
     if not info.groups:
         return f"<div>{top}</div>"
-    columns, cells = result_table(info, len(info.groups)).seen(MARKDOWN)
-    names = "".join(f"<th style='{_CELL}'>{escape(column.name)}</th>" for column in columns)
-    rows: list[str] = []
-    room = MOST_CHARACTERS - len(top) - len(names) - _BELOW
-    for _, texts in cells:
-        rows.append(_row(texts))
-        if sum(map(len, rows)) > room:
-            rows.pop()
-            break
-    remaining = len(info.groups) - len(rows)
-    more = f"<p style='{_SOFT}'>And {counted(remaining, 'more result')}.</p>" if remaining else ""
-    return f"<div>{top}<table><thead><tr>{names}</tr></thead><tbody>{''.join(rows)}</tbody></table>{more}</div>"
+    table = result_table(info, len(info.groups))
+    return f"<div>{top}{_table(table, MOST_CHARACTERS - len(top) - _BELOW, ('more result', 'more results'))}</div>"
 
 
 def plot(

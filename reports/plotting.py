@@ -25,8 +25,6 @@ _MS, _MB = 1e6, 1e6
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the marks of a figure show: title of the axis, a group's value in its unit, and the text of a value."""
-
     title: str
     of: Callable[[int], float | None]
     text: Callable[[float], str]

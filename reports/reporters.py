@@ -65,14 +65,10 @@ def write_reports(
 
 
 def render_report(analysis: Analysis, kind: str) -> str:
-    """Return one report of an analysis as text.
-
-    Raises:
-        OptionError: there is no such kind.
-    """
+    """Return one report with all tables as text."""
     from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
 
-    return load_reporter(kind).render(Book(analysis))
+    return load_reporter(kind).render(Book(analysis, shows_all=True))
 
 
 def _write(reporter: Reporter, report: Report, kind: str, folder: Path) -> Path | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import groupby
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -37,10 +36,6 @@ Drawn = Iterable[RenderableType]
 
 
 def render(report: Report) -> str:
-    return screen_text(_drawn(report.sections))
-
-
-def render_screen(report: Report) -> str:
     return screen_text(_drawn(report.screen))
 
 
@@ -59,9 +54,9 @@ def _drawn(sections: Iterable[Section]) -> Group:
 def _text(words: Words, tone: str = "") -> Text:
     if isinstance(words, (str, blocks.Figure)):
         return Text(plain_text(words), style=_style(tone))
-    is_stack = isinstance(words, blocks.Stack)
-    spans = words.spans if isinstance(words, blocks.Stack) else words
-    return Text("\n" if is_stack else "").join(Text(span.text, _style(span.tone)) for span in spans)
+    if isinstance(words, blocks.Stack):
+        return Text("\n").join(map(_text, words.lines))
+    return Text("").join(Text(span.text, _style(span.tone)) for span in words)
 
 
 def _style(tone: str) -> str:
@@ -72,8 +67,8 @@ def _points(block: blocks.Points) -> Drawn:
     if not block.bullet:
         return [*map(_text, block.items)]
     grid = Grid.grid(padding=(0, 1, 0, 0))
-    for item in block.items:
-        grid.add_row(Text(block.bullet), _text(item))
+    for number, item in enumerate(block.items, 1):
+        grid.add_row(Text(f"{number:2}." if block.bullet == "1." else block.bullet), _text(item))
     return [grid] if block.items else []
 
 
@@ -139,10 +134,33 @@ def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], g
 
 def _table(block: blocks.Table) -> Iterator[RenderableType]:
     columns, rows = block.seen(TERMINAL)
-    has_parts = any(row.part for row, _ in rows)
-    widths = _widths(columns, [cells for _, cells in rows], block.gap)
+    if block.caption:
+        yield Text(plain_text(block.caption), style="bold")
+    for number, sheet in enumerate(_sheets(columns, block.gap)):
+        yield from [Text()] if number else []
+        yield from _sheet(block, [columns[index] for index in sheet], sheet)
+    for row, cells in rows:
+        if row.notes:
+            yield Text(printable(plain_text(cells[0])), style="bold")
+            yield from (Text(f"  {line}") for line in (*([row.figure.text] if row.figure else []), *row.notes))
 
-    def grid(own_rows: Iterable[tuple[blocks.Row, list[Words]]], *, has_names: bool) -> Grid:
+
+def _sheets(columns: Sequence[blocks.Column], gap: int) -> list[list[int]]:
+    """Each sheet has the first column."""
+    sheets = [[0]]
+    for index, column in enumerate(columns[1:], 1):
+        used = sum((columns[at].width or 0) + gap for at in sheets[-1])
+        if column.head and used + (column.width or 0) > SCREEN_WIDTH:
+            sheets.append([0])
+        sheets[-1].append(index)
+    return sheets
+
+
+def _sheet(block: blocks.Table, columns: Sequence[blocks.Column], sheet: Sequence[int]) -> Iterator[RenderableType]:
+    parts = [(part, [[cells[index] for index in sheet] for _, cells in rows]) for part, rows in block.parts(TERMINAL)]
+    widths = _widths(columns, [cells for _, rows in parts for cells in rows], block.gap)
+
+    def grid(rows: Iterable[Sequence[Words]], *, has_names: bool) -> Grid:
         table = Grid(box=None, padding=(0, block.gap, 0, 0), pad_edge=False, header_style="dim", show_header=has_names)
         for column, width in zip(columns, widths, strict=True):
             table.add_column(
@@ -152,23 +170,29 @@ def _table(block: blocks.Table) -> Iterator[RenderableType]:
                 no_wrap=column.is_cut,
                 overflow="ellipsis" if column.is_cut else "fold",
             )
-        for _, cells in own_rows:
+        for cells in rows:
             table.add_row(*map(_text, cells))
         return table
 
-    if block.caption:
-        yield Text(block.caption, style="bold")
-    if not has_parts:
-        yield grid(rows, has_names=any(column.name for column in columns))
-    else:
-        yield grid([], has_names=True)
-        for part, own_rows in groupby(rows, lambda row: row[0].part):
-            yield from [Text(part, style="bold")] if part else []
-            yield grid(own_rows, has_names=False)
-    for row, cells in rows:
-        if row.notes:
-            yield Text(printable(plain_text(cells[0])), style="bold")
-            yield from (Text(f"  {line}") for line in (*([row.figure.text] if row.figure else []), *row.notes))
+    if not any(part for part, _ in parts):
+        yield grid([cells for _, rows in parts for cells in rows], has_names=any(column.name for column in columns))
+        return
+    yield grid([], has_names=True)
+    for part, rows in parts:
+        yield from [Text(part, style="bold")] if part else []
+        yield grid(rows, has_names=False)
+
+
+def _fold(block: blocks.Fold) -> Drawn:
+    grid = Grid.grid(padding=(0, 1, 0, 0))
+    for first in block.blocks[:1]:
+        for line in _DRAWN[type(first)](first):
+            grid.add_row(Text(" "), line)
+    return [_text(block.summary), grid]
+
+
+def _facts(block: blocks.Facts) -> Drawn:
+    return [Text.assemble((f"{name:<20}", "dim"), text) for name, text in block.entries]
 
 
 _DRAWN: dict[type[Block], Callable[[Any], Drawn]] = {
@@ -179,4 +203,6 @@ _DRAWN: dict[type[Block], Callable[[Any], Drawn]] = {
     blocks.Table: _table,
     blocks.Command: _command,
     blocks.Fitted: _fitted,
+    blocks.Fold: _fold,
+    blocks.Facts: _facts,
 }

@@ -31,7 +31,7 @@ from dds_trace.cli.sweep.explain import answer, answer_lines
 from dds_trace.recorder.sweep import explain
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
-from dds_trace.reports.terminal import render, render_screen
+from dds_trace.reports.terminal import render
 from dds_trace.reports.topics.report import BagReport
 
 TOP = Path(__file__).parents[1]
@@ -95,7 +95,7 @@ def quote(kind: str, campaign: str) -> str:
             book = Book(analyze(folder))
             if kind == "table":
                 return re.findall(r"(?:^\|.*\n)+", load_reporter("md").render(book), re.MULTILINE)[0]
-            lines = render_screen(book).splitlines()
+            lines = render(book).splitlines()
     return "".join(f"{line.rstrip()}\n" for line in ["```text", *lines, "```"])
 
 

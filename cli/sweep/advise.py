@@ -22,7 +22,7 @@ from .against import say_missing
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, read_thresholds, run_until_interrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
@@ -64,27 +64,34 @@ def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = Fa
 
 
 def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
-    from dds_trace.recorder.sweep.advice import bundles
-
     from .dry_run import dry_run
 
-    cells, sides = [], 1
-    for vendor, vendor_cells in _cells_by_vendor(plan).items():
-        known = bundles(vendor, plan)
-        if reason := _no_advice(plan, vendor, known):
+    cells: list[Cell] = []
+    for vendor, (vendor_cells, texts, reason) in _bundles_by_vendor(plan).items():
+        if reason:
             say(f"{vendor} is not recorded: {reason}")
-        else:
-            cells += vendor_cells
-            sides = max(sides, 1 + len(known))
-    repeats = sides * LOOKS + 2 * max(PROOFS, plan.run.repeats)
-    recorded = replace(plan, cells=tuple(cells), run=replace(plan.run, repeats=repeats))
+        else:  # looks, and both sides of the proof
+            cells += vendor_cells * (1 + len(texts) + 2 * _proofs(plan) // LOOKS)
+    recorded = replace(plan, cells=tuple(cells), run=replace(plan.run, repeats=LOOKS))
     return dry_run(recorded, out, None, None, as_json=as_json)
 
 
-def _no_advice(plan: Plan, vendor: str, known: Collection[object]) -> str:
-    if vendor == "fastdds" and plan.discovery == "localhost":
-        return "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
-    return "" if known else "no settings of it are known here"
+def _proofs(plan: Plan) -> int:
+    return max(PROOFS, plan.run.repeats)
+
+
+def _bundles_by_vendor(plan: Plan) -> dict[str, tuple[list[Cell], dict[str, str], str]]:
+    """Return cells, bundles by name, and why none is recorded."""
+    from dds_trace.recorder.sweep.advice import bundles
+
+    by_vendor = {}
+    for vendor, cells in _cells_by_vendor(plan).items():
+        texts = bundles(vendor, plan)
+        reason = "" if texts else "no settings of it are known here"
+        if vendor == "fastdds" and plan.discovery == "localhost":
+            reason = "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
+        by_vendor[vendor] = cells, texts, reason
+    return by_vendor
 
 
 def _cells_by_vendor(plan: Plan) -> dict[str, list[Cell]]:
@@ -113,32 +120,27 @@ def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
     check_advisable(plan)
-    advices = [
-        {
-            "vendor": vendor,
-            "kept": False,
-            **_advise(replace(plan, cells=tuple(vendor_cells)), vendor, out / f"{plan.name}-advice" / vendor),
-        }
-        for vendor, vendor_cells in _cells_by_vendor(plan).items()
-    ]
+    advices = []
+    for vendor, (cells, texts, reason) in _bundles_by_vendor(plan).items():
+        folder = out / f"{plan.name}-advice" / vendor
+        advice = {"reason": reason} if reason else _advise(replace(plan, cells=tuple(cells)), vendor, texts, folder)
+        advices.append({"vendor": vendor, "kept": False, **advice})
     print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in shown(advice)))
     return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
 
 
-def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
-    from dds_trace.recorder.sweep.advice import bundles, write_bundles
+def _advise(plan: Plan, vendor: str, texts: Mapping[str, str], folder: Path) -> Advice:
+    from dds_trace.recorder.sweep.advice import write_bundles
     from dds_trace.recorder.sweep.plan.plan import Order
 
-    if reason := _no_advice(plan, vendor, bundles(vendor, plan)):
-        return {"reason": reason}
-    paths = write_bundles(vendor, plan, folder / "configurations")
+    paths = write_bundles(vendor, texts, folder / "configurations")
     run = replace(plan.run, order=Order.ALTERNATING)
     looks = _look(replace(plan, run=replace(run, repeats=LOOKS, attempts=1)), paths, folder)
     best = min(paths, key=lambda path: looks.get(path.stem, math.inf))
     if looks.get(best.stem, math.inf) > WORTH:
         reason = "no bundle of settings looked better" if looks else f"{_INCOMPLETE} in the first look"
         return {"reason": reason, "first_look": looks}
-    proof = _prove(replace(plan, run=replace(run, repeats=max(PROOFS, run.repeats))), vendor, best, folder / best.stem)
+    proof = _prove(replace(plan, run=replace(run, repeats=_proofs(plan))), vendor, best, folder / best.stem)
     return {"first_look": looks, **proof}
 
 

@@ -15,7 +15,7 @@ from ..kernel.counters import read_limits
 from .folder import replace_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ..backends.ros2.fastdds_profile import Settings
     from .plan.plan import Plan
@@ -43,11 +43,9 @@ def bundles(vendor: str, plan: Plan) -> dict[str, str]:
     return {}
 
 
-def write_bundles(vendor: str, plan: Plan, folder: Path) -> list[Path]:
-    texts = {
-        folder / f"{name}{'.json5' if vendor == 'zenoh' else '.xml'}": text
-        for name, text in bundles(vendor, plan).items()
-    }
+def write_bundles(vendor: str, texts_by_name: Mapping[str, str], folder: Path) -> list[Path]:
+    ending = ".json5" if vendor == "zenoh" else ".xml"
+    texts = {folder / f"{name}{ending}": text for name, text in texts_by_name.items()}
     for path, text in texts.items():
         folder.mkdir(parents=True, exist_ok=True)
         replace_text(path, text)

@@ -15,6 +15,7 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
 from dds_trace.base.units import counted, format_duration
 
+from .fastest import Fastest, tail_sentence, winner_sentences
 from .groups import (
     METRIC_LABELS,
     Group,
@@ -22,28 +23,14 @@ from .groups import (
     VendorLabels,
     data_type_label,
     domain_label,
+    factor_words,
     format_count,
     format_ratio,
     group_labels,
     joined,
 )
-from .headline import (
-    FORGED,
-    Fastest,
-    avoid_sentence,
-    bridge_sentence,
-    cure_sentence,
-    factor_words,
-    few_lost_sentence,
-    forged_sentence,
-    interference_sentences,
-    limits_words,
-    loss_sentence,
-    recovery_sentences,
-    tail_sentence,
-    where_sentence,
-    winner_sentences,
-)
+from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
+from .losses import FORGED, avoid_sentence, cure_sentence, few_lost_sentence, forged_sentence, loss_sentence
 from .numbers import Values
 from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info

@@ -10,7 +10,8 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 
 from ..blocks import Report, Section
 from .contents import Contents
-from .report import screen, sections
+from .report import sections
+from .screen import screen
 
 FORMAT_VERSION = 1
 """A field may be added without a new version."""

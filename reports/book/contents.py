@@ -11,13 +11,13 @@ from dds_trace.base.printable import printable
 
 from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
+from .fastest import Fastest, fastest_setups
 from .findings import FindingKind, findings_info
 from .groups import Groups, groups_info
-from .headline import Fastest, fastest_setups
 from .numbers import BridgedCell, Curves, Intervals, Values, bridge_costs, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
 from .recommendation import Advice, recommendation_info
-from .recording import OwnCost, RecordedEnvironment, RunTime, own_costs, recorded_environment, run_times
+from .recording import OwnCost, RunTime, own_costs, run_times
 from .sizes import Glance, SizeTable, glance_info, size_table
 from .topics import is_of_topics
 
@@ -93,7 +93,3 @@ class Contents:
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:
         return findings_info(self.analysis, self.groups, self.values)
-
-    @cached_property
-    def environment(self) -> RecordedEnvironment | None:
-        return recorded_environment(self.analysis, self.groups)

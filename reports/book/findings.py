@@ -11,6 +11,7 @@ from dds_trace.analyzer.model.finding import Finding, Subject
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
+from ..blocks import PAGE, Block, Fold, Points, Sentence, Span
 from .groups import Groups, group_labels
 from .numbers import Values
 
@@ -32,7 +33,6 @@ class OneFinding:
     where: str
     what: str
     action: str
-    groups: tuple[str, ...] = ()
     worst_first: tuple[int, ...] = ()
 
 
@@ -95,19 +95,43 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     )
 
 
+_TONES = {"error": "bad", "warning": "open", "info": "info"}
+MOST_LINKED = 40
+
+
+def finding_block(kind: FindingKind, labels: Sequence[str]) -> Fold:
+    first = kind.listed[0]
+    severity = Span(kind.severity_word, f"strong severity {_TONES[kind.severity]}")
+    summary = [severity, Span(f" {kind.heading}: "), Span(f"{first.where}: {first.what}", "")]
+    parts: list[Block] = [Sentence(first.action, "soft")]
+    if len(kind.listed) > 1:
+        items = [_item(finding, has_action=not kind.common_action) for finding in kind.listed]
+        parts.append(Points(items))
+    for finding in kind.listed:
+        shown = finding.worst_first[:MOST_LINKED]
+        links = [part for group in shown for part in (Span("; ", ""), Span(labels[group], "", group))][1:]
+        hidden = len(finding.worst_first) - len(shown)
+        links += [Span(f"; and {hidden} more", "")] if hidden else []
+        parts += [Sentence(links, "groups", media=PAGE)] if links else []
+    return Fold(summary, parts, name=f"{kind.severity}-{kind.code}", tone=kind.severity)
+
+
+def _item(finding: OneFinding, *, has_action: bool) -> list[Span]:
+    action = [Span(f" {finding.action}", "soft")] if has_action else []
+    return [Span(f"{finding.where}:"), Span(f" {finding.what}", ""), *action]
+
+
 def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:
     is_of_recording = finding.subject is Subject.RECORDING
     named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
-    many = len(named) > _MOST_NAMED
     if len(named) == len(labels) > 1:
         where = f"all {len(named)} results"
-    elif many:
+    elif len(named) > _MOST_NAMED:
         where = f"{len(named)} results, such as {named[0]}"
     else:
         where = "; ".join(named) or finding.where
     where, what, action = (printable(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action))
-    listed = named if many and len(named) < len(labels) else ()
-    return OneFinding(where, what, action, listed, tuple(sorted(finding.groups, key=rank.__getitem__)))
+    return OneFinding(where, what, action, tuple(sorted(finding.groups, key=rank.__getitem__)))
 
 
 def _title(code: str) -> str:

@@ -322,6 +322,33 @@ def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
     return f"{comma.join(first)} {word} {last}" if first else last
 
 
+MOST_NAMED = 3
+
+
+def some_of(parts: Sequence[str], noun: str) -> str:
+    more = len(parts) - MOST_NAMED
+    return "; ".join([*parts[:MOST_NAMED], *([f"and {more} {noun}"] if more > 0 else [])])
+
+
+def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:
+    if len(sizes) < sum(sizes[0] <= size <= sizes[-1] for size in all_sizes):
+        return f"at {joined(map(format_size, sizes))}"
+    low, high = format_size(sizes[0]), format_size(sizes[-1])
+    if low == high:
+        return f"at {low}"
+    first, last = sizes[0] == min(all_sizes), sizes[-1] == max(all_sizes)
+    if first and last:
+        return f"at every size ({low} to {high})"
+    return f"from {low} on" if last else f"up to {high}" if first else f"from {low} to {high}"
+
+
+def factor_words(factors: Sequence[float]) -> str:
+    low, high = (format_number(end) for end in (min(factors), max(factors)))
+    if high == "1":
+        return "less than 1.01 times"
+    return f"{high if low == high else f'up to {high}' if low == '1' else f'{low} to {high}'} times"
+
+
 def _series_order(series: Series) -> tuple[object, ...]:
     vendors = [*VENDORS, series.vendor]
     fields = tuple(by_number(str(value)) for value in (*series.of(_NAMED), series.further, series.vendor_label))

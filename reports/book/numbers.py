@@ -14,7 +14,7 @@ from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shar
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.verdicts.judgements import lossy_shares
-from dds_trace.base.units import MISSING, counted, finite
+from dds_trace.base.units import counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
 from .verdicts import VERDICTS, few_words, received_words, runs_words
@@ -87,11 +87,8 @@ class Intervals:
     def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
         return bool(_value(self.is_between, metric, percentile, group))
 
-    def basis(self, metric: str, percentile: str, group: int, runs: float | None = None) -> str:
-        if _value(self.is_between, metric, percentile, group) is None:
-            return MISSING if runs is None else f"{runs:.0f}"
-        is_between = self.is_between_runs(metric, percentile, group)
-        return f"{self.runs[group]}" + ("" if is_between else f", {few_words(self.runs[group])}")
+    def is_within_runs(self, metric: str, percentile: str, group: int) -> bool:
+        return _value(self.is_between, metric, percentile, group) == 0
 
     def rests_on(self, metric: str, percentile: str, group: int) -> str:
         if _value(self.is_between, metric, percentile, group) is None:
@@ -134,7 +131,7 @@ def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Curves of all groups (`report_values`): metric -> for each group the times at the first levels; `shares` were received, `losses` names those that a figure marks."""
+    """Metric -> for each group the times at the first levels; `losses` are of those that a figure marks."""
 
     levels: tuple[float, ...]
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]

@@ -19,40 +19,40 @@ from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size, spell_duration, spell_size
 
-from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels
+from ..blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels, time_words
 from .verdicts import few_words, place_label
 
 if TYPE_CHECKING:
     import polars as pl
 
-COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
-"""`Of received` is the time over the received messages only."""
-
-
-UNKNOWN = "unknown"
-
 
 @dataclass(frozen=True, slots=True)
 class Advice:
+    """`rows` are setting, whether it meets the deadline, and its numbers with what they rest on."""
+
     job: str
     sentence: str
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[str, str, str], ...]
     missing: str = ""
     commands: tuple[tuple[str, str], ...] = ()
 
-    @property
-    def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
-        return tuple(_brief(*row) for row in self.rows)
 
-
-def _brief(
-    setting: str, fit: str, time: str, interval: str, share: str, received_time: str, basis: str, why: str
-) -> tuple[str, str, str]:
-    numbers = [] if time == UNKNOWN else [time if UNKNOWN in interval else f"{time} (95 %: {interval})"]
-    if share != MISSING:
-        is_known = time == "lost" and received_time != UNKNOWN
-        numbers.append(f"received {share}" + (f" (those in {received_time})" if is_known else ""))
-    return setting, fit, "; ".join([", ".join(numbers), basis, why]).removeprefix("; ").removesuffix("; ")
+def advice_blocks(advice: Advice | None, most: int | None = None) -> Iterator[Block]:
+    if advice is None:
+        return
+    yield Sentence(advice.sentence, "headline")
+    yield Sentence(f"Job: {advice.job}", "soft")
+    items = [
+        [MARKS.get(fit, OPEN), Span(" ", ""), Span(f"{setting}: {fit}"), Span(f"; {numbers}", "soft")]
+        for setting, fit, numbers in advice.rows[:most]
+    ]
+    yield Points(items, bullet="1.")
+    if most and len(advice.rows) > most:
+        yield Sentence(f"and {counted(len(advice.rows) - most, 'more setup')}: --all", "soft")
+    if advice.missing:
+        yield Sentence(advice.missing)
+    yield from (Command(*command) for command in advice.commands)
 
 
 def recommendation_info(
@@ -178,30 +178,21 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
     return words[0].upper() + words[1:] if opens else words
 
 
-def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
-    basis = "a guess"
+def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
+    ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
+    share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), ["a guess"]
+    if candidate.value_ns is not None:
+        numbers.append(time if None in ends else f"{time} (95 %: {' to '.join(map(time_words, ends))})")
+    if share != MISSING:
+        is_lost = time == LOST and candidate.survivors_ns is not None
+        numbers.append(f"received {share}" + (f" (those in {time_words(candidate.survivors_ns)})" if is_lost else ""))
     if candidate.measured:
-        basis = counted(candidate.runs, "run")
-        if candidate.basis == "within one run":
-            basis += f", {few_words(candidate.runs)}"
-        if candidate.episodes is not None:
-            basis += f", {counted(candidate.episodes, 'burst')}"
-    return (
-        name,
-        "unclear" if candidate.fit is Fit.INCONCLUSIVE else candidate.fit.value,
-        _time(candidate.value_ns),
-        f"{_time(candidate.lower_ns)} to {_time(candidate.upper_ns)}",
-        format_ratio(candidate.received_ratio),
-        _time(candidate.survivors_ns),
-        basis,
-        candidate.reason,
-    )
-
-
-def _time(value_ns: float | None) -> str:
-    if value_ns is None:
-        return UNKNOWN
-    return "lost" if math.isinf(value_ns) else format_duration(value_ns)
+        basis = [counted(candidate.runs, "run")]
+        basis += [few_words(candidate.runs)] if candidate.basis == "within one run" else []
+        basis += [] if candidate.episodes is None else [counted(candidate.episodes, "burst")]
+    parts = (", ".join(numbers), ", ".join(basis), candidate.reason)
+    fit = "unclear" if candidate.fit is Fit.INCONCLUSIVE else candidate.fit.value
+    return name, fit, "; ".join(filter(None, parts))
 
 
 QOS_DEFAULTS = {

@@ -22,7 +22,7 @@ from dds_trace.base.units import format_duration
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of
 
-from ..blocks import Block, Column, Fold, Row, Sentence, Table
+from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
 from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
@@ -249,21 +249,7 @@ _NAMES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedRow:
-    name: str
-    values: tuple[str, ...]
-    unlike: bool
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedEnvironment:
-    columns: tuple[str, ...]
-    sections: tuple[tuple[str, tuple[RecordedRow, ...]], ...]
-    quality: str
-
-
-def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironment | None:
+def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...]:
     vendors = vendor_labels(analysis)
     described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
     columns: dict[str, None] = {}
@@ -273,20 +259,24 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironm
         for section, name, value in _described(session, vendors):
             described.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
     if not columns:
-        return None
+        return ()
     shown = tuple(columns)[:MOST_COLUMNS]
-    sections: dict[str, list[RecordedRow]] = {}
+    sections: dict[str, list[Row]] = {}
     for (section, name), by_column in described.items():
-        values = tuple(_joined(by_column.get(column, {})) for column in shown)
+        values = [_joined(by_column.get(column, {})) for column in shown]
         distinct = [tuple(sorted(texts)) for texts in by_column.values()]
         # Middleware, domain and link are what a campaign varies on purpose.
         unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(texts) > 1 for texts in distinct))
-        sections.setdefault(section, []).append(RecordedRow(name, values, unlike))
+        words = [Span("≠ ", "unlike"), Span(name, "")] if unlike else name
+        sections.setdefault(section, []).append(Row([words, *values], part=section))
     ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
-    return RecordedEnvironment(
-        shown,
-        tuple((section, tuple(sections[section])) for section in ordered if section in sections),
-        "; ".join(dict.fromkeys(qos_label(member) for member in groups.series)),
+    rows = [row for section in ordered for row in sections.get(section, ())]
+    quality = "; ".join(dict.fromkeys(qos_label(member) for member in groups.series))
+    how = "Rows marked ≠ differ between devices or between sessions."
+    label, look = "How it was recorded, by device and role", "data recorded keeps-1"
+    return (
+        Sentence(f"{how} Quality of service: {quality}." if quality else how, "how"),
+        Table([*map(Column, ("Setting", *shown))], rows, label=label, look=look, parted=EVERYWHERE),
     )
 
 

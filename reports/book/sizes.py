@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +18,9 @@ from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
-from ..blocks import Row, Span, Words
+from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
-from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, time_words
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, format_ratio, time_words
 from .numbers import Intervals
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
 
@@ -64,10 +65,6 @@ class Threshold:
     outcome: str
     why: str
 
-    @property
-    def text(self) -> str:
-        return f"{self.outcome}: {self.why}" if self.why else self.outcome
-
 
 @dataclass(frozen=True, slots=True)
 class PlaceRows:
@@ -87,10 +84,6 @@ class SizeTable:
     rates: str
     places: tuple[PlaceRows, ...]
     whose: str
-
-    @property
-    def caption(self) -> str:
-        return f"Latency of {self.whose} {self.rates}, median / p99"
 
 
 def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
@@ -213,26 +206,46 @@ def _order(answer: CaseAnswer) -> tuple[object, ...]:
     return *where, *data_type_rank(answer.data_type), answer.payload_bytes, answer.rate_hz
 
 
-_OUTCOME_TONES = {"pass": "good", "fail": "bad"}
-
-
-def size_rows(sizes: SizeTable, site: PlaceRows, *, part: slice = slice(None), separator: str = ", ") -> list[Row]:
-    rows = [Row([row.size, *(_times(cell, separator) for cell in row.cells[part])]) for row in site.rows]
-    return [Row([sizes.deadline, *map(_outcome, site.thresholds[part])]), *rows] if site.thresholds else rows
+def size_block(sizes: SizeTable, *, is_further: bool = False) -> Table:
+    heads = [mode for mode, count in sizes.modes for _ in range(count)]
+    choices = zip(sizes.choices, heads, strict=True)
+    columns = [Column("Size", width=15), *(Column(name, width=20, head=head) for name, head in choices)]
+    rows = []
+    for site in sizes.places:
+        if site.thresholds and not is_further:
+            rows.append(Row([sizes.deadline, *map(_outcome, site.thresholds)], part=site.place))
+        for row in site.further if is_further else site.rows:
+            name = f"{row.size} at {row.rate}" if is_further else row.size
+            rows.append(Row([name, *(_times(cell, row) for cell in row.cells)], part=site.place))
+    rates = "at the other rates" if is_further else sizes.rates
+    caption = [Span(f"Latency of {sizes.whose} {rates}, median", ""), Span(" / p99", "p99")]
+    return Table(columns, rows, caption, look="sizes", parted=EVERYWHERE)
 
 
 def _outcome(threshold: Threshold | None) -> Words:
     if threshold is None:
         return ""
-    why = threshold.text.removeprefix(threshold.outcome)
-    return [Span(threshold.outcome, _OUTCOME_TONES.get(threshold.outcome, "")), Span(why, "")]
+    mark = MARKS.get(threshold.outcome, OPEN)
+    return [mark, Span(f" {threshold.outcome}", mark.tone), Span(f": {threshold.why}" if threshold.why else "", "")]
 
 
-def _times(cell: SizeCell | None, separator: str) -> Words:
+TINTS = (1.05, 1.25, 1.6, 2.5)
+"""Factors over a row's lowest median from which a page shades a cell."""
+
+
+def _times(cell: SizeCell | None, row: SizeRow) -> Words:
     if cell is None:
         return ""
-    p50, p99 = (Span(text, "strong" if leads else "") for text, leads in cell.times)
-    return [p50, Span(" / ", ""), p99, *([Span(f"{separator}{cell.lost}", "bad")] if cell.lost else [])]
+    (p50, leads), (p99, leads_p99) = cell.times
+    tones = [f"tint-{_tint(cell, row)}", *(["strong"] if leads else []), *(["bad"] if p50 == LOST else [])]
+    tail = "p99 strong" if leads_p99 else "p99"
+    lines = [[Span(p50, " ".join(tones), cell.group), Span(" / ", "p99"), Span(p99, tail)]]
+    return Stack([*lines, *([[Span(cell.lost, "bad lost")]] if cell.lost else [])])
+
+
+def _tint(cell: SizeCell, row: SizeRow) -> int:
+    times = [other.p50_ns for other in row.cells if other and other.p50_ns and math.isfinite(other.p50_ns)]
+    return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 
 MOST_BLOCKS, MOST_ROWS, MOST_LINKS = 6, 18, 4
@@ -248,8 +261,6 @@ class Dot:
 
 @dataclass(frozen=True, slots=True)
 class DotRow:
-    """`choice` is the setup's option among the dimension's, None where it has no group."""
-
     setup: str
     choice: int | None
     dots: tuple[Dot | None, ...]
@@ -257,8 +268,6 @@ class DotRow:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """`left_out` counts blocks that only the table has."""
-
     message: str
     columns: tuple[str, ...]
     blocks: tuple[tuple[str, tuple[DotRow, ...]], ...]

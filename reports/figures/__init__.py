@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..book.book import Book
-from . import breakdown, clocks, costs, distribution, fan_out, host_load, lines, own_times, timeline, wire
+from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline, wire
 from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
 
 FIGURES: list[FigureMaker | LineFigure] = [
@@ -15,7 +15,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
     costs.DOMAIN_DIFFERENCE,
     costs.BRIDGE_COST,
     costs.INTERFERENCE,
-    fan_out.FIGURE,
+    own_times.FAN_OUT,
     lines.RECEIVED,
     breakdown.FIGURE,
     lines.VENDOR_COMPARISON,

@@ -58,8 +58,7 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
         return LeftOut(name, title, reason)
     used = {part.name for parts in info.parts.values() for part in parts}
     names = {name: label for name, label in PART_LABELS.items() if name in used}
-    parts = {str(group): parts for group, parts in info.parts.items()}
-    plan = facet_plan(info.facet, info.panels, names=names, order=list(names), parts=parts)
+    plan = facet_plan(info.facet, info.panels, names=names, order=list(names), parts=info.parts)
     return Figure(name, title, how_to_read, "breakdown", plan)
 
 

@@ -53,8 +53,7 @@ def one_way_figure(info: OneWay) -> Figure | LeftOut:
     )
     if not info.panels:
         return LeftOut(name, title, "no message has all four time stamps (a relay's trace is missing).")
-    ways = {str(group): way for group, way in info.ways.items()}
-    return Figure(name, title, how_to_read, "one_way", facet_plan(info.facet, info.panels, ways=ways))
+    return Figure(name, title, how_to_read, "one_way", facet_plan(info.facet, info.panels, ways=info.ways))
 
 
 ONE_WAY = FigureMaker(one_way_info, one_way_figure, opened=False)

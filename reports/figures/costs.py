@@ -40,8 +40,7 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     if not info.panels:
         reason = "no message has a latency both in the same and in different domains with all else equal."
         return LeftOut(name, title, reason)
-    cells = {str(group): cell for group, cell in info.cells.items()}
-    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
+    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=info.cells))
 
 
 BRIDGE_COST = FigureMaker(bridge_cost_info, bridge_cost_figure, few=False)
@@ -65,8 +64,7 @@ def interference_figure(info: BridgeCost) -> Figure | LeftOut:
     )
     if not info.panels:
         return LeftOut(name, title, "nothing was recorded both with and without other flows, or a load.")
-    cells = {str(group): cell for group, cell in info.cells.items()}
-    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
+    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=info.cells))
 
 
 INTERFERENCE = FigureMaker(interference_info, interference_figure)
@@ -93,8 +91,7 @@ def dots_figure(info: Dots) -> Figure | LeftOut:
         "Each line is one result: the dot is its time with the 95 % interval, followed by the share received and how many times as long a "
         "message takes through a bridge as in the same domain; times are of the received messages."
     )
-    cells = {str(group): cell for group, cell in info.cells.items()}
-    return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": cells}, follows=True)
+    return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": info.cells}, follows=True)
 
 
 DOTS = FigureMaker(dots_info, dots_figure)
@@ -138,8 +135,7 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     if not info.panels:
         nothing = "no message was measured both in the same and in different domains with all else equal."
         return LeftOut(name, title, nothing)
-    planned = {str(group): times for group, times in info.planned.items()}
-    plan = facet_plan(info.facet, info.panels, pairs=info.pairs, planned=planned)
+    plan = facet_plan(info.facet, info.panels, pairs=info.pairs, planned=info.planned)
     return Figure(name, title, how_to_read, "bars", plan, follows=True)
 
 

@@ -45,11 +45,8 @@ def run_spread_figure(info: Spread) -> Figure | LeftOut:
         "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two setups "
         "that is smaller than this needs more runs to be proved."
     )
-    reaches = {
-        name: {str(group): reach for group, reach in by_group.items()} for name, by_group in info.reaches.items()
-    }
     label = METRIC_LABELS[info.metric]
-    plan = facet_plan(info.facet, info.panels, value="spread", reaches=reaches, label=label)
+    plan = facet_plan(info.facet, info.panels, value="spread", reaches=info.reaches, label=label)
     return Figure(name, title, how_to_read, "lines", plan)
 
 

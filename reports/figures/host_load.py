@@ -55,19 +55,14 @@ def host_load_figure(info: HostLoad) -> Figure | LeftOut:
     )
     if not info.groups:
         return LeftOut(name, title, "no device sampled its load during a run.")
-    groups = {str(group): loads for group, loads in info.groups.items()}
-    return Figure(name, title, how_to_read, "host_load", {"groups": groups, "decimated": info.decimated})
+    return Figure(name, title, how_to_read, "host_load", {"groups": info.groups, "decimated": info.decimated})
 
 
 FIGURE = FigureMaker(host_load_info, host_load_figure, Scope.CELL)
 
 
 def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
-    """Return the samples of the ping's session and of the relay's device during each run.
-
-    Returns:
-        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group.
-    """
+    """Return the samples of the ping's session and of the relay's device during each run, as `DeviceLoad` has them."""
     relay_device = book.analysis.summary["relay_device"]
     runs = pl.DataFrame(
         [

@@ -1,10 +1,12 @@
-"""Times of a group, not of its messages: to the first message, and from the end of an outage to the first reply."""
+"""Times of a group, not of its messages: to the first message, from the end of an outage to the first reply, and to several relays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
+
+from dds_trace.analyzer.model.setting import parse_setting, write_setting
 
 from ..book.book import Book
 from ..book.numbers import whole_ns
@@ -16,8 +18,7 @@ class OwnTimes(Faceted):
     times_ns: Mapping[int, int]
 
     def drawn(self, label: str) -> dict[str, object]:
-        values = {str(group): time_ns for group, time_ns in self.times_ns.items()}
-        return facet_plan(self.facet, self.panels, value="own", values_ns=values, label=label)
+        return facet_plan(self.facet, self.panels, value="own", values_ns=self.times_ns, label=label)
 
 
 def first_message_info(book: Book) -> OwnTimes:
@@ -63,3 +64,49 @@ def recovery_figure(info: OwnTimes) -> Figure | LeftOut:
 
 
 RECOVERY = FigureMaker(recovery_info, recovery_figure)
+
+
+COUNTS = ("relays", "hosts", "pings", "topics", "flow", "flows", "wire")
+
+
+@dataclass(frozen=True, slots=True)
+class Receivers:
+    group: int
+    count: int
+    first_ns: int | None
+    last_ns: int | None
+    matched_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class FanOut:
+    of: str
+    lines: Mapping[str, tuple[Receivers, ...]]
+
+
+def fan_out_info(book: Book) -> FanOut:
+    rows = book.analysis.details.fan_out.sort("receivers", "senders")
+    of = "receivers" if rows.is_empty() or rows["receivers"].n_unique() > 1 else "senders"
+    lines: dict[str, tuple[Receivers, ...]] = {}
+    for row in rows.iter_rows(named=True):
+        times = (whole_ns(row[f"{name}_p50_ns"]) for name in ("first_receiver", "last_receiver", "matched"))
+        group = book.groups.groups[row["group"]]
+        series, cell = book.groups.series_of(group), book.groups.cell_of(group)
+        setting = {key: value for key, value in parse_setting(series.setting).items() if key not in COUNTS}
+        name = ", ".join(filter(None, (series.vendor_label, cell.label, write_setting(setting))))
+        lines[name] = (*lines.get(name, ()), Receivers(row["group"], row[of], *times))
+    return FanOut("Relays" if of == "receivers" else "Pings", lines)
+
+
+def fan_out_figure(info: FanOut) -> Figure | LeftOut:
+    name, title = "fan_out", "One message to several relays"
+    how_to_read = (
+        "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last. On "
+        "the right: the time from the start of the ping to the first answer of the last relay, which were all running."
+    )
+    if not info.lines:
+        return LeftOut(name, title, "no message went to several relays, and no pings sent at the same time.")
+    return Figure(name, title, how_to_read, "fan_out", {"of": info.of, "lines": info.lines})
+
+
+FAN_OUT = FigureMaker(fan_out_info, fan_out_figure, opened=False)

@@ -73,9 +73,8 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     )
     if not info.groups:
         return LeftOut(name, title, "no message was published.")
-    groups = {str(row.group): row for row in info.groups}
-    outages = {str(group): spans for group, spans in info.outages.items()}
-    plan = {"groups": groups, "decimated": info.decimated, "outages": outages}
+    groups = {row.group: row for row in info.groups}
+    plan = {"groups": groups, "decimated": info.decimated, "outages": info.outages}
     return Figure(name, title, how_to_read, "timeline", plan)
 
 

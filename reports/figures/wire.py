@@ -75,7 +75,7 @@ def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
         info.facet,
         info.panels,
         names={name: label for name, label in PART_LABELS.items() if name in used},
-        parts={str(group): parts for group, parts in info.parts.items()},
+        parts=info.parts,
         incomplete=info.incomplete,
     )
     return Figure(name, title, how_to_read, "wire_cost", plan)
@@ -119,8 +119,7 @@ def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
     )
     if not info.groups:
         return LeftOut(name, title, "no message was sent again, or no run was recorded with --wire.")
-    groups = {str(group): rows for group, rows in info.groups.items()}
-    return Figure(name, title, how_to_read, "sent_again", {"groups": groups, "metric": info.metric})
+    return Figure(name, title, how_to_read, "sent_again", {"groups": info.groups, "metric": info.metric})
 
 
 SENT_AGAIN = FigureMaker(sent_again_info, sent_again_figure, Scope.CELL)

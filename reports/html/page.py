@@ -6,13 +6,11 @@ import base64
 import gzip
 import hashlib
 import json
-import math
 import shlex
-from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
@@ -22,13 +20,13 @@ from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
-from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
+from dds_trace.base.units import format_rate, format_size
 from dds_trace.base.version import __version__
 
-from ..blocks import PAGE, Report, visible
+from ..blocks import PAGE, Facts, Points, Report, Sentence, plain_text, visible
 from ..book.book import Book
 from ..book.facets import MADE_OF
-from ..book.findings import severity_counts, worst_first
+from ..book.findings import finding_block, severity_counts, worst_first
 from ..book.groups import (
     LATENCY_MEANING,
     METRIC_LABELS,
@@ -43,8 +41,9 @@ from ..book.groups import (
     qos_label,
 )
 from ..book.overview import utc_words
-from ..book.recording import record_tables
-from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
+from ..book.recommendation import advice_blocks
+from ..book.recording import record_tables, recorded_environment
+from ..book.sizes import HOW_TO_READ, TINTS, size_block
 from ..book.topics import topic_sections
 from ..book.verdicts import MODES
 from ..figures import drawn_figures, opened_figures
@@ -55,7 +54,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
-MOST_LINKED = 40
+FOLDED_FACTS = ("Traces", "Quality of service", "Settings", "Versions", "Cost of measuring")
 SCRIPTS = (
     "data.js",
     "units.js",
@@ -69,7 +68,6 @@ SCRIPTS = (
     "kinds/details.js",
     "kinds/wire.js",
     "tables.js",
-    "output/pdf.js",
     "output/export.js",
     "rows.js",
     "figures.js",
@@ -117,7 +115,11 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     figures = drawn_figures(book)
     drawn = [(maker, figure) for maker, figure in figures if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
-    unit = _common_unit(book.sizes)
+    facts, labels, sizes, answer = book.overview.facts, group_labels(book.groups), book.sizes, book.answer
+    shown, folded = (
+        Facts([(fact.label, fact.value) for fact in facts if (fact.label in FOLDED_FACTS) is is_folded])
+        for is_folded in (False, True)
+    )
     return _framed(
         "report.html.j2",
         policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
@@ -132,27 +134,29 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         begins="figures",
         overview=book.overview,
         formula=LATENCY_MEANING,
-        answer=book.answer,
-        sizes=book.sizes,
-        unit=unit.replace("us", "µs"),
-        aligned=partial(_aligned, unit),
-        decimals=max((len(_aligned(unit, median, "")[1]) for median in _medians_ns(book.sizes)), default=0),
-        tint=_tint,
+        facts=shown,
+        folded_facts=folded,
+        answer=answer,
+        points=Points(answer.points),
+        remarks=[Points(answer.remarks), *([Sentence(answer.rule, "rule")] if answer.rule else [])],
+        sizes=sizes,
+        size_table=size_block(sizes) if sizes else None,
+        further=size_block(sizes, is_further=True) if sizes and any(site.further for site in sizes.places) else None,
+        tints=TINTS,
         glance=book.glance,
         styles=line_styles(book.facets)["choice"],
         how_to_read_sizes=HOW_TO_READ,
-        advice=book.advice,
+        advice=[*advice_blocks(book.advice)],
         findings=book.findings,
+        finding_blocks=[finding_block(kind, labels) for kind in book.findings],
         severities=severity_counts(book.findings),
-        group_names=group_labels(book.groups),
-        most_linked=MOST_LINKED,
+        group_names=labels,
         worst=next(iter(worst_first(book.values)), None),
         campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
         cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
         opened=opened_figures(book, drawn),
         left_out=[figure for _, figure in figures if isinstance(figure, LeftOut)],
-        environment=book.environment,
-        record_tables=record_tables(book.analysis),
+        recorded=[*recorded_environment(book.analysis, book.groups), *record_tables(book.analysis)],
         topic_sections=topic_sections(book.analysis),
     )
 
@@ -161,40 +165,8 @@ def _framed(template: str, version: str = "", **values: object) -> str:
     environment = Environment(
         loader=FunctionLoader(_asset), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals["PAGE"] = PAGE
+    environment.globals.update(PAGE=PAGE, plain_text=plain_text)
     return environment.get_template(template).render(version=version, **values)
-
-
-TINTS = (1.05, 1.25, 1.6, 2.5)
-"""Factors over a row's lowest median."""
-
-
-def _common_unit(table: SizeTable | None) -> str:
-    reached = _medians_ns(table)
-    low, high = min(reached, default=1.0), max(reached, default=1.0)
-    fitting = [unit for unit, factor in UNIT_NS.items() if high < 10_000 * factor]
-    return next((unit for unit in fitting if low >= UNIT_NS[unit]), fitting[-1] if fitting else "s")
-
-
-def _medians_ns(table: SizeTable | None) -> list[float]:
-    rows = [row for site in (table.places if table else ()) for row in (*site.rows, *site.further)]
-    return [cell.p50_ns for row in rows for cell in row.cells if cell and _is_time(cell.p50_ns)]
-
-
-def _is_time(value_ns: float | None) -> TypeGuard[float]:
-    return value_ns is not None and math.isfinite(value_ns)
-
-
-def _aligned(unit: str, value_ns: float | None, text: str) -> tuple[str, str]:
-    if not _is_time(value_ns):
-        return text, ""
-    whole, point, fraction = format_duration(value_ns, unit).split()[0].partition(".")
-    return f"{int(whole):,}", point + fraction
-
-
-def _tint(cell: SizeCell, row: SizeRow) -> int:
-    times = [other.p50_ns for other in row.cells if other and _is_time(other.p50_ns) and other.p50_ns > 0]
-    return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 
 _asset = partial(asset, __package__)

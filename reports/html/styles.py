@@ -44,9 +44,7 @@ class Style:
 
 
 def choice_styles(facets: Facets) -> tuple[Style, ...]:
-    """Choose a style for each setup.
-
-    The same domain is solid, with its vendor's colour and symbol; a bridge has a dash, a tint and a symbol per
+    """The same domain is solid, with its vendor's colour and symbol; a bridge has a dash, a tint and a symbol per
     vendor, and its vendor's colour unless a vendor has more than two setups and there are colours for all.
     """
     setups = facets.choices

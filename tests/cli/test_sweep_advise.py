@@ -11,6 +11,7 @@ from dds_trace.analyzer.verdicts.costs import LOST_NS, first_look, pays
 from dds_trace.cli.sweep import advise as module
 from dds_trace.cli.sweep.advise import advise
 from dds_trace.cli.trace import main
+from dds_trace.recorder.sweep.advice import bundles
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 
@@ -44,6 +45,15 @@ def test_a_vendor_without_known_settings_keeps_its_default(tmp_path, capsys):
     assert [line.partition(": ")[0] for line in printed] == ["socket", "fastdds"]
 
 
+def test_a_dry_run_counts_for_each_vendor_its_own_bundles(tmp_path, capsys):
+    run('[run]\nrepeats = 7\n[axes]\nbackend = ["socket", "cyclonedds", "zenoh"]', tmp_path, "--dry-run", "--json")
+    cells = [cell["name"] for cell in json.loads(capsys.readouterr().out)["cells"]]
+    for vendor in ("socket", "cyclonedds", "zenoh"):
+        known = bundles(vendor, parse_plan(f'[axes]\nbackend = "{vendor}"', "x", "x.toml"))
+        expected = module.LOOKS * (1 + len(known)) + 2 * 7 if known else 0
+        assert sum(vendor in name for name in cells) == expected
+
+
 @pytest.mark.parametrize(("looks", "proved"), [({"a": 0.5, "unbatched": 0.9}, "a"), ({"a": 0.99}, None), ({}, None)])
 def test_only_the_best_look_is_proved(looks, proved, tmp_path, monkeypatch, capsys):
     proofs = []
@@ -52,7 +62,7 @@ def test_only_the_best_look_is_proved(looks, proved, tmp_path, monkeypatch, caps
         proofs.append((path.stem, plan.run.repeats))
         return {"kept": True, "reason": "it pays"}
 
-    def written(_vendor, _plan, folder):
+    def written(_vendor, _texts, folder):
         return [folder / "a.json5", folder / "unbatched.json5"]
 
     monkeypatch.setattr(module, "_look", lambda *_: looks)

@@ -38,7 +38,10 @@ CORE = {
     ),
     "gates": Part(("analyzer/verdicts/gate.py", "analyzer/verdicts/gates.py"), ("tests/analyzer/verdicts",)),
     "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
-    "headline": Part(("reports/book/answer.py", "reports/book/headline.py"), ("tests/reports/book",)),
+    "headline": Part(
+        tuple(f"reports/book/{name}.py" for name in ("answer", "fastest", "headline", "losses")),
+        ("tests/reports/book",),
+    ),
     "applied": Part(("recorder/applied/differences.py",), ("tests/recorder/applied",)),
     # `process.py` runs in a process of its own, which no trial reaches.
     "wire": Part(

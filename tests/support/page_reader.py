@@ -19,7 +19,7 @@ EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
 
 
 def render_report(name, kind):
-    return load_reporter(kind).render(Book(EVERY_PAGE[name]()))
+    return load_reporter(kind).render(Book(EVERY_PAGE[name](), shows_all=True))
 
 
 @cache

@@ -56,12 +56,3 @@ const COUNTS = new Intl.NumberFormat("en-US");
 const formatCount = (value) => (value === null || value === undefined ? MISSING : COUNTS.format(Math.trunc(value)));
 const counted = (count, one, many = `${one}s`) => `${formatCount(count)} ${count === 1 ? one : many}`;
 const signed = (value, format) => (value > 0 ? "+" : "") + format(value);
-
-/** One unit for a whole axis: the one that suits its largest value. */
-function axisUnit(values) {
-  const [factor, label] = unitFor(
-    values.reduce((most, value) => Math.max(most, Math.abs(value)), 0),
-    TIME_UNITS,
-  );
-  return { factor, label };
-}

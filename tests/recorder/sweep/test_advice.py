@@ -40,7 +40,7 @@ def test_an_unknown_vendor_has_none():
 
 def test_the_files_and_what_loads_them(tmp_path):
     for vendor in VENDORS:
-        paths = write_bundles(vendor, PLAN, tmp_path / vendor)
+        paths = write_bundles(vendor, bundles(vendor, PLAN), tmp_path / vendor)
         assert [path.stem for path in paths] == list(bundles(vendor, PLAN))
         assert any(str(paths[0]) in value for value in variables_of(vendor, paths[0]).values())
     override = variables_of("zenoh", tmp_path / "zenoh" / "unbatched.json5")["ZENOH_CONFIG_OVERRIDE"]
@@ -67,7 +67,9 @@ def test_zenoh_accepts_its_bundles():
 def test_fast_dds_accepts_the_bundle_with_every_key(tmp_path):
     if not has_package("rclpy"):
         pytest.skip("rclpy is not installed")
-    path = next(path for path in write_bundles("fastdds", PLAN, tmp_path) if path.stem == "paced-small-packets")
+    (path,) = write_bundles(
+        "fastdds", {name: bundles("fastdds", PLAN)[name] for name in ["paced-small-packets"]}, tmp_path
+    )
     program = Path(sys.executable).with_name("dds-record")
     options = ["--role", "relay", "--backend", "ros2", "--configuration", path, "--discovery", "localhost", "--check"]
     done = subprocess.run(

@@ -18,16 +18,10 @@ from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, OPEN, PROVEN, Claim, Judgement, Reason
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.fastest import fastest_setups, tail_sentence, winner_sentences
 from dds_trace.reports.book.groups import VendorLabels
-from dds_trace.reports.book.headline import (
-    avoid_sentence,
-    bridge_sentence,
-    cure_sentence,
-    fastest_setups,
-    few_lost_sentence,
-    tail_sentence,
-    winner_sentences,
-)
+from dds_trace.reports.book.headline import bridge_sentence
+from dds_trace.reports.book.losses import avoid_sentence, cure_sentence, few_lost_sentence
 
 UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
 VENDORS = VendorLabels({})

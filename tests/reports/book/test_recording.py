@@ -5,8 +5,10 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 from campaigns import write_runs
 
 from dds_trace import Source, analyze
+from dds_trace.reports.blocks import plain_text
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.recording import MOST_ROWS, record_tables, setting_words
+from dds_trace.reports.book.groups import groups_info
+from dds_trace.reports.book.recording import MOST_ROWS, record_tables, recorded_environment, setting_words
 from dds_trace.reports.html import page
 
 
@@ -64,9 +66,6 @@ def test_of_many_files_those_that_were_not_read_come_first(analysis):
     assert cells_of(files)[0] == ("notes.txt", "skipped", "0", "no trace")
     assert (files.summary, len(cells_of(files))) == (f"Files ({MOST_ROWS + 11})", MOST_ROWS)
     assert files.blocks[1].words.startswith("11 more rows")
-
-
-def test_nothing_recorded_has_no_table():
     assert record_tables(make_analysis()) == ()
 
 
@@ -94,9 +93,13 @@ def test_every_run_has_its_beginning_and_what_came_back(tmp_path):
 
 
 def rows_of(analysis):
-    environment = Book(analysis).environment
-    return environment.columns, {
-        (section, row.name): (row.values, row.unlike) for section, rows in environment.sections for row in rows
+    _, table = recorded_environment(analysis, groups_info(analysis))
+    return [column.name for column in table.columns[1:]], {
+        (row.part, plain_text(row.cells[0]).removeprefix("≠ ")): (
+            tuple(row.cells[1:]),
+            plain_text(row.cells[0]).startswith("≠"),
+        )
+        for row in table.rows
     }
 
 
@@ -124,7 +127,7 @@ def test_settings_stand_in_rows_and_unlike_ones_are_marked():
             ),
         )
     )
-    assert columns == ("a (ping)", "b (relay)")
+    assert columns == ["a (ping)", "b (relay)"]
     assert rows["Machine", "kernel"] == (("6.1", "6.6"), True)
     assert rows["Machine", "memory (bytes)"] == (("8,000,000,000",) * 2, False)
     assert rows["Machine", "realtime kernel"] == (("no", "no"), False)
@@ -137,9 +140,9 @@ def test_settings_stand_in_rows_and_unlike_ones_are_marked():
 
 def test_the_page_marks_them_and_a_campaign_without_sessions_has_no_table():
     analysis = make_analysis(Measured([MS, 2 * MS]))
-    assert Book(replace(analysis, sessions=())).environment is None
+    assert recorded_environment(replace(analysis, sessions=()), groups_info(analysis)) == ()
     first, *others = analysis.sessions
     unlike = replace(analysis, sessions=(replace(first, host={**first.host, "kernel": "0.1"}), *others))
     shown = page.render(Book(unlike))
-    assert '<tr class="unlike"><th scope="row"><span aria-label="differs">≠</span> kernel</th>' in shown
-    assert "≠</span> backend" not in shown
+    assert '<th scope="row"><span class="unlike">≠ </span>kernel</th>' in shown
+    assert "≠ </span>backend" not in shown

@@ -89,7 +89,7 @@ def test_time_to_the_first_message_is_a_mark_for_each_group_that_has_it():
     assert info.times_ns == {0: 40_000_000}
     figure = first_message_figure(info)
     assert isinstance(figure, Figure)
-    assert (figure.kind, figure.plan["values_ns"]) == ("lines", {"0": 40_000_000})
+    assert (figure.kind, figure.plan["values_ns"]) == ("lines", {0: 40_000_000})
 
 
 def test_without_the_wire_each_figure_says_so():

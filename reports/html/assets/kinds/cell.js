@@ -15,6 +15,27 @@ const cellTitle = () =>
 const seenInCell = (groups) =>
   groups.filter((group) => !isHidden("choice", optionOf("choice", group))).slice(0, MOST_LINES);
 
+const secondsAxis = () => ({
+  type: "linear",
+  title: axisTitle("Time since the run's first message (s)"),
+  zeroline: false,
+});
+
+/** A dot for each received message of some groups, at its time within the run. */
+const messageDots = (timelines, groups, metric, size, hover) =>
+  groups.map((group) => {
+    const points = timelines[group].elapsed_s
+      .map((at, place) => ({ at, value: timelines[group][metric][place] }))
+      .filter((point) => point.value !== null);
+    return marks(choiceLook(group), points, {
+      x: (point) => point.at,
+      y: (point) => point.value * S,
+      mode: "markers",
+      size,
+      hover: (point) => hover(group, point),
+    });
+  });
+
 // Panels of a link that a file drives.
 const LINK_PANELS = { delay_ms: ["Delay of the link", "ms"], rate_mbit_s: ["Rate of the link", "Mbit/s"] };
 
@@ -33,20 +54,10 @@ Object.assign(KINDS, {
     const label = metric === "latency_ns" ? "Latency" : "Round trip";
     const values = groups.flatMap((group) => plan.groups[group][metric].filter((value) => value !== null));
     const lossy = groups.filter((group) => plan.groups[group].lost_elapsed_s.length);
-    const dots = groups.map((group) => {
-      const points = plan.groups[group].elapsed_s
-        .map((at, place) => ({ at, value: plan.groups[group][metric][place] }))
-        .filter((point) => point.value !== null);
-      const trace = marks(choiceLook(group), points, {
-        x: (point) => point.at,
-        y: (point) => point.value * S,
-        mode: "markers",
-        size: 4.5,
-        hover: (point) => groupHover(group, `at ${digits(point.at)} s`, `${label}: ${formatNs(point.value)}`),
-      });
-      trace.marker.opacity = 0.75;
-      return trace;
-    });
+    const dots = messageDots(plan.groups, groups, metric, 4.5, (group, point) =>
+      groupHover(group, `at ${digits(point.at)} s`, `${label}: ${formatNs(point.value)}`),
+    );
+    for (const trace of dots) trace.marker.opacity = 0.75;
     const crosses = lossy.map((group, place) => {
       const { lost_elapsed_s: at, lost_count: count } = plan.groups[group];
       const trace = marks(
@@ -67,7 +78,7 @@ Object.assign(KINDS, {
     const panel = {
       title: cellTitle(),
       traces: dots,
-      x: () => ({ type: "linear", title: axisTitle("Time since the run's first message (s)"), zeroline: false }),
+      x: secondsAxis,
       y: timeAxis(values),
     };
     const drawn = gridOf(values.length || lossy.length ? [panel] : [], width, {
@@ -142,23 +153,7 @@ Object.assign(KINDS, {
     const metric = view.metric === "latency" ? "latency_ns" : "rtt_ns";
     const timed = groups.filter((group) => latency[group] && latency[group][metric].some((value) => value !== null));
     const values = timed.flatMap((group) => latency[group][metric].filter((value) => value !== null));
-    const seconds = () => ({
-      type: "linear",
-      title: axisTitle("Time since the run's first message (s)"),
-      zeroline: false,
-    });
-    const dots = timed.map((group) => {
-      const points = latency[group].elapsed_s
-        .map((at, place) => ({ at, value: latency[group][metric][place] }))
-        .filter((point) => point.value !== null);
-      return marks(choiceLook(group), points, {
-        x: (point) => point.at,
-        y: (point) => point.value * S,
-        mode: "markers",
-        size: 4,
-        hover: (point) => groupHover(group, formatNs(point.value)),
-      });
-    });
+    const dots = messageDots(latency, timed, metric, 4, (group, point) => groupHover(group, formatNs(point.value)));
     const lines = (key, format) =>
       groups.flatMap((group) =>
         plan.groups[group]
@@ -189,7 +184,7 @@ Object.assign(KINDS, {
       panels.push({
         title: metric === "latency_ns" ? "Latency" : "Round trip",
         traces: dots,
-        x: seconds,
+        x: secondsAxis,
         y: timeAxis(values),
         height: 110,
       });
@@ -197,7 +192,7 @@ Object.assign(KINDS, {
       panels.push({
         title: "Busiest processor (%)",
         traces: cpu,
-        x: seconds,
+        x: secondsAxis,
         y: { type: "linear", range: [-3, 105], nticks: 5 },
         height: 90,
       });
@@ -205,14 +200,14 @@ Object.assign(KINDS, {
       panels.push({
         title: "Wi-Fi signal (dBm)",
         traces: signal,
-        x: seconds,
+        x: secondsAxis,
         y: { type: "linear", nticks: 4 },
         height: 90,
       });
     const steps = Object.entries(LINK_PANELS).map(([key, [title, unit]]) => ({
       title: `${title} (${unit})`,
       traces: lines(key, (value) => `${digits(value)} ${unit}`),
-      x: seconds,
+      x: secondsAxis,
       y: { type: "linear", rangemode: "tozero", nticks: 4 },
       height: 90,
     }));

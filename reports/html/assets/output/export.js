@@ -1,6 +1,6 @@
 "use strict";
-// Downloads: figures as SVG, PNG and PDF in the widths of print, numbers as CSV and Parquet. Files are made in the
-// page; nothing is sent.
+// Downloads: figures as SVG and PNG in the widths of print, numbers as CSV and Parquet; PDF is the browser's own print.
+// Files are made in the page; nothing is sent.
 
 /** One CSV field that no spreadsheet takes for a formula: a leading ' keeps such text text. */
 function csvField(value) {
@@ -154,7 +154,7 @@ function onWhite(drawn, title, width, mm) {
       ...layout,
       width,
       height,
-      font: { ...layout.font, family: "Helvetica, Arial, sans-serif" }, // as PDF has it
+      font: { ...layout.font, family: "Helvetica, Arial, sans-serif" },
       paper_bgcolor: "#ffffff",
       plot_bgcolor: "#ffffff",
       showlegend: isNamed,
@@ -199,16 +199,12 @@ async function savePicture(name, block, format) {
   await savePictures(name, format, [[name, picturesOf(block, block.article.querySelector("[data-panel]")?.value)]]);
 }
 
-/** Saves [name, pictures] of figures as one file, a PDF or a zip where there are several. */
+/** Saves [name, pictures] of figures as one file, a zip where there are several; as PDF each is a page of its size. */
 async function savePictures(name, format, figures) {
   if (format === "pdf") {
-    const document = new Pdf();
-    for (const picture of figures.flatMap(([, pictures]) => pictures)) {
-      const { width, height } = picture.layout;
-      await document.addPage(width * PT, height * PT, [{ svg: await svgOf(picture), left: 0, top: 0 }]);
-    }
-    saveBlob(`${name}.pdf`, await document.blob());
-    return;
+    const pictures = figures.flatMap(([, own]) => own);
+    const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height)}px; margin: 0`;
+    return printSheets(name, pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] })));
   }
   const files = figures.flatMap(([own, pictures]) =>
     pictures.map((picture, at) => ({ name: `${own}${pictures.length > 1 ? `-${at + 1}` : ""}.${format}`, picture })),
@@ -217,6 +213,27 @@ async function savePictures(name, format, figures) {
   for (const file of files)
     file.content = new Uint8Array(await (await pictureBlob(file.picture, format)).arrayBuffer());
   saveBlob(`${name}-${format}.zip`, new Blob(zipParts(files), { type: "application/zip" }));
+}
+
+/** Prints pages {picture, size, words} in place of the page: vectors, with their fonts in the file. */
+async function printSheets(name, pages) {
+  document.getElementById("sheets")?.remove(); // where a browser never said that it has printed
+  const sheets = document.body.appendChild(element("div", { id: "sheets" }));
+  const title = document.title;
+  for (const [at, { picture, size, words }] of pages.entries()) {
+    const svg = new DOMParser().parseFromString(await svgOf(picture), "image/svg+xml").documentElement;
+    const style = element("style", {}, `@page sheet-${at} { size: ${size}; }`);
+    const lines = words.map((text) => element("p", {}, text));
+    const sheet = element("div", { class: "sheet", style: `page: sheet-${at}` }, document.adoptNode(svg), ...lines);
+    sheets.append(style, sheet);
+  }
+  const leave = () => {
+    document.title = title;
+    sheets.remove();
+  };
+  addEventListener("afterprint", leave, { once: true });
+  document.title = name; // what the dialog proposes for the file
+  print();
 }
 
 async function pictureBlob(picture, format) {
@@ -283,7 +300,7 @@ const PRINTED_FIGURES = [
   "latency_by_rate", "domain_difference", "relay_time", "by_device", "latency_by_size", "vendor_comparison",
   "bridge_cost", "dots", "breakdown", "percentile_curve", "ecdf", "timeline",
 ];
-const A4 = { width: 595, height: 842, left: 51, top: 42 }; // points; between the margins 174 x 268 mm
+const A4 = "210mm 297mm; margin: 15mm 18mm"; // 174 mm between the margins
 const CAPTION_HEIGHT = 84; // px of a figure's caption
 
 /** Four figures as a paper has them, each with a caption that says how to read it and what it was measured with. */
@@ -305,21 +322,14 @@ async function savePaper() {
     .map((fact) => [...fact.children].map((one) => one.textContent))
     .filter(([label]) => ["When", "Versions"].includes(label));
   const measured = [DATA.title, ...facts.map(([, text]) => text), DATA.made_by].join("; ");
-  const pdf = new Pdf();
-  for (const [at, { pictures, caption }] of figures.entries())
-    for (const [part, picture] of pictures.entries()) {
-      const number = `Figure ${at + 1}${pictures.length > 1 ? ` (${part + 1} of ${pictures.length})` : ""}.`;
-      const words = [
-        { text: `${number} ${caption}`, size: 9 },
-        { text: measured, size: 7 },
-      ];
-      const top = A4.top + picture.layout.height * PT + 8;
-      await pdf.addPage(A4.width, A4.height, [
-        { svg: await svgOf(picture), left: A4.left, top: A4.top },
-        { words, left: A4.left, top, width: A4.width - 2 * A4.left },
-      ]);
-    }
-  saveBlob("paper.pdf", await pdf.blob());
+  const numbered = ({ length }, at, part) => `Figure ${at + 1}${length > 1 ? ` (${part + 1} of ${length})` : ""}.`;
+  const pages = figures.flatMap(({ pictures, caption }, at) =>
+    pictures.map((picture, part) => {
+      const words = [`${numbered(pictures, at, part)} ${caption}`, measured];
+      return { picture, size: A4, words };
+    }),
+  );
+  await printSheets("paper", pages);
 }
 
 /** The bar above the figures: how wide pictures are, and all of them at once. */
@@ -344,7 +354,7 @@ function buildPictureBar() {
     return button;
   });
   const paper = element("button", { type: "button", class: "quiet", id: "save-paper" }, "paper.pdf");
-  paper.title = "Four figures as a paper has them, with captions and versions";
+  paper.title = "Four figures as a paper has them, with captions and versions: save as PDF in the dialog of print";
   paper.addEventListener("click", savePaper);
   document
     .getElementById("figures-title")

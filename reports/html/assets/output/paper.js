@@ -73,6 +73,6 @@ function cutColumns(table) {
 
 let toScreen = () => {};
 addEventListener("beforeprint", () => {
-  toScreen = toPaper();
+  toScreen = document.getElementById("sheets") ? () => {} : toPaper();
 });
 addEventListener("afterprint", () => toScreen());

@@ -1,0 +1,134 @@
+"""What was lost, by whom, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.model.names import device_pair
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_rate, format_size
+
+from .groups import (
+    MOST_NAMED,
+    Group,
+    Groups,
+    VendorLabels,
+    data_type_label,
+    domain_label,
+    format_count,
+    format_ratio,
+    group_labels,
+    joined,
+    size_span,
+    some_of,
+)
+from .numbers import Values
+from .verdicts import contender_labels, place_of
+
+FORGED, DOUBTFUL = "forged_or_foreign", "doubtful_replies"
+
+
+def forged_sentence(analysis: Analysis, groups: Groups) -> str:
+    labels = group_labels(groups)
+    sentences = []
+    for code, words in (FORGED, "Do not use, as somebody else may have answered"), (DOUBTFUL, "Doubtful"):
+        whats = {
+            group: finding.what for finding in analysis.findings if finding.code == code for group in finding.groups
+        }
+        parts = [f"{labels[group]} ({what.rstrip('.')})" for group, what in whats.items()]
+        sentences += [f"{words}: {some_of(parts, 'more in the findings')}."] * bool(parts)
+    return " ".join(sentences)
+
+
+def loss_sentence(groups: Groups, values: Values) -> str:
+    planned, lost = _planned_and_lost(groups.groups, values)
+    if not lost:
+        return ""
+    lossy = [group for group in groups.groups if _planned_and_lost([group], values)[1]]
+    scope, unsent = _scope(lossy, groups), sum(round(values.plain["unsent"][group.index] or 0) for group in lossy)
+    where = f", all of them {scope}" if scope else ""
+    never = f", {format_count(unsent)} of them never sent" if unsent else ""
+    return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}{never}){where}."
+
+
+def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int]:
+    planned = sum(group.published + round(values.plain["unsent"][group.index] or 0) for group in groups)
+    return planned, planned - sum(group.received for group in groups)
+
+
+def _scope(lossy: Sequence[Group], groups: Groups) -> str:
+    sides: tuple[tuple[Callable[[Group], str], str], ...] = (
+        (lambda group: groups.series_of(group).vendor_label, "by {}"),
+        (lambda group: domain_label(groups.series_of(group)), "{}"),
+        (lambda group: printable(groups.series_of(group).connectivity), "over {}"),
+    )
+    ways, messages = ({part(group) for group in lossy} for part in (sides[1][0], lambda group: group.cell))
+    same = [group for group in groups.groups if group.cell in messages]
+    vendors = {groups.series_of(group).vendor_label for group in same if sides[1][0](group) in ways}
+    parts = []
+    for value_of, words in sides if len(vendors) > 1 else sides[1:]:
+        values, all_values = ({value_of(group) for group in side} for side in (lossy, same))
+        if values != all_values and len(values) <= MOST_NAMED:
+            parts.append(words.format(joined(sorted(values), "or").replace(" or through ", " or ")))
+    cells = [groups.cell_of(group) for group in lossy]
+    if len({cell.data_type for cell in cells}) == 1:
+        sizes = sorted({cell.payload_bytes for cell in cells})
+        measured = sorted({cell.payload_bytes for cell in groups.cells if cell.data_type == cells[0].data_type})
+        span = size_span(sizes, measured)
+        if sizes != measured:
+            parts.append(f"at {len(sizes)} of {len(measured)} sizes" if span.count(",") >= MOST_NAMED else span)
+    return ", ".join(parts)
+
+
+def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
+    lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
+    worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
+    shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
+    more = [f"and {len(lossy) - len(shown)} more in the table"] if len(lossy) > len(shown) else []
+    words = "; ".join([*(_lost_words(row, where) for row, where in shown), *more])
+    return f"Do not use, because of losses: {words}." if lossy else ""
+
+
+def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
+    by_cure: dict[str, list[str]] = {}
+    for row, where in _advised(answers, vendors):
+        if row.group is not None and row.group in cures:
+            by_cure.setdefault(cures[row.group], []).append(_lost_words(row, where))
+    more = f"; and {len(by_cure) - 1} more in the findings" if len(by_cure) > 1 else ""
+    parts = [f"{some_of(setups, 'more')}: {printable(cure)}" for cure, setups in by_cure.items()]
+    return f"Losses with a known cure: {parts[0]}{more}." if parts else ""
+
+
+def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
+    few = [
+        f"{where} ({format_count(row.lost or 0)} of {format_count(row.messages or 0)})"
+        for row, where in _lossy(answers, vendors)
+        if row.reason == Reason.FEW_LOST.value
+    ]
+    return f"Too few losses or runs to judge: {some_of(few, 'more in the table')}." if few else ""
+
+
+def _lost_words(row: Judgement, where: str) -> str:
+    return f"{where} ({format_ratio(row.value)} lost)"
+
+
+def _advised(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:
+    return [(row, where) for row, where in _lossy(answers, vendors) if row.verdict == DO_NOT_USE]
+
+
+def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:
+    """Name setup, message, rate and link; not what all results share, nor the domains."""
+    labels = contender_labels(answers, vendors)
+    types, places = {answer.data_type for answer in answers}, {place_of(answer) for answer in answers}
+    has_devices = len({(answer.ping_device, answer.relay_device) for answer in answers}) > 1
+    lossy = []
+    for answer in answers:
+        devices = "" if has_devices else f"{device_pair(answer.ping_device, answer.relay_device)}, "
+        kind = f"{data_type_label(answer.data_type)} " if len(types) > 1 else ""
+        place = f", {place_of(answer).removeprefix(devices)}" if len(places) > 1 else ""
+        where = f"{kind}{format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}{place}"
+        lossy += [(row, f"{labels[row.subject]} with {where}") for row in answer.of_claim(Claim.LOSSY)]
+    return sorted(lossy, key=lambda one: -(one[0].value or 0.0))

@@ -1,0 +1,115 @@
+"""The answer on one screen of a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.model.finding import Severity
+from dds_trace.base.units import counted, format_duration, format_rate, format_size
+
+from ..blocks import FAIL, MARKS, OPEN, PASS, TERMINAL, Bars, Block, Fitted, Section, Sentence, Span
+from .answer import PointKind
+from .contents import Contents
+from .fastest import Fastest, outcome_of, shown_case
+from .findings import severity_counts
+from .headline import COMPARED, bridge_facts
+from .recommendation import advice_blocks
+from .verdicts import contender_labels
+
+if TYPE_CHECKING:
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
+
+    from .sizes import SizeTable
+
+MOST_LINES = 18
+"""With the lines of the written files it is a screen of 20."""
+MOST_SETUPS = 4
+MOST_ADVICE = 6
+"""Setups of a recommendation without `--all`."""
+
+NONE = Span("")
+LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
+FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
+
+
+def screen(book: Contents) -> list[Section]:
+    advice = [*advice_blocks(book.advice, None if book.shows_all else MOST_ADVICE)]
+    return [Section(advice or [_brief(book)], media=TERMINAL)]
+
+
+def _brief(book: Contents) -> Fitted:
+    answer = book.answer
+    measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
+    noun = "message" if measured.startswith("1 ") else "messages"
+    title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
+    parts: list[Sequence[Block]] = [[Sentence(title, "strong", NONE)]]
+    parts += [
+        [Sentence(f"{kind.heading}: {kind.listed[0].what} {kind.listed[0].action}", mark=FAIL)]
+        for kind in book.findings
+        if kind.severity == Severity.ERROR.value
+    ]
+    vendors = book.groups.vendors
+    parts += [
+        [Sentence(sentence, mark=FAIL if kind in LOSSES else OPEN)]
+        for kind, sentence in answer.sentences
+        if kind in FIRST
+    ]
+    parts += _thresholds(book.sizes)
+    if PointKind.FASTEST in answer.kinds:
+        parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
+    for kind, sentence in answer.sentences:
+        if kind is PointKind.BRIDGE:
+            facts = bridge_facts(book.analysis.details.bridge_costs, vendors)
+            sentences = [Sentence(fact.replace(" as long", ""), mark=PASS) for fact in facts]
+            parts.append([Sentence(COMPARED, "strong", NONE), *sentences])
+        elif kind not in (*FIRST, PointKind.FASTEST):
+            parts.append([Sentence(sentence, mark=OPEN)])
+    findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
+    more = ", ".join([*findings, f"tables of {counted(len(book.groups.groups), 'result')}"])
+    return Fitted(parts, MOST_LINES, "" if book.shows_all else more)
+
+
+def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[list[Block]]:
+    is_drawn = False
+    for kind in kinds:
+        part: list[Block] = [Sentence(kind.heading, "strong", NONE)]
+        part += [Sentence(f"{span}: {words}", mark=PASS if decided else OPEN) for span, words, decided in kind.lines]
+        bars = [] if is_drawn else _bars(kind.cases, labels, place=kind.place if " on " in kind.heading else "")
+        is_drawn = is_drawn or bool(bars)
+        yield [*part, *bars]
+
+
+def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Bars]:
+    if not any(outcome_of(case).is_decided for case in cases):
+        return []
+    case = shown_case(cases)
+    times = sorted(
+        (setup.p50_ns, labels[setup.name])
+        for setup in case.contenders
+        if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
+    )[:MOST_SETUPS]
+    if len(times) < 2:
+        return []
+    size = format_size(case.payload_bytes)
+    where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))
+    return [Bars([(name, ns, format_duration(ns)) for ns, name in times], where, () if place else (where, size))]
+
+
+def _thresholds(sizes: SizeTable | None) -> list[list[Block]]:
+    if sizes is None or not sizes.deadline:
+        return []
+    lines: list[Block] = [Sentence(f"{sizes.deadline[:1].upper()}{sizes.deadline[1:]}", "strong", NONE)]
+    order, passed = ["fail", "not known", "pass"], []
+    for index, choice in enumerate(sizes.choices):
+        judged = [
+            (result, rows.place) for rows in sizes.places if rows.thresholds and (result := rows.thresholds[index])
+        ]
+        worst, site = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
+        if worst is None or worst.outcome == "pass":
+            passed += [choice] if worst else []
+            continue
+        on = f" on {site}" if len(sizes.places) > 1 else ""
+        lines.append(Sentence(f"{choice}{on}: {worst.why}", mark=MARKS.get(worst.outcome, OPEN)))
+    return [[*lines, *([Sentence(", ".join(passed), mark=PASS)] if passed else [])]]

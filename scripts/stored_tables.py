@@ -41,8 +41,8 @@ def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = Fals
         shown = f"{float(row['ratio']):.2f}"
         is_missed = row["bar"] and float(row["ratio"]) > float(row["bar"])
         span = f"<br>{ends[0]:.2f}-{ends[-1]:.2f}" if len(ends) > 1 else ""
-        is_bound = f"<br>`client_bound` {row['client_bound']} of {len(ends)}" if is_throughput else ""
-        return (f"**{shown}**" if is_missed else shown) + span + is_bound
+        bound = f"<br>`client_bound` in {row['client_bound']}" if int(row.get("client_bound") or 0) else ""
+        return (f"**{shown}**" if is_missed else shown) + span + bound
 
     return markdown(
         ["ours", "against", *(f"{format_size(size)}<br>{format_rate(rate)}" for size, rate in loads), "bar"],

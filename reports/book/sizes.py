@@ -218,7 +218,7 @@ def size_block(sizes: SizeTable, *, is_further: bool = False) -> Table:
             name = f"{row.size} at {row.rate}" if is_further else row.size
             rows.append(Row([name, *(_times(cell, row) for cell in row.cells)], part=site.place))
     rates = "at the other rates" if is_further else sizes.rates
-    caption = [Span(f"Latency of {sizes.whose} {rates}, median", ""), Span(" / p99", "p99")]
+    caption = [Span(f"Latency of {sizes.whose} ({rates}), median", ""), Span(" / p99", "p99")]
     return Table(columns, rows, caption, look="sizes", parted=EVERYWHERE)
 
 

@@ -201,7 +201,7 @@ def labelled_medians(report, kind, book):
         if cell is not None
     }
     caption = plain_text(size_block(book.sizes).caption)
-    found[caption.partition(" at ")[0]] = typical
+    found[caption.partition(" (")[0]] = typical
     assert caption in report, kind
     times = book.values.times_ns["latency"]["p50"]
     pooled = {}

@@ -95,7 +95,7 @@ def test_every_report_has_the_table_with_bold_losses_and_outcomes(kind, bold):
 
 def test_the_terminal_has_every_choice_in_80_columns():
     text = load_reporter("terminal").render(Book(CAMPAIGNS["lossy machine"](), shows_all=True))
-    table = text[text.index("Latency of a typical run at 10 Hz") : text.index("Bold:")]
+    table = text[text.index("Latency of a typical run (at 10 Hz)") : text.index("Bold:")]
     assert table.count("Binary 4 MB") == 3, "seven choices take three tables"
     assert "71 % lost" in table
     assert max(map(len, table.splitlines())) <= 80

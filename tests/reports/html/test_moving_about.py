@@ -214,7 +214,7 @@ def test_verdict_picture_and_best_setup_are_on_the_first_screen(read_with, pages
 def test_p99_is_beside_the_median_by_a_switch_and_both_open_their_result(reader, pages):
     tab = reader.open(pages("study"))
     assert not tab.locator(".p99").first.is_visible()
-    tab.get_by_label("p99 beside the median").check()
+    tab.get_by_label("p99 next to the median").check()
     assert tab.locator(".p99").first.is_visible()
     tab.locator("table.sizes td a").first.click()
     assert tab.locator("#group").is_visible()

@@ -231,7 +231,7 @@ def test_no_label_has_two_figures_of_one_result(kind):
     for sentence in (book.answer.headline, *book.answer.points, *book.answer.remarks):
         for match in re.finditer(r"median (?:latency )?(of a typical run|of all messages)? ?[+\d]", sentence):
             assert match[1], sentence
-    assert "a typical run at 10 Hz" in demo_like()._repr_html_()
+    assert "a typical run (at 10 Hz)" in demo_like()._repr_html_()
 
 
 OLD_WORDS = re.compile(

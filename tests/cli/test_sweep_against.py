@@ -1,36 +1,22 @@
 import html
 import json
-import sys
 from pathlib import Path
 
 import loopback_sshd
 import pytest
 from namespaces import needs_namespaces
-from processes import run
+from processes import run, socket_plan
 
 from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = pytest.mark.middleware
-
-RUN = """
-[run]
-messages = 20
-warmup = 2
-settle_seconds = 0
-repeats = {repeats}
-order = "alternating"
-domain = {domain}
-[axes]
-backend = "socket"
-rate = 200
-"""
 
 
 @pytest.fixture
 def plan(tmp_path, domain_id):
     def write(name, size, more="", *, repeats=3):
         path = tmp_path / f"{name}.toml"
-        path.write_text(RUN.format(domain=domain_id, repeats=repeats) + f'size = "{size}"\n' + more)
+        path.write_text(socket_plan(domain_id, repeats=repeats, size=size, more=more))
         return path
 
     return write
@@ -91,19 +77,10 @@ def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
 
 
 def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):
-    if missing := loopback_sshd.missing_program():
-        pytest.skip(f"{missing} is not installed")
-    for name in ("home", "sshd"):
-        (tmp_path / name).mkdir()
-    with loopback_sshd.sshd(tmp_path / "sshd") as server:
-        robot = (
-            '[devices]\nconnectivity = "loopback"\n[devices.relay]\nname = "robot"\n'
-            f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
-            f'setup = "export HOME={tmp_path / "home"}"\npath = "{Path(sys.executable).parent}"\n'
-        )
-        base = plan("p", "1KB", robot, repeats=1)
-        base.write_text(base.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
-        done = run("dds-trace", "sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
+    robot = '[devices]\nconnectivity = "loopback"\n' + loopback_sshd.robot(tmp_path)
+    base = plan("p", "1KB", robot, repeats=1)
+    base.write_text(base.read_text().replace("[run]", '[run]\ndiscovery = "localhost"'))
+    done = run("dds-trace", "sweep", base, "--out", tmp_path, "--against", "SAME", "--json")
     assert done.status == 0, done.stderr
     result = json.loads(done.stdout)
     assert {

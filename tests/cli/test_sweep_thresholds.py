@@ -1,32 +1,17 @@
 import json
 
 import pytest
-from processes import run
+from processes import run, socket_plan
 
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_threshold
 from dds_trace.base.errors import OptionError
-
-PLAN = """
-[run]
-messages = 100
-warmup = 5
-settle_seconds = 0
-repeats = {repeats}
-domain = {domain}
-[axes]
-backend = "socket"
-size = "1KB"
-rate = 200
-[thresholds]
-{thresholds}
-"""
 
 
 @pytest.fixture
 def sweep(tmp_path, domain_id):
     def start(thresholds, *options, repeats=3):
         path = tmp_path / "p.toml"
-        path.write_text(PLAN.format(repeats=repeats, domain=domain_id, thresholds=thresholds))
+        path.write_text(socket_plan(domain_id, messages=100, repeats=repeats, more=f"[thresholds]\n{thresholds}\n"))
         return run("dds-trace", "sweep", path, "--out", tmp_path / "runs", *options)
 
     return start

@@ -1,7 +1,5 @@
 """Real `dds-record` processes in tests: started, waited for by what they say, and always ended by their pid."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -10,16 +8,16 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from waiting import PATIENCE_S, wait_until
 from warm_start import MODULES, WarmProcess
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+from dds_trace.recorder.domains import domain_port_range
 
 
 @dataclass(frozen=True)
@@ -27,6 +25,11 @@ class Finished:
     status: int
     stdout: str
     stderr: str
+
+
+def own_port(domain_id: int) -> int:
+    """A port of the test's own domain that no participant takes; it is below those that connections get, so it stays free."""
+    return domain_port_range(domain_id)[-1]
 
 
 def counts_in(text: str) -> list[int]:
@@ -138,6 +141,14 @@ def ping(domain_id: int, out: Path, *more: object) -> Finished:
 def run(*arguments: object, environment: dict[str, str] | None = None) -> Finished:
     with running(*arguments, environment=environment) as command:
         return command.finish()
+
+
+def socket_plan(domain_id: int, *, messages: int = 20, repeats: int = 3, size: str = "1KB", more: str = "") -> str:
+    """The text of a plan with one result over sockets, whose runs are short."""
+    return (
+        f"[run]\nmessages = {messages}\nwarmup = 2\nsettle_seconds = 0\nrepeats = {repeats}\norder = 'alternating'\nown_cost_passes = 1\n"
+        f"domain = {domain_id}\n[axes]\nbackend = 'socket'\nsize = '{size}'\nrate = 200\n{more}"
+    )
 
 
 def sweep(folder: Path, text: str) -> dict[str, Any]:

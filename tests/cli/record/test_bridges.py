@@ -1,8 +1,6 @@
-import socket
-from importlib.util import find_spec
-
 import pytest
-from processes import ping, relay, running
+from middlewares import needs
+from processes import own_port, ping, relay, running
 from record_reader import last_json
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -38,13 +36,10 @@ def test_nodes_without_ros_discovery_info_are_refused_a_bridge_that_needs_it(dom
     assert not (tmp_path / "ping.mcap").exists()
 
 
-@pytest.mark.skipif(find_spec("zenoh") is None, reason="eclipse-zenoh is not installed")
+@needs("zenoh")
 def test_each_device_has_its_half(domains, tmp_path):
     near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{probe.getsockname()[1]}"
-    name = "builtin-zenoh"
+    address, name = f"127.0.0.1:{own_port(near)}", "builtin-zenoh"
     # Both ends of every bridged topic must offer the deadline that the other side requests.
     durations = ("--deadline", "2s", "--lifespan", "3s")
     with (

@@ -6,6 +6,7 @@ import socket
 import sys
 
 import pytest
+from processes import own_port
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.applied import vendors
@@ -23,9 +24,8 @@ signal.sigwait([signal.SIGTERM])
 
 
 @pytest.fixture
-def port(monkeypatch):
-    with socket.create_server(("localhost", 0)) as free:
-        number = free.getsockname()[1]
+def port(monkeypatch, domain_id):
+    number = own_port(domain_id)
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'connect/endpoints=["tcp/localhost:{number}"]')
     zenoh = vendors.ROS_MIDDLEWARES[RMW]
     monkeypatch.setitem(

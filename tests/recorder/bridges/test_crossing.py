@@ -1,8 +1,8 @@
-import socket
 from dataclasses import replace
 
 import pytest
 from crossing import watch_crossing
+from processes import own_port
 
 from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge
 from dds_trace.recorder.bridges.process.running import open_bridge
@@ -22,12 +22,6 @@ def pair(domains):
 def skip_if_missing(name):
     if load_bridge(name).find() is None:
         pytest.skip(f"{name} is not installed; {load_bridge(name).install}")
-
-
-def free_address():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"127.0.0.1:{probe.getsockname()[1]}"
 
 
 def test_without_a_bridge_no_message_crosses(pair):
@@ -54,7 +48,7 @@ def test_allowed_topics_cross_both_ways_and_no_other_does(name, pair):
 @pytest.mark.parametrize("name", ["builtin-zenoh", "zenoh-bridge-dds", "zenoh-bridge-ros2dds"])
 def test_two_halves_started_apart_meet_as_on_two_devices(name, pair):
     skip_if_missing(name)
-    address = free_address()
+    address = f"127.0.0.1:{own_port(pair[0])}"
     options = BridgeOptions(*pair, discovery=Discovery.LOCALHOST)
     # The one that connects is first: on two devices nobody knows which will be.
     with (

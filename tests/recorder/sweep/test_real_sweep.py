@@ -4,7 +4,6 @@ import json
 import os
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 from collections import Counter
@@ -14,6 +13,7 @@ import loopback_sshd
 import psutil
 import pytest
 from namespaces import needs_namespaces
+from processes import own_port
 from waiting import wait_until
 
 from dds_trace.recorder.bridges.base import load_bridge
@@ -156,21 +156,13 @@ def test_latencies_show_the_link_between_two_namespaces(sweep):
 
 
 @pytest.fixture
-def robot(tmp_path):
+def robot(tmp_path, domain_id):
     """The `[devices]` of a plan whose relay is reached through ssh; it is this machine after all."""
-    if missing := loopback_sshd.missing_program():
-        pytest.skip(f"{missing} is not installed")
-    for name in ("home", "sshd"):
-        (tmp_path / name).mkdir()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        bridge_port = probe.getsockname()[1]
-    with loopback_sshd.sshd(tmp_path / "sshd") as server:
-        yield (
-            '[devices]\nconnectivity = "wireless"\n[devices.relay]\nname = "robot"\n'
-            f"ssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n"
-            f'setup = "export HOME={tmp_path / "home"}"\npath = "{BIN}"\nbridge_port = {bridge_port}\n'
-        )
+    return (
+        '[devices]\nconnectivity = "wireless"\n'
+        + loopback_sshd.robot(tmp_path)
+        + f"bridge_port = {own_port(domain_id)}\n"
+    )
 
 
 def test_relay_over_ssh(sweep, robot, tmp_path):

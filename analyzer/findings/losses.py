@@ -116,8 +116,8 @@ def _outlived_history(members: Sequence[_Member], _row: Mapping[str, int]) -> _C
     )
 
 
-_OLD_SHARE = 0.5
-"""Longest latency in lifespans from which on others were too old: both ways share one."""
+_OLD_SHARE = 0.4
+"""Longest latency in lifespans at which others were too old: one late way counts half."""
 
 
 def _outlived_lifespan(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:

@@ -6,8 +6,6 @@ As the first process there it sees every process that is left at the end, and th
 the moments of the faults in the same plan, not the scheduling of the machine.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -37,7 +35,7 @@ CALM_CALLS = 3
 """Calls without a fault after which every cell must be complete; a busy machine may fail one."""
 
 LONGEST_CALL_S = 300.0
-ENDED_S, KILLED_S = 5.0, 90.0
+ENDED_S, KILLED_S = 60.0, 90.0
 """Time for the processes of a sweep that has ended, or was killed, to end; the latter close their traces."""
 
 POLL_S = 0.02

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S
 
 from dds_trace.cli import doctor
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
@@ -120,7 +121,7 @@ def test_bridge_runs_until_a_signal_and_leaves_no_process(number, domains, tmp_p
         children = psutil.Process(process.pid).children(recursive=True)
         assert len(children) == 2  # the guard and the bridge
         process.send_signal(number)
-        assert process.wait(30) == 0
+        assert process.wait(PATIENCE_S) == 0
     assert not any(child.is_running() for child in children)
     assert not list(Path(tmp_path).glob("dds-trace-bridge-*"))
 
@@ -135,7 +136,7 @@ def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
         guard, bridge = psutil.Process(process.pid).children(recursive=True)
         bridge.kill()
         said = process.stderr.read()
-        assert process.wait(30) == 9
+        assert process.wait(PATIENCE_S) == 9
     assert "killed by signal 9 (SIGKILL)" in said
     assert "bridging domains" in said
     assert not guard.is_running()

@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
+from processes import socket_plan
 from warm_start import stand_ins
 from wording import numbers
 
@@ -26,18 +27,6 @@ ACTION = yaml.safe_load((ROOT / "action.yml").read_text())
 STEPS = {step["id"]: step for step in ACTION["runs"]["steps"]}
 GITLAB = yaml.safe_load((ROOT / "docs/examples/gitlab-ci.yml").read_text())["latency"]
 EXPRESSION = re.compile(r"\$\{\{ (\S+) \}\}")
-PLAN = """
-[run]
-messages = 20
-warmup = 2
-settle_seconds = 0
-repeats = {repeats}
-domain = {domain}
-[axes]
-backend = "socket"
-size = "1KB"
-rate = 200
-"""
 STAND_IN = """printf '%s\\n' "$0 $*" >> calls.log
 case "$*" in *"api user"*) [ -n "$LOGIN" ] && echo "$LOGIN" || exit 1 ;; *--jq*) printf '%s' "$COMMENTS" ;; esac
 case "$*" in */user) echo '{"id": 5}' ;; */notes?per*) printf '%s' "$NOTES" ;; esac
@@ -57,7 +46,7 @@ def desk(tmp_path, domain_id):
     def prepare(repeats):
         (tmp_path / "main").mkdir()
         for path in (tmp_path / "main/plan.toml", tmp_path / "plan.toml"):
-            path.write_text(PLAN.format(repeats=repeats, domain=domain_id))
+            path.write_text(socket_plan(domain_id, repeats=repeats))
         (tmp_path / "bin").mkdir()
         for name in ("gh", "git", "curl"):
             stub(tmp_path, name, STAND_IN)
@@ -230,7 +219,9 @@ def test_an_input_that_is_refused_and_a_first_pull_request_are_one_line(desk, in
 
 
 DRIVER = """
-import socket, time
+import psutil, socket, time
+psutil.cpu_percent = lambda percpu: [0.0] * psutil.cpu_count()
+psutil.Process.cpu_percent = lambda _: 0.0
 class Slow(socket.socket):
     def sendmsg(self, *arguments):
         time.sleep({delay})
@@ -240,7 +231,10 @@ socket.socket = Slow
 
 
 def environment(folder, delay):
-    """A Python environment with dds-trace and a package of the pull request, a driver that waits before it sends."""
+    """A Python environment with dds-trace and a package of the pull request, a driver that waits before it sends.
+
+    It says that the machine is idle: where other tests load it more on one side, the gate rightly decides nothing.
+    """
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     (site,) = folder.glob("lib/python*/site-packages")
     installed = next(path for path in sys.path if path.endswith("site-packages"))

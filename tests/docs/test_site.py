@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from page_reader import open_browser
 from visible_text import Page
+from waiting import PATIENCE_S
 
 import dds_trace
 from dds_trace.analyzer.findings.table import CHECKS
@@ -76,6 +77,7 @@ def test_the_reference_has_every_name_of_the_code(site):
 def test_a_reader_searches_it_from_the_folder(site):
     with open_browser() as browser:
         tab = browser.new_page()
+        tab.set_default_timeout(PATIENCE_S * 1000)
         requests, complaints = [], []
         tab.on("request", lambda request: requests.append(request.url))
         tab.on("console", lambda message: complaints.append(message.text))

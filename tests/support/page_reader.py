@@ -52,7 +52,7 @@ def open_browser():
         pytest.skip("Chromium is not installed (apt-get install chromium-headless-shell)")
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=list(FLAGS))
+        browser = driver.chromium.launch(executable_path=program, args=list(FLAGS), timeout=PATIENCE_S * 1000)
         yield browser
         browser.close()
 

@@ -10,20 +10,14 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
+from backend_pairs import ROOMY, SIZES
 from event_cdr import unpack_event
 from mcap.reader import make_reader
 from processes import PATIENCE_S, counts_in, ping, relay, run, running, wait_for_chunks
+from record_reader import FIELDS
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware
-
-SIZES = {"binary": 33_000, "string": 1405, "imu": 296}
-ROOMY = ("--depth", 1000)
-"""On a machine that is busy with other tests a node may sleep for longer than ten messages; keep_last 10 forgets then."""
-FIELDS = (
-    *("run_id", "sequence", "monotonic_ns", "scheduled_ns", "source_ns", "received_ns"),
-    *("payload_bytes", "relay_id"),
-)
 
 
 class Read:
@@ -143,11 +137,11 @@ def test_a_signal_closes_the_trace(domain_id, tmp_path, number):
             *("--data", "imu", "--messages", 100_000, "--rate", 100, "--history", "keep_all"),
         ) as command:
             wait_for_chunks(out)
-            command.send_signal(number)
-            done = command.stop(number)  # however often it comes
+            done = command.stop(number)  # a second one would end the wait for replies: test_ends.py
         assert done.status == 0, done.stderr
         assert done.stdout.startswith(f"Wrote {out}\n")
-        done = other.stop(number)
+        other.send_signal(number)
+        done = other.stop(number)  # however often it comes
         assert done.status == 0, done.stderr
     trace, relay_trace = Read(out), Read(tmp_path / "relay.mcap")
     assert trace.sessions[-1]["state"] == relay_trace.sessions[-1]["state"] == "closed"

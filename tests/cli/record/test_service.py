@@ -7,7 +7,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from processes import counts_in, ping, relay, run, running
+from processes import PATIENCE_S, counts_in, ping, relay, run, running
 from small_disk import needs_root, small_disk
 
 from dds_trace.analyzer.pipeline import analyze
@@ -41,7 +41,7 @@ def run_of(path):
 def manager(tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
-        listener.settimeout(30)
+        listener.settimeout(PATIENCE_S)
         yield listener
 
 
@@ -71,7 +71,7 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
         with suppress(BlockingIOError):  # room for the last word: nobody listened meanwhile
             while manager.recv(4096):
                 pass
-        manager.settimeout(30)
+        manager.settimeout(PATIENCE_S)
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr
     assert "the recording continues in relay.00003.mcap" in stopped.stderr

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from waiting import wait_until
+from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.host import load as load_module
@@ -56,7 +56,7 @@ def test_a_network_load_sends_to_the_other_side():
             discard.bind(("127.0.0.1", 9))
         except OSError:
             pytest.skip("port 9 cannot be opened here")
-        discard.settimeout(20)
+        discard.settimeout(PATIENCE_S)
         with loaded("network", "127.0.0.1"):
             assert len(discard.recv(2000)) == 1400
 

@@ -8,6 +8,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 from dds_trace.base.errors import OutputError
 from dds_trace.recorder.host import sampling
@@ -18,7 +19,7 @@ from dds_trace.recorder.host.sampling import HostSampler
 def test_samples_of_host_and_own_process_arrive_until_stopped():
     samples = queue.Queue()
     with HostSampler(samples.put, period_s=0.02):
-        first, second = (samples.get(timeout=30) for _ in range(2))
+        first, second = (samples.get(timeout=PATIENCE_S) for _ in range(2))
     assert second["monotonic_ns"] > first["monotonic_ns"]
     assert second["monotonic_raw_ns"] > first["monotonic_raw_ns"]
     json.dumps(first)
@@ -56,7 +57,7 @@ def test_a_moment_without_files_costs_only_its_samples():
     samples, lack = queue.Queue(), OSError(errno.EMFILE, "Too many open files")
     taken = mock.patch.object(HostSampler, "sample", side_effect=[lack, lack, *[{"monotonic_ns": 1}] * 10_000])
     with taken, HostSampler(samples.put, period_s=0.01):
-        assert samples.get(timeout=30) == {"monotonic_ns": 1}
+        assert samples.get(timeout=PATIENCE_S) == {"monotonic_ns": 1}
 
 
 def test_the_figures_are_in_order_and_nothing_is_left(tmp_path):

@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S
 from wire_packets import SPDP_WRITER, data, data_frag, rtps, stamped
 
 from dds_trace.base.errors import OptionError
@@ -112,7 +113,7 @@ def test_payload_is_not_in_the_ring(own):
     port = out.getsockname()[1]
     with closing(PacketRing("lo", wire_program([], []), block_timeout_ms=20)) as ring:
         out.send(rtps(data(1, bytes(500) + secret * 50)))
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         seen = b""
         while port.to_bytes(2, "big") not in seen and time.monotonic() < deadline:
             batch = ring.read()

@@ -11,6 +11,7 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 from page_reader import violations
+from waiting import PATIENCE_S
 
 import dds_trace.analyzer.loading.traces
 from dds_trace.base.errors import OutputError
@@ -24,7 +25,7 @@ OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 def fetch(address, **headers):
-    return OPENER.open(urllib.request.Request(address, headers=headers), timeout=30)
+    return OPENER.open(urllib.request.Request(address, headers=headers), timeout=PATIENCE_S)
 
 
 def version_of(watcher):
@@ -177,7 +178,7 @@ def test_the_command_ends_with_ctrl_c(tmp_path):
         assert line.startswith("Serving http://127.0.0.1:")
         fetch(line.split()[1]).close()
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err) == (0, "Stopped\n", "")
 
 

@@ -173,8 +173,8 @@ def expected_end(line):
 
 
 def small(plan, domain):
-    """A page's plan with few messages, over sockets: what it asks for would take minutes, and middlewares that not every machine has."""
-    plan = re.sub(r"repeats = \d+", "repeats = 1", plan)
+    """A page's plan with few messages of one size, over sockets: what it asks for would take minutes, and middlewares that not every machine has."""
+    plan = re.sub(r"repeats = \d+", "repeats = 1", re.sub(r'size = \[("\w+").*\]', r"size = \1", plan))
     plan = re.sub(r"messages = \d+", f"messages = 5\nwarmup = 1\nsettle_seconds = 0\ndomain = {domain}", plan)
     return re.sub(r"backend = \[.*\]", 'backend = ["socket"]', plan)
 

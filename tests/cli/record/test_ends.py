@@ -3,11 +3,11 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 import psutil
 import pytest
+from middlewares import needs
 from processes import PATIENCE_S, ping, relay, running, wait_for_chunks
 from record_reader import events_of, last_json
 
@@ -19,7 +19,7 @@ LONG = ("--data", "imu", "--messages", 100_000, "--warmup", 0, "--rate", 50)
 SOCKET = ("--backend", "socket", "--discovery", "localhost")
 
 
-@pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
+@needs("ros2")
 def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path):
     near, far, out = domains.take(), domains.take(), tmp_path / "ping.mcap"
     arguments = (*LONG, "--bridge", "builtin", "--relay-domain", far, "--depth", 1000, "--json")

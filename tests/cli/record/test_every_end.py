@@ -4,15 +4,14 @@ Each test has three recordings of one role, which end in these three ways, and l
 `just ends` runs all of it; `just test` what starts quickly, and one fault of each other transport.
 """
 
-from __future__ import annotations
-
 import signal
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
-from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
+from middlewares import needs
 from namespaces import needs_namespaces
 from processes import running
 from waiting import wait_until
@@ -25,10 +24,6 @@ from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
 TRANSPORTS = {
     "ros2-udp": ("--backend", "ros2", "--transport", "udp"),
     "ros2-shm": ("--backend", "ros2", "--transport", "shm"),
@@ -39,7 +34,6 @@ TRANSPORTS = {
     "socket-tcp": ("--backend", "socket"),
     "socket-udp": ("--backend", "socket", "--transport", "udp", "--reliability", "best_effort"),
 }
-MODULES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
 ROLES = ("ping", "relay", "tap", "beacon", "client", "server")
 FAULTS = ("peer stopped", "link down", "busy machine", "peer gone")
 STAGES = {
@@ -92,8 +86,6 @@ QUICK = (
 def cases() -> Iterator[object]:
     for role in ROLES:
         for transport, options in TRANSPORTS.items():
-            module = MODULES.get(options[1])
-            marks = [pytest.mark.skipif(module is not None and find_spec(module) is None, reason=f"no {module} here")]
             for fault in FAULTS:
                 if not has(role, transport, fault):
                     continue
@@ -101,7 +93,7 @@ def cases() -> Iterator[object]:
                 network = [needs_namespaces("ip", "iproute2")] if fault == "link down" else []
                 slow = [] if is_quick else [pytest.mark.ends, pytest.mark.slow]
                 name = f"{role}-{transport}-{fault}".replace(" ", "-")
-                yield pytest.param(role, transport, fault, marks=[*marks, *network, *slow], id=name)
+                yield pytest.param(role, transport, fault, marks=[needs(options[1]), *network, *slow], id=name)
 
 
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(400)]

@@ -8,9 +8,9 @@ import random
 import signal
 import time
 from functools import partial
-from importlib.util import find_spec
 
 import pytest
+from middlewares import needs
 from processes import relay, running
 from waiting import wait_until
 
@@ -22,7 +22,7 @@ KILLS = int(os.environ.get("DDS_TRACE_KILLS", "200"))
 LONGEST_S = 0.4
 """A kill comes so long after the first reply at the latest."""
 
-BACKENDS = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "socket": None}
+BACKENDS = ("ros2", "cyclonedds", "socket")
 LOADS = {
     "1kHz": ("--data", "string", "--rate", 1000, "--messages", 600_000),
     "4MB": ("--data", "string", "--size", "4MB", "--rate", 20, "--messages", 12_000),
@@ -34,15 +34,7 @@ pytestmark = [
     pytest.mark.middleware,
     pytest.mark.timeout(3600),
     pytest.mark.parametrize("load", LOADS),
-    pytest.mark.parametrize(
-        "backend",
-        [
-            pytest.param(
-                name, marks=pytest.mark.skipif(bool(module) and find_spec(module) is None, reason="not installed")
-            )
-            for name, module in BACKENDS.items()
-        ],
-    ),
+    pytest.mark.parametrize("backend", [pytest.param(name, marks=needs(name)) for name in BACKENDS]),
 ]
 
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from backend_pairs import ROOMY
 from processes import PATIENCE_S, counts_in, ping, relay
 from record_reader import events_of, last_json
 from warm_start import BRIEF_FLOOR_MESSAGES
@@ -16,7 +17,6 @@ from bags import ROS1, image, imu, jpeg, points, text, write_bag1, write_bag2
 
 pytestmark = pytest.mark.middleware
 
-ROOMY = ("--depth", 1000)
 POINTS, JPEG = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"
 
 

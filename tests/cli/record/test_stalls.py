@@ -1,7 +1,7 @@
 import signal
-from importlib.util import find_spec
 
 import pytest
+from middlewares import needs
 from processes import relay, running
 from waiting import wait_until
 
@@ -10,15 +10,14 @@ from dds_trace.recorder.host.sampling import HostSampler
 from dds_trace.tracefile.reading.reader import read_trace
 
 pytestmark = pytest.mark.middleware
-needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
 WARNING = "--depth 10 keeps 10 ms of messages at 1000 Hz"
 
 
 @pytest.mark.parametrize(
     ("backend", "depth", "warned"),
     [
-        pytest.param("cyclonedds", 10, True, marks=needs_cyclonedds),
-        pytest.param("cyclonedds", 100, False, marks=needs_cyclonedds),
+        pytest.param("cyclonedds", 10, True, marks=needs("cyclonedds")),
+        pytest.param("cyclonedds", 100, False, marks=needs("cyclonedds")),
         ("socket", 10, False),  # TCP keeps what does not fit, whatever the depth
     ],
 )

@@ -1,18 +1,15 @@
 """Runs whose settings are applied raise no difference, on any backend: one of each, and fifty-seven for `just test-slow`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import product
 
 import pytest
 from applied_pair import needs_large_buffers, run_pair
+from middlewares import skip_without
 from namespaces import needs_namespaces, network_with
 
 pytestmark = pytest.mark.middleware
 
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
 SIZES_BYTES = (33_000, 145_000, 502_000)
 
 
@@ -75,8 +72,7 @@ def subnet():
 @pytest.fixture
 def run(domain_id, request):
     def honest(case, payload_bytes, **more):
-        if find_spec(PACKAGES.get(case.backend, "json")) is None:
-            pytest.skip(f"{case.backend} is not installed")
+        skip_without(case.backend)
         options = {
             "transport": case.transport,
             "tuned": case.tuned,

@@ -1,8 +1,8 @@
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from applied_pair import needs_large_buffers, run_pair
+from middlewares import needs
 from namespaces import needs_namespaces, network_with
 from shared_memory import OWN_SHM, needs_root
 
@@ -16,9 +16,7 @@ from dds_trace.recorder.choices import Transport
 
 pytestmark = pytest.mark.middleware
 
-needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
-needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
-needs_zenoh = pytest.mark.skipif(find_spec("zenoh") is None, reason="zenoh is not installed")
+needs_ros2, needs_zenoh = needs("ros2"), needs("zenoh")
 
 
 def localhost(value):
@@ -69,7 +67,7 @@ def unused_interface():
         yield "unused0", inside
 
 
-@needs_cyclonedds
+@needs("cyclonedds")
 @needs_namespaces("ip", "iproute2")
 def test_4_an_interface_that_carries_nothing(domain_id, unused_interface):
     # Linux moves what a machine sends to its own address through loopback, whichever interface has that address.

@@ -4,10 +4,10 @@ import socket
 import time
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager, suppress
-from importlib.util import find_spec
 
 import pytest
 from backend_pairs import MESSAGES, ROOMY, WARMUP, assert_whole
+from middlewares import skip_without
 from processes import relay, running
 
 from dds_trace.recorder.backends import load_backend, open_node
@@ -20,12 +20,8 @@ from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [
-    pytest.mark.middleware,
-    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
-]
+pytestmark = pytest.mark.middleware
 
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh", "socket": "socket"}
 UDP = {"transport": Transport.UDP, "qos": Qos(reliability="best_effort")}
 
 
@@ -115,14 +111,14 @@ def zenoh_stranger(domain_id, other, *, calls=False):
 
 def ros2_stranger(domain_id, _other):
     """Cyclone DDS itself sends only what it can read, so this is its stranger, too."""
-    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    skip_without("ros2")
     return node_stranger("ros2", domain_id, None)
 
 
 @contextmanager
 def service_stranger(domain_id, _other):
     """Only calls: of two servers' responses a client takes the first one, so a call may be lost."""
-    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    skip_without("ros2")
     options = NodeOptions(domain_id=domain_id, name="stranger", discovery=Discovery.LOCALHOST, call=Call.SERVICE)
     with open_node("ros2", options) as node:
         from rcl_interfaces.msg import Parameter, ParameterValue
@@ -163,8 +159,7 @@ STRANGERS = {
 @pytest.mark.parametrize("kind", STRANGERS)
 def test_any_bytes_of_a_stranger_cost_only_themselves(kind, domains, tmp_path):
     make_stranger, arguments = STRANGERS[kind]
-    if find_spec(PACKAGES[arguments[1]]) is None:
-        pytest.skip(f"{PACKAGES[arguments[1]]} is not installed")
+    skip_without(arguments[1])
     domain_id, other = domains.take(), domains.take()
     common = (*arguments, *ROOMY, "--discovery", "localhost", "--no-own-cost")
     backend = load_backend(arguments[1])

@@ -1,6 +1,5 @@
-from importlib.util import find_spec
-
 import pytest
+from middlewares import skip_without
 from two_devices import needs_devices, two_devices
 
 from dds_trace.tracefile.reading.reader import read_trace
@@ -8,7 +7,6 @@ from dds_trace.tracefile.reading.reader import read_trace
 pytestmark = [pytest.mark.middleware, needs_devices]
 
 PING, RELAY = "192.168.0.10", "192.168.0.20"
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
 MESSAGES, WARMUP = 20, 3
 
 
@@ -24,9 +22,7 @@ def meet(network, request):
     _, devices = network
 
     def run(ping, relay):
-        for backend in (ping[0], relay[0]):
-            if find_spec(PACKAGES.get(backend, "json")) is None:
-                pytest.skip(f"{PACKAGES[backend]} is not installed")
+        skip_without(ping[0], relay[0])
         name = f"{request.node.name}.mcap"
         common = ("--depth", 1000, "--out", name, "--backend")
         relaying = devices["relay"].start("dds-record", "--role", "relay", *common, *relay)

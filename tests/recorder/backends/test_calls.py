@@ -18,7 +18,6 @@ PACKAGES = {"ros2": ("rclpy", "test_msgs"), "zenoh": ("zenoh",)}
 
 
 @pytest.mark.middleware
-@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark's, which rclpy imports
 @pytest.mark.parametrize(
     ("backend", "call", "more", "size"),
     [

@@ -1,9 +1,9 @@
 import subprocess
 import sys
 from contextlib import contextmanager
-from importlib.util import find_spec
 
 import pytest
+from middlewares import PACKAGES, skip_without
 from processes import PATIENCE_S, ping, relay, running
 from waiting import wait_until
 
@@ -15,23 +15,13 @@ from dds_trace.recorder.choices import Discovery, ExecutorKind
 from dds_trace.recorder.payloads.imu import IMU
 from dds_trace.recorder.roles.lanes import message_objects_of
 
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh", "socket": "socket"}
-
-pytestmark = [
-    pytest.mark.middleware,
-    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
-]
-
-
-def skip_if_missing(backend):
-    if find_spec(PACKAGES[backend]) is None:
-        pytest.skip(f"{PACKAGES[backend]} is not installed")
+pytestmark = pytest.mark.middleware
 
 
 @contextmanager
 def open_pair(backend, domain_id):
     """A node that subscribes and one that publishes, which are one node where nodes receive their own messages."""
-    skip_if_missing(backend)
+    skip_without(backend)
     executor = ExecutorKind.SINGLE if backend == "ros2" else ExecutorKind.AUTO
     options = NodeOptions(domain_id=domain_id, discovery=Discovery.LOCALHOST, executor=executor)
     receiver, sender = load_backend(backend).open_pair(options)
@@ -99,7 +89,7 @@ def test_without_its_package_it_says_how_to_get_it(backend, line):
 
 @pytest.mark.parametrize("backend", ["ros2", "cyclonedds"])
 def test_a_ping_and_a_relay_meet_in_the_last_domain(backend, domains, tmp_path):
-    skip_if_missing(backend)
+    skip_without(backend)
     last = domains.wait_for(limits.LAST_DOMAIN)
     options = ("--backend", backend, "--depth", 1000)
     with relay(last, tmp_path / "relay.mcap", *options) as command:
@@ -112,7 +102,7 @@ def test_a_ping_and_a_relay_meet_in_the_last_domain(backend, domains, tmp_path):
 
 @pytest.mark.parametrize("backend", ["zenoh", "socket"])
 def test_a_second_relay_of_the_domain_is_one_line(backend, domain_id, tmp_path):
-    skip_if_missing(backend)
+    skip_without(backend)
     command = ("dds-record", "--role", "relay", "--domain", domain_id, "--backend", backend)
     with (
         relay(domain_id, tmp_path / "one.mcap", "--backend", backend),
@@ -125,7 +115,7 @@ def test_a_second_relay_of_the_domain_is_one_line(backend, domain_id, tmp_path):
 
 @pytest.mark.parametrize("backend", ["zenoh", "socket"])
 def test_a_ping_without_a_relay_names_what_it_looked_for(backend, domain_id, tmp_path):
-    skip_if_missing(backend)
+    skip_without(backend)
     done = ping(domain_id, tmp_path / "ping.mcap", "--backend", backend, "--wait", 1)
     assert done.status == 8
     assert "saw: 0 other nodes" in done.stderr

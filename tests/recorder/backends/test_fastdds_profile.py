@@ -1,10 +1,10 @@
 import os
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from applied_pair import needs_large_buffers, run_pair
+from middlewares import needs
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.node import NodeOptions
@@ -161,7 +161,7 @@ def test_nodes_of_the_localhost_range_and_ours_find_each_other(run, is_ping_ours
 
 @pytest.mark.middleware
 @needs_large_buffers
-@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
+@needs("cyclonedds")
 @pytest.mark.parametrize("is_ping_ours", [True, False])
 def test_cyclone_dds_and_ours_find_each_other(run, is_ping_ours):
     cyclone = {"transport": "default", "backend": "cyclonedds"}

@@ -21,10 +21,7 @@ from dds_trace.recorder.payloads import BINARY, IMU, data_types
 from dds_trace.tracefile.format.descriptions import Qos
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
-pytestmark = [
-    pytest.mark.middleware,
-    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
-]
+pytestmark = pytest.mark.middleware
 
 EXECUTORS = [ExecutorKind.EVENTS, ExecutorKind.SINGLE]
 

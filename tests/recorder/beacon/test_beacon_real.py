@@ -1,8 +1,8 @@
 import re
 import threading
-from importlib.util import find_spec
 
 import pytest
+from middlewares import needs, skip_without
 from waiting import PATIENCE_S, wait_until
 
 from dds_trace.analyzer.pipeline import analyze
@@ -14,11 +14,7 @@ from dds_trace.recorder.recording import record
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 
-pytestmark = [
-    pytest.mark.middleware,
-    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
-]
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds"}
+pytestmark = pytest.mark.middleware
 ENOUGH = 10
 
 
@@ -53,8 +49,7 @@ class Beacon:
 
 @pytest.mark.parametrize("backends", [("ros2", "ros2"), ("ros2", "cyclonedds")])
 def test_two_beacons_compare_their_clocks(tmp_path, domain_id, backends):
-    if not all(find_spec(PACKAGES[backend]) for backend in backends):
-        pytest.skip("not all of these middlewares are here")
+    skip_without(*backends)
     beacons = [
         Beacon(tmp_path / f"{name}.mcap", backend, domain_id)
         for name, backend in zip(("alpha", "beta"), backends, strict=True)
@@ -77,7 +72,7 @@ def test_two_beacons_compare_their_clocks(tmp_path, domain_id, backends):
     assert pairs == {("alpha", "beta"), ("beta", "alpha")}
 
 
-@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="no cyclonedds here")
+@needs("cyclonedds")
 def test_a_beacon_alone_says_so(tmp_path, domain_id, sentences):
     beacon = Beacon(tmp_path / "alone.mcap", "cyclonedds", domain_id)
     wait_until(lambda: beacon.last is not None)

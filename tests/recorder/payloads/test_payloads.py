@@ -27,7 +27,6 @@ def padding_of(data_type):
     return {"binary": (63, 83), "imu": (63, 64, 65, 66, 67), "string": ()}[data_type.name]
 
 
-@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark's, which rclpy imports
 @pytest.mark.parametrize(("data_type", "size"), SIZES)
 def test_bytes_equal_those_of_ros(data_type, size):
     serialization = pytest.importorskip("rclpy.serialization", reason="no ROS 2 here")

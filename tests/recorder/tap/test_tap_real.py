@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from middlewares import needs
 from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S, read_past, wait_until
 
@@ -25,17 +26,10 @@ from dds_trace.tracefile.format.events import Stage, TapColumns, hash_content
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 
-pytestmark = [
-    pytest.mark.middleware,
-    pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning"),  # lark's, which rclpy imports
-]
+pytestmark = pytest.mark.middleware
 
 IMAGE = "sensor_msgs/msg/Image"
-PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
-BACKENDS = [
-    pytest.param(name, marks=pytest.mark.skipif(find_spec(package) is None, reason=f"no {package} here"))
-    for name, package in PACKAGES.items()
-]
+BACKENDS = [pytest.param(name, marks=needs(name)) for name in ("ros2", "cyclonedds", "zenoh")]
 STRANGER = Path(__file__).parents[2] / "support" / "hostile_graph.py"
 STAMP_NS = 1_700_000_000_123_456_789
 
@@ -153,7 +147,7 @@ def test_messages_are_kept_as_they_came_where_that_is_asked(tmp_path, domain_id,
     assert stamp.sec * 10**9 + stamp.nanosec == STAMP_NS
 
 
-@pytest.mark.skipif(not all(map(find_spec, ("rclpy", "cyclonedds"))), reason="no two vendors here")
+@needs("ros2", "cyclonedds")
 def test_taps_of_two_vendors_agree_about_publisher_time_and_content(tmp_path, domain_id):
     options = NodeOptions(domain_id=domain_id, name="driver", discovery=Discovery.LOCALHOST)
     files = {backend: tmp_path / f"{backend}.mcap" for backend in ("ros2", "cyclonedds")}
@@ -175,7 +169,7 @@ def test_taps_of_two_vendors_agree_about_publisher_time_and_content(tmp_path, do
     assert len(keys[0] & keys[1]) >= 3
 
 
-@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="no cyclonedds here")
+@needs("cyclonedds")
 def test_a_type_that_nobody_here_knows_is_heard(tmp_path, domain_id):
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.idl import make_idl_struct
@@ -201,7 +195,7 @@ def test_a_type_that_nobody_here_knows_is_heard(tmp_path, domain_id):
     assert (described["type"], described["has_header"]) == ("my_msgs/msg/Scan", False)
 
 
-@pytest.mark.skipif(find_spec("zenoh") is None, reason="no zenoh here")
+@needs("zenoh")
 def test_zenoh_topics_keys_and_nodes_of_ros_2_are_heard(tmp_path, domain_id):
     options = NodeOptions(domain_id=domain_id, name="driver", discovery=Discovery.LOCALHOST, listens=True)
     ros_key = f"{domain_id}/camera/front/sensor_msgs::msg::dds_::Image_/RIHS01_aa"
@@ -239,7 +233,7 @@ def test_zenoh_topics_keys_and_nodes_of_ros_2_are_heard(tmp_path, domain_id):
     assert np.all(taps.source_ns[of_ros] == STAMP_NS)
 
 
-@pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
+@needs("ros2")
 def test_a_tap_without_a_publisher_says_what_it_looked_for(tmp_path, domain_id, sentences):
     with tapping(tmp_path / "tap.mcap", "ros2", domain_id, "/nothing") as (watch, result):
         wait_until(lambda: any(note.startswith("listening to") for note in watch.notes))
@@ -256,9 +250,8 @@ def test_a_best_effort_reader_matches_every_offer():
     assert not any(mismatches(offer, chosen_qos(None, None, None)) for offer in offers)
 
 
-@pytest.mark.skipif(
-    find_spec("diagnostic_msgs") is None or find_spec("cyclonedds") is None, reason="no diagnostic_msgs here"
-)
+@needs("cyclonedds")
+@pytest.mark.skipif(find_spec("diagnostic_msgs") is None, reason="no diagnostic_msgs here")
 def test_the_state_of_the_topics_is_on_diagnostics(tmp_path, domain_id):
     options = NodeOptions(domain_id=domain_id, name="driver", discovery=Discovery.LOCALHOST, listens=True)
     with (
@@ -279,7 +272,7 @@ def test_the_state_of_the_topics_is_on_diagnostics(tmp_path, domain_id):
     assert any(b"/camera/image" in state for state in states)
 
 
-@pytest.mark.skipif(find_spec("cyclonedds") is None, reason="nobody here to announce them")
+@needs("cyclonedds")  # announces them
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_names_of_strangers_cost_only_their_topics(tmp_path, domain_id, backend, monkeypatch):
     package = tmp_path / "hostile_package"

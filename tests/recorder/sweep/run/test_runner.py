@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from sweep_desk import COMMAND, FIRST, FOURTH, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
@@ -205,19 +206,20 @@ def test_a_recording_that_does_not_end_is_killed_and_the_sweep_goes_on(desk, mon
 
 @pytest.mark.middleware
 def test_a_real_recording_that_stands_still_is_killed_and_the_sweep_goes_on(tmp_path, monkeypatch, domain_id):
-    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", -19.0)  # for the first one, which never begins
-    monkeypatch.setattr(Program.stop, "__defaults__", (1.0,))
+    # The first one, which never begins, has a second: 20 s until an echo, and 30 s behind its end, less this.
+    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", -49.0)
     started = []
 
     def start(*arguments, **named):
         started.append(Program(*arguments, **named))
         if len(started) == 1:
             started[0]._process.send_signal(signal.SIGSTOP)
+            started[0].stop = partial(started[0].stop, 1.0)
             monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", 0.0)
         return started[-1]
 
     monkeypatch.setattr(runner_module, "Program", start)
-    run = f"messages = 20\nattempts = 1\nsettle_seconds = 0\ncutoff_seconds = 0\ndomain = {domain_id}"
+    run = f"messages = 20\nattempts = 1\nsettle_seconds = 0\ncutoff_seconds = 30\ndomain = {domain_id}"
     plan = parse_plan(f'[run]\n{run}\n[axes]\nbackend = "socket"\nrate = [20, 40]\n', "plan", "plan.toml")
     (reason,) = run_sweep(plan, tmp_path, Heard()).missing.values()
     assert "SIGKILL" in reason

@@ -15,7 +15,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.threads import tune_gc
-from dds_trace.base.units import parse_duration
+from dds_trace.base.units import parse_duration, spell_size
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from .program import Version, argument, ask_about_folder, command, make_app, option, run_command, starting
@@ -44,6 +44,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
     return paths
 
 
+MOST_KINDS = 12
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
@@ -207,7 +208,12 @@ def choose_command(
     job = make_job(
         size=size, rate=rate, deadline=deadline, reliability=reliability, data=data, domain=domain, metric=metric
     )
-    _analyze(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
+    analysis = _analyze(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
+    recommendation = analysis.details.recommendation
+    if recommendation is not None and not recommendation.candidates:
+        kinds = analysis.summary.select("data_type", "payload_bytes", "rate_hz").unique(maintain_order=True)
+        shown = [f"{data} {spell_size(size)} at {rate:g} Hz" for data, size, rate in kinds.head(MOST_KINDS).iter_rows()]
+        say(f"measured: {', '.join(shown)}{' ...' if kinds.height > MOST_KINDS else ''}")
 
 
 def _analyze(

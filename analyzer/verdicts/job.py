@@ -48,7 +48,7 @@ def _read(name: str, parse: Callable[[str], Value | None], text: str, example: s
         value = parse(text)
         if value is not None:
             return value
-    raise OptionError(f"{name} {text!r} is not understood; give one as {name} {example}")
+    raise OptionError(f"--{name} {text!r} is not understood; write {example}")
 
 
 def _share(text: str) -> float | None:
@@ -78,9 +78,10 @@ def make_job(
         payload_bytes=_read("size", lambda text: parse_size(text) or None, size, "502KB"),
         rate_hz=_read("rate", parse_rate, rate, "20"),
         deadline_ns=_read("deadline", parse_duration, deadline, "50ms"),
-        reliability=_read("reliability", _share, reliability, "0.999"),
-        domain_mode=domain and _read("domain", lambda text: text if text in modes else None, domain, "same"),
-        metric=_read("metric", lambda text: text if text in METRICS else None, metric, "response"),
+        reliability=_read("reliability", _share, reliability, "0.99 or 99%"),
+        domain_mode=domain
+        and _read("domain", lambda text: text if text in modes else None, domain, "same or different"),
+        metric=_read("metric", lambda text: text if text in METRICS else None, metric, " or ".join(METRICS)),
     )
 
 

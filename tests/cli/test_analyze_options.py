@@ -69,6 +69,8 @@ JOB = ("--size", "33KB", "--rate", "10", "--deadline", "50ms", "--reliability", 
 def test_a_recommendation(runs, capsys):
     assert run_trace("choose", runs, *JOB) == 0
     assert "likely" in capsys.readouterr().out  # one run shows no more
+    assert run_trace("choose", runs, "--size", "145", *JOB[2:]) == 0
+    assert "measured: binary 33KB at 10 Hz" in capsys.readouterr().err
 
 
 def test_topics_of_any_recording(runs, capsys):

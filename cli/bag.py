@@ -73,7 +73,7 @@ def bag_command(
     stamp_clock = None
     if request is not None:
         measured = analyze(request.folder, details=False)
-        stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows)
+        stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows).corrections
     kinds = [*(report or []), *(["html"] if open_it else [])]
     code, written = report_topics(recordings, folder, kinds, export or [], gates, stamp_clock, write_limits, card=card)
     for path in written:

@@ -12,10 +12,10 @@ from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
-from .clocks import DAY_NS, Stamps, apart, backwards_ns, is_simulated, of_one_clock, set_back, stamp_notes
-from .losses import NONE, Losses, TopicTimes, arrival_jitter_ns
+from .clocks import DAY_NS, SIMULATED_BEFORE_NS, Stamps, apart, backwards_ns, of_one_clock, set_back, stamp_notes
+from .losses import NONE, Losses, TopicTimes
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers
-from .periods import Int64
+from .periods import Int64, spread
 from .rows import Row, ages, bursts, qos_words, sizes, timing
 
 OTHER_CLOCK_NS = DAY_NS
@@ -71,7 +71,7 @@ class Card:
                 f"{clock_words((start - self._start_ns) / 1e9)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
                 "once, none of them is lost by it"
             )
-        if is_simulated(self._start_ns):
+        if self._start_ns < SIMULATED_BEFORE_NS:
             self._notes.append("the log times are of a simulation's clock, or count from the start of a machine")
         silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
         if silent:
@@ -134,6 +134,7 @@ class Card:
 
     def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
         regularity, about = losses.regularity, topic.topic
+        lag = regularity.in_pattern if regularity else 1
         inside = [any(hole.overlaps(*pause) for pause in pauses) for hole in losses.holes]
         transport, recorder = times.lost or (None, None)
         row: Row = {
@@ -143,7 +144,7 @@ class Card:
             "encoding": about.encoding,
             "messages": len(topic),
             **timing(times.log_ns),
-            "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
+            "jitter_ns": spread(times.log_ns[lag:] - times.log_ns[:-lag]) if len(times.log_ns) > lag else None,
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
             **ages(times.log_ns, times.publish_ns, times.stamp_ns, self._start_ns),
             **bursts(times.log_ns),

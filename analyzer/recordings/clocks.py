@@ -14,7 +14,7 @@ from .periods import Int64
 
 DAY_NS = 86_400 * 10**9
 _APART_NS, _LONGEST_UP_NS = 30 * DAY_NS, 365 * DAY_NS
-_SIMULATED_BEFORE_NS = 10**9 * 10**9  # September 2001: no recorder of today
+SIMULATED_BEFORE_NS = 10**9 * 10**9  # September 2001: no recorder of today
 _JUMP_NS = 10**9
 _COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
 _LEAST_STEP_NS, _STEP_SPREADS = 200_000_000, 6.0
@@ -46,10 +46,6 @@ def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 def apart(time_ns: float) -> str:
     days = time_ns / DAY_NS
     return f"{days / 365.25:.0f} years" if days > 365.25 else f"{days:.0f} days"
-
-
-def is_simulated(start_ns: int) -> bool:
-    return start_ns < _SIMULATED_BEFORE_NS
 
 
 def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:

@@ -25,7 +25,7 @@ _MOST_SILENT = 0.5
 """Share of its time that a topic with a rhythm may be silent."""
 
 _SAME_RATE = 0.01
-_COMMANDS = re.compile(
+COMMANDS = re.compile(
     r"(^|[/_])(cmd|cmd_vel|command|goal|joy|keyboard|teleop)($|[/_])|/(Twist|TwistStamped|Joy|Ackermann\w+)$"
 )
 """Topics and types by which a person or a planner commands: sent while something happens."""
@@ -220,15 +220,3 @@ def _by_key(keys: Int64, find: Callable[[NDArray[np.bool_]], Regularity | None])
         return []
     parts = [find(keys == name) for name in names]
     return [part for part in parts if part is not None] if all(parts) else []
-
-
-def is_command(topic: str, message_type: str) -> bool:
-    return _COMMANDS.search(topic) is not None or _COMMANDS.search(message_type) is not None
-
-
-def arrival_jitter_ns(log_ns: Int64, regularity: Regularity | None) -> float | None:
-    """Return the robust deviation of log intervals; None of a single message."""
-    lag = regularity.in_pattern if regularity else 1
-    if len(log_ns) <= lag:
-        return None
-    return spread(log_ns[lag:] - log_ns[:-lag])

@@ -21,7 +21,7 @@ from dds_trace.tracefile.reading.recorded import RawMessage, RecordedTopic
 from dds_trace.tracefile.reading.storage import find_storage
 from dds_trace.tracefile.recordings.recording_files import content_hash
 
-from .losses import LOST_TYPE, NONE, TopicTimes, is_command
+from .losses import COMMANDS, LOST_TYPE, NONE, TopicTimes
 from .periods import Int64
 
 _LONGEST_FRAME_BYTES = 256
@@ -109,7 +109,7 @@ class TopicMessages:
         stamped_within[order] = False
         log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
         is_ros1 = self.topic.encoding == "ros1"
-        commands = is_command(self.topic.name, self.topic.message_type)
+        commands = any(map(COMMANDS.search, (self.topic.name, self.topic.message_type)))
         return TopicTimes(
             *(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, counter),
             stamps[stamped_within],

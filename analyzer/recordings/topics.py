@@ -7,7 +7,7 @@ from array import array
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TypeAlias
 
 import polars as pl
 
@@ -16,15 +16,13 @@ from dds_trace.tracefile.reading.recorded import Condition
 from dds_trace.tracefile.recordings.read import read_messages
 
 from ..model.finding import Source
-from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth
+from .card import DAMAGED, HOLES, WHOLE, Card, RecordingHealth
 from .losses import NONE
 from .messages import TopicMessages, find_recordings
 from .periods import Int64
-from .rows import GAP_PERIODS, HOLE_SCHEMA, TOPIC_SCHEMA, Row
+from .rows import HOLE_SCHEMA, TOPIC_SCHEMA, Row
 
 _MOST_NOTES = 10
-
-__all__ = ["GAP_PERIODS", "STRIP_PARTS", "TopicReport", "analyze_topics"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +51,10 @@ class TopicReport:
         return HOLES if HOLES in verdicts else WHOLE
 
 
-class StampCorrector(Protocol):
-    """Knows the clock by which messages were stamped."""
-
-    def corrections(
-        self, topics: Mapping[str, tuple[Int64, Int64]]
-    ) -> tuple[Mapping[str, tuple[Int64, Int64]], list[str]]:
-        """From log times and stamps: stamps on the recorder's clock and bounds by topic, and notes."""
+StampCorrector: TypeAlias = Callable[
+    [Mapping[str, tuple[Int64, Int64]]], tuple[Mapping[str, tuple[Int64, Int64]], list[str]]
+]
+"""From log times and stamps: stamps on the recorder's clock and bounds by topic, and notes."""
 
 
 def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[str]:
@@ -68,7 +63,7 @@ def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[
         log_ns, stamp_ns = topic.column("log_ns"), topic.column("stamp_ns")
         has_stamp = stamp_ns != NONE
         times[topic.topic.name] = log_ns[has_stamp], stamp_ns[has_stamp]
-    corrected, notes = clock.corrections(times)
+    corrected, notes = clock(times)
     for topic in columns:
         if topic.topic.name in corrected:
             placed_ns, bound_ns = corrected[topic.topic.name]

@@ -19,6 +19,7 @@ from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
 from ..pairing.rows import RowStore
+from ..recordings.periods import spread
 from .device_clocks import DeviceClocks, WallReadings, follow_wall_clocks
 from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
 from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, with_ages
@@ -46,16 +47,12 @@ class Topics:
     topic_hops: pl.DataFrame
     wall_readings: tuple[WallReadings, ...] = ()
 
-    @classmethod
-    def none(cls) -> Topics:
-        schemas = (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)
-        topics, messages, hops = (pl.DataFrame(schema=schema) for schema in schemas)
-        return cls(topics, messages, hops)
-
 
 def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
     if not has_taps(campaign):
-        return Topics.none()
+        schemas = (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)
+        topics, topic_messages, topic_hops = (pl.DataFrame(schema=schema) for schema in schemas)
+        return Topics(topics, topic_messages, topic_hops)
     readings = tuple(follow_wall_clocks(campaign))
     clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows, readings)
     deliveries = [delivery for stream in find_streams(heard_by_taps(campaign)) for delivery in deliver(stream, clocks)]
@@ -138,7 +135,7 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
         "transfer_rate_bytes_per_s": int(received_bytes.sum()) * SECOND_NS / lasted_ns if lasted_ns else None,
         "period_p50_ns": quantile(periods, "p50"),
         "period_p99_ns": quantile(periods, "p99"),
-        "jitter_ns": 1.4826 * float(np.median(np.abs(periods - np.median(periods)))) if len(periods) > 1 else None,
+        "jitter_ns": spread(periods) if len(periods) > 1 else None,
         **{
             f"{metric}_{statistic}_ns": quantile(messages[f"{metric}_ns"].drop_nulls().to_numpy(), statistic)
             for metric, statistic in product(TOPIC_METRICS, _STATISTICS)

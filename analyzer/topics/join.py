@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from ..clocks.fit import Int64
 from ..clocks.track import UNKNOWN_NS
+from ..recordings.clocks import DAY_NS
 from .device_clocks import DeviceClocks, Machine
 from .taps import Heard
 
 LEAST_ALIKE = 0.5
 """Share of the shorter of two streams that the other has, if a bridge made one of the other."""
-
-OTHER_CLOCK_NS = 86_400 * 1_000_000_000
-"""Age of a header stamp of another clock (a simulation's)."""
 
 FASTEST = 0.05
 """Quantile of lateness that decides which tap is next to the publisher."""
@@ -295,7 +293,7 @@ def with_ages(delivery: Delivery, stamper: Machine, clocks: DeviceClocks) -> Del
     age_ns, delay_ns = reached.at_ns - stamped.at_ns, published.at_ns - stamped.at_ns
     bound_ns = np.minimum(reached.bound_ns, NOT_BOUNDED_NS) + stamped.bound_ns
     delay_bound_ns = np.minimum(published.bound_ns, NOT_BOUNDED_NS) + 2 * stamped.bound_ns
-    is_stamped = (header_ns != 0) & received.is_not_null().to_numpy() & (np.abs(age_ns) < OTHER_CLOCK_NS)
+    is_stamped = (header_ns != 0) & received.is_not_null().to_numpy() & (np.abs(age_ns) < DAY_NS)
     has_age, has_delay = is_stamped & (bound_ns < NOT_BOUNDED_NS), is_stamped & (delay_bound_ns < NOT_BOUNDED_NS)
     ages = messages.with_columns(
         _present("age_ns", has_age, _not_before(age_ns, bound_ns)),

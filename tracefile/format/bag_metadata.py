@@ -42,23 +42,6 @@ class BagFile:
     messages: int
 
 
-def write_metadata(
-    trace: Path,
-    topics: Sequence[TopicCount],
-    time_range_ns: tuple[int, int],
-    *,
-    mode: int = OWNER_AND_GROUP,
-    fsync: bool = False,
-) -> None:
-    """Write `metadata.yaml` next to the one MCAP file of a bag.
-
-    It has no QoS profile: nothing was received over these topics, so a player uses its default.
-    """
-    start_ns, end_ns = time_range_ns
-    file = BagFile(trace.name, start_ns, end_ns - start_ns, sum(topic.messages for topic in topics))
-    write_bag_metadata(trace.parent, "mcap", [file], topics, mode=mode, fsync=fsync)
-
-
 def write_bag_metadata(
     folder: Path,
     storage: str,

@@ -58,9 +58,9 @@ def _described(folder: Path) -> RecordingFiles:
     listed, claimed = _read_metadata(folder / METADATA_NAME)
     if not listed:
         return RecordingFiles(stored, stored[:], claimed=claimed)
-    names = {_unpacked_name(name) for name in listed}
-    files = [file for file in stored if _unpacked_name(file.name) in names]
-    missing = sorted(names - {_unpacked_name(file.name) for file in files})
+    names = {name.removesuffix(ZSTD_SUFFIX) for name in listed}
+    files = [file for file in stored if file.name.removesuffix(ZSTD_SUFFIX) in names]
+    missing = sorted(names - {file.name.removesuffix(ZSTD_SUFFIX) for file in files})
     unlisted = [file for file in stored if file not in files]
     if len(missing) == len(unlisted) == 1:
         note = f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
@@ -70,10 +70,6 @@ def _described(folder: Path) -> RecordingFiles:
     if not files:
         raise TraceFormatError(folder, "; ".join([*damages, *notes][:3]))
     return RecordingFiles(files, files[:], damages, notes, claimed)
-
-
-def _unpacked_name(name: str) -> str:
-    return name.removesuffix(ZSTD_SUFFIX)
 
 
 def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:

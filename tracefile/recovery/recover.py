@@ -15,7 +15,6 @@ from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import counted
 
-from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
 from ..format.encoding import MESSAGE_HEADER, decode_string
 from ..format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
@@ -123,7 +122,7 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
             return report
         originals = _swap_files(trace, unfinished)
         if path != trace:
-            write_metadata(trace, writer.topics, writer.time_range_ns, mode=killed.mode, fsync=True)
+            writer.write_metadata(trace, killed.mode, fsync=True)
         flush_to_disk(trace.parent)
     except OSError as err:
         raise output_error(unfinished, err) from err

@@ -18,7 +18,7 @@ from dds_trace.base.errors import OutputError
 from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 from dds_trace.base.version import __version__
 
-from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
+from ..format.bag_metadata import METADATA_NAME, BagFile, TopicCount, write_bag_metadata
 from ..format.descriptions import Session
 from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC, Stage
@@ -112,6 +112,11 @@ class TraceWriter:
     @property
     def time_range_ns(self) -> tuple[int, int]:
         return self._first_ns, self._last_ns
+
+    def write_metadata(self, trace: Path, mode: int, *, fsync: bool) -> None:
+        """Write `metadata.yaml` next to the one file of a bag, without QoS: a player uses its default."""
+        file = BagFile(trace.name, self._first_ns, self._last_ns - self._first_ns, sum(self._counts.values()))
+        write_bag_metadata(trace.parent, "mcap", [file], self.topics, mode=mode, fsync=fsync)
 
     def write_events(self, slots: Slots) -> None:
         """Append any number of events in the order of `slots`, in chunks of at most `MAX_CHUNK_EVENTS`.
@@ -337,13 +342,7 @@ class TraceFiles:
         try:
             self.writer.finish()
             if self._destination.is_bag:
-                write_metadata(
-                    self.writer.path,
-                    self.writer.topics,
-                    self.writer.time_range_ns,
-                    mode=self._destination.mode,
-                    fsync=self._destination.fsync,
-                )
+                self.writer.write_metadata(self.writer.path, self._destination.mode, fsync=self._destination.fsync)
         except OutputError as err:
             self.writer.abandon()
             return err

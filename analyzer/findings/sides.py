@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from operator import attrgetter
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
-from ..model.parameters import CASE_COLUMNS
 from ..pairing.exchanges import Overlap, find_overlaps
-from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.costs import flows_of
 from ..verdicts.judgements import Claim, Reason
 from .evidence import Evidence, Observation, check, percent, some
@@ -63,11 +60,8 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
 )
 def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
     """Setups were recorded one after the other."""
-    cases = partition_groups(with_conditions(evidence.rows.groups), (*CASE_COLUMNS, CONDITIONS))
-    groups_of = {case.select(*CASE_COLUMNS, CONDITIONS).row(0): case["group"].to_list() for case in cases}
-    columns = attrgetter(*CASE_COLUMNS, CONDITIONS)
     answers = [answer for answer in evidence.details.answers if not answer.interleaved]
-    groups = sorted({group for answer in answers for group in groups_of[columns(answer)]})
+    groups = sorted({group for answer in answers for setup in answer.contenders for group in setup.groups})
     if groups:
         drifts = [answer.drift_ratio - 1 for answer in answers if answer.drift_ratio is not None]
         tests = f": a drift of {100 * min(drifts):.3g} % between them passes for a difference" if drifts else ""

@@ -112,32 +112,16 @@ def described_exchanges(batch: Batch) -> pl.DataFrame:
     )
 
 
-def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
-    if not batch.whole:
-        return
-    groups = batch.group_of_exchange
-    offsets = [*np.unique(groups, return_index=True)[1].tolist(), len(groups)]
-    for first, after in pairwise(offsets):
-        yield int(groups[first]), range(first, after)
-
-
-def columns_by_group(batch: Batch, rows: RoundTrips) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
-    bounds = rows.bounds.tolist()
-    for group, numbers in exchanges_by_group(batch):
-        first, after = bounds[numbers.start], bounds[numbers.stop]
-        yield group, partial(_part_of_column, rows, first, after)
+def columns_by_group(batch: Batch, rows: RoundTrips) -> Iterator[tuple[int, Callable[[str], pl.Series], slice]]:
+    groups, bounds = batch.group_of_exchange, rows.bounds.tolist()
+    offsets = [*np.unique(groups, return_index=True)[1].tolist(), len(groups)] if batch.whole else []
+    for start, end in pairwise(offsets):
+        first, after = bounds[start], bounds[end]
+        yield int(groups[start]), partial(_part_of_column, rows, first, after), slice(first, after)
 
 
 def _part_of_column(rows: RoundTrips, first: int, after: int, name: str) -> pl.Series:
     return rows.column(name).slice(first, after - first)
-
-
-def runs_by_group(batch: Batch, roundtrips: RoundTrips) -> Iterator[NDArray[np.int64]]:
-    run_ids = [exchange.run.run_id for exchange in batch.exchanges]
-    number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
-    run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
-    for _, numbers in exchanges_by_group(batch):
-        yield run_of_row[slice(*roundtrips.bounds[[numbers.start, numbers.stop]].tolist())]
 
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:

@@ -140,7 +140,7 @@ def _wall_ns(session: Session | None) -> int | None:
 def _anchors(messages: pl.LazyFrame) -> pl.LazyFrame:
     """Return of each group whether no stamp contradicts the anchors, their mean bound, and this plus the clocks' bound.
 
-    A larger error of an anchor than the shortest delivery and write would make one of these negative; the four bound it from both sides.
+    A larger error of an anchor than the shortest delivery and write would make one of these negative.
     """
     times, is_complete = pl.col(_ANCHORED), pl.col("is_complete")
     shortest_ns, count, is_judged = pl.col(_ANCHORED), pl.col("count"), pl.col("is_judged")

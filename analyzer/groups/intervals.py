@@ -16,7 +16,7 @@ from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
-from .batch import Batch, columns_by_group, is_present, present, runs_by_group
+from .batch import Batch, columns_by_group, is_present, present
 
 INTERVAL_SCHEMA = frame_schema(
     "group:u32 metric:str percentile:str quantile:f64 estimate_ns:f64 low_ns:f64 high_ns:f64 method:str "
@@ -44,12 +44,13 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     (`student_t_of_runs` or `order_statistics`) without both ends; `typical_ns` is of a typical run. Others as in
     `statistics.intervals.Interval` and `run_statistics.spread.Spread`.
     """
+    run_ids = [exchange.run.run_id for exchange in batch.exchanges]
+    number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
+    run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
     rows = [
         row
-        for (group, column), run_of_row in zip(
-            columns_by_group(batch, roundtrips), runs_by_group(batch, roundtrips), strict=True
-        )
-        for row in interval_rows(group, column, run_of_row)
+        for group, column, part in columns_by_group(batch, roundtrips)
+        for row in interval_rows(group, column, run_of_row[part])
     ]
     return pl.DataFrame(rows, schema=INTERVAL_SCHEMA)
 
@@ -141,7 +142,7 @@ class _Sending:
 
 
 def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    rows = [row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
+    rows = [row for group, column, _ in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
 
 

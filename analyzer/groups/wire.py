@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
@@ -48,20 +47,6 @@ _RECORD_COLUMNS = (*_KEY, "relay_id", "direction", "first_ns", "repeats", "resen
 _ROW_SCHEMA = frame_schema("run_id:u64 sequence:u64 relay_id:u32 rtt_ns:i64 latency_ns:i64")
 
 
-@dataclass(slots=True)
-class _Sums:
-    runs: int = 0
-    duration_s: float = 0.0
-    payload_bytes: float = 0.0
-    shared_counts: int = 0
-    matches_ns: list[float] = field(default_factory=list)
-    tcp_rtts_ns: list[float] = field(default_factory=list)
-    tcp_windows: list[float] = field(default_factory=list)
-    counters: Counter[str] = field(default_factory=Counter)
-    bytes: Counter[str] = field(default_factory=Counter)
-    packets: Counter[str] = field(default_factory=Counter)
-
-
 def wire_frames(
     traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
 ) -> dict[str, pl.DataFrame]:
@@ -80,25 +65,22 @@ def wire_frames(
         )
         returned = 1.0 if group_rows.is_empty() else group_rows["rtt_ns"].count() / group_rows.height
         relays = Counter(e.run.run_id for e in exchanges)
-        sums = _Sums()
-        for run_id in group_runs:
-            run = runs[run_id]
-            _add_ping(sums, counts[run_id])
-            sums.payload_bytes += run.published * run.payload_bytes * (1 + returned * relays[run_id])
-        for capture, run_ids in relay_counts:
-            if run_ids & group_runs.keys():
-                _add_relay(sums, capture, is_shared=not run_ids <= group_runs.keys())
+        pings = [counts[run_id] for run_id in group_runs]
+        relayed = [(capture, ids <= group_runs.keys()) for capture, ids in relay_counts if ids & group_runs.keys()]
+        payload_bytes = sum(
+            runs[run_id].published * runs[run_id].payload_bytes * (1 + returned * relays[run_id])
+            for run_id in group_runs
+        )
+        by_class, packets = (_by_class(pings, name) for name in ("bytes", "packets"))
         joined = _joined(group_rows, records)
-        frame.append(_row(group, sums, joined))
-        total = sum(sums.bytes.values())
+        frame.append({"group": group, **_costs(pings, relayed, by_class, payload_bytes, joined)})
+        total = by_class.total()
         classes += [
-            (group, name, sums.packets[name], count, count / total)
-            for name, count in sorted(sums.bytes.items())
-            if total
+            (group, name, packets[name], count, count / total) for name, count in sorted(by_class.items()) if total
         ]
         repeats.append(_repeat_rows(group, joined))
     return {
-        "wire": pl.DataFrame(frame, WIRE_SCHEMA, orient="row"),
+        "wire": pl.DataFrame(frame, WIRE_SCHEMA),
         "wire_classes": pl.DataFrame(classes, WIRE_CLASS_SCHEMA, orient="row"),
         "wire_repeats": pl.concat([pl.DataFrame(schema=WIRE_REPEAT_SCHEMA), *repeats]),
     }
@@ -149,28 +131,11 @@ def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _add_ping(sums: _Sums, counts: JsonObject) -> None:
-    sums.runs += 1
-    sums.duration_s += number_of(counts.get("duration_s")) or 0
-    if (match_ns := (number_of(counts.get("match_ns")) or 0)) > 0:
-        sums.matches_ns.append(match_ns)
-    for connection in _connections(counts):
-        sums.tcp_rtts_ns.append((number_of(connection.get("rtt_us")) or 0) * 1000)
-        sums.tcp_windows.append(number_of(connection.get("congestion_window")) or 0)
-    for traffic in objects_of(counts.get("classes")):
-        name = str(traffic.get("name"))
-        sums.bytes[name] += _count(traffic.get("bytes"))
-        sums.packets[name] += _count(traffic.get("packets"))
-    _add_counters(sums, counts)
-
-
-def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
-    if is_shared:
-        sums.shared_counts += 1
-    if is_shared or _is_local(counts):
-        sums.counters["kernel_drops"] += _count(counts.get("kernel_drops"))
-    else:
-        _add_counters(sums, counts)
+def _by_class(captures: Iterable[JsonObject], unit: str) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for traffic in (traffic for capture in captures for traffic in objects_of(capture.get("classes"))):
+        counts[str(traffic.get("name"))] += _count(traffic.get(unit))
+    return counts
 
 
 def _is_local(counts: JsonObject) -> bool:
@@ -181,58 +146,55 @@ def _is_local(counts: JsonObject) -> bool:
     return 2 * bytes_by_direction[Direction.LOCAL.name.lower()] > bytes_by_direction.total()
 
 
-def _add_counters(sums: _Sums, counts: JsonObject) -> None:
-    kernel = object_of(counts.get("ip"))
-    for name in ("kernel_drops", "requests", "tcp_again_bytes"):
-        sums.counters[name] += _count(counts.get(name))
-    for name in ("reassembly_failed", "udp_receive_buffer_full"):
-        sums.counters[name] += _count(kernel.get(name))
-    sums.counters["tcp_retransmitted_segments"] += sum(
-        _count(connection.get("retransmitted_segments")) for connection in _connections(counts)
-    )
-
-
 def _connections(counts: JsonObject) -> list[JsonObject]:
     return [tcp for tcp in objects_of(counts.get("tcp")) if (number_of(tcp.get("bytes_sent")) or 0) > 0]
 
 
-def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
-    total = sum(sums.bytes.values())
-    again = sum(sums.bytes[name] for name in AGAIN_CLASSES)
-    discovery = sum(sums.bytes[name] for name in DISCOVERY_CLASSES)
+def _costs(
+    pings: Sequence[JsonObject],
+    relayed: Sequence[tuple[JsonObject, bool]],
+    by_class: Counter[str],
+    payload_bytes: float,
+    joined: pl.DataFrame,
+) -> dict[str, object]:
+    counted = [*pings, *(capture for capture, is_own in relayed if is_own and not _is_local(capture))]
+    connections = [connection for capture in counted for connection in _connections(capture)]
+    connected = [connection for capture in pings for connection in _connections(capture)]
+    total, duration_s = by_class.total(), sum(number_of(capture.get("duration_s")) or 0 for capture in pings)
+    again, discovery = (sum(by_class[name] for name in names) for names in (AGAIN_CLASSES, DISCOVERY_CLASSES))
+    dropped = sum(_count(capture.get("kernel_drops")) for capture in (*pings, *(capture for capture, _ in relayed)))
     repeated = joined.filter(pl.col("repeats") > 0)
-    values: dict[str, object] = {
-        "group": group,
-        "runs": sums.runs,
-        "shared_counts": sums.shared_counts,
-        "complete": not sums.counters["kernel_drops"],
+    return {
+        "runs": len(pings),
+        "shared_counts": sum(not is_own for _, is_own in relayed),
+        "complete": not dropped,
+        "kernel_drops": dropped,
         "total_bytes": total,
-        "payload_bytes": round(sums.payload_bytes),
-        "bytes_per_payload_byte": total / sums.payload_bytes if sums.payload_bytes else None,
+        "payload_bytes": round(payload_bytes),
+        "bytes_per_payload_byte": total / payload_bytes if payload_bytes else None,
         "again_bytes_share": again / total if total else None,
         "messages": joined.height,
         "again_messages": repeated.height,
         "carried_twice": joined.filter(pl.col("interfaces") > 1).height,
         "resent_after_p50_ns": repeated["resent_after_ns"].median(),
         "waited_heartbeats_p50": repeated["waited_heartbeats"].median(),
-        "match_p50_ns": median(sums.matches_ns) if sums.matches_ns else None,
-        "tcp_rtt_p50_ns": median(sums.tcp_rtts_ns) if sums.tcp_rtts_ns else None,
-        "tcp_congestion_window_p50": median(sums.tcp_windows) if sums.tcp_windows else None,
+        "match_p50_ns": _median(ns for capture in pings if (ns := number_of(capture.get("match_ns")) or 0) > 0),
+        "tcp_rtt_p50_ns": _median((number_of(tcp.get("rtt_us")) or 0) * 1000 for tcp in connected),
+        "tcp_congestion_window_p50": _median(number_of(tcp.get("congestion_window")) or 0 for tcp in connected),
+        "tcp_retransmitted_segments": sum(_count(tcp.get("retransmitted_segments")) for tcp in connections),
         "discovery_share": discovery / total if total else None,
-        "discovery_bytes_per_minute": discovery * 60 / sums.duration_s if sums.duration_s else None,
+        "discovery_bytes_per_minute": discovery * 60 / duration_s if duration_s else None,
+        **{name: sum(_count(capture.get(name)) for capture in counted) for name in ("requests", "tcp_again_bytes")},
         **{
-            name: sums.counters[name]
-            for name in (
-                "kernel_drops",
-                "requests",
-                "reassembly_failed",
-                "udp_receive_buffer_full",
-                "tcp_again_bytes",
-                "tcp_retransmitted_segments",
-            )
+            name: sum(_count(object_of(capture.get("ip")).get(name)) for capture in counted)
+            for name in ("reassembly_failed", "udp_receive_buffer_full")
         },
     }
-    return tuple(values[name] for name in WIRE_SCHEMA)
+
+
+def _median(values: Iterable[float]) -> float | None:
+    numbers = list(values)
+    return median(numbers) if numbers else None
 
 
 def _repeat_rows(group: int, joined: pl.DataFrame) -> pl.DataFrame:

@@ -374,7 +374,7 @@ def compare_groups(
 
 
 def _delivery_row(base: SetupRuns, new: SetupRuns, change: DeliveryChange) -> dict[str, Any]:
-    row = {name: getattr(change, name) for name in _OF_DELIVERY}
+    row = {name: getattr(change, name) for name in _DELIVERY_COLUMNS}
     for name, side, received in (("base", base, change.base), ("new", new, change.new)):
         ratio = f"{name}_received_ratio"
         row |= {ratio: received.value, f"{ratio}_low": received.lower, f"{ratio}_high": received.upper}
@@ -387,8 +387,8 @@ def _delivery_row(base: SetupRuns, new: SetupRuns, change: DeliveryChange) -> di
     }
 
 
-_OF_DELIVERY = ("difference", "difference_low", "difference_high", "smallest_drop", "p_value")
-_OF_CHANGE = ("ratio", "ratio_low", "ratio_high", "pairs", "p_value", "smallest_ratio")
+_DELIVERY_COLUMNS = ("difference", "difference_low", "difference_high", "smallest_drop", "p_value")
+_CHANGE_COLUMNS = ("ratio", "ratio_low", "ratio_high", "pairs", "p_value", "smallest_ratio")
 """Columns that a change has by the same name."""
 
 
@@ -396,7 +396,7 @@ def _change_row(
     base: SetupRuns, new: SetupRuns, received: DeliveryChange, change: Change, metric: str, name: str
 ) -> dict[str, Any]:
     row: dict[str, Any] = {"metric": metric, "statistic": name, "basis": change.basis.value}
-    row |= {column: getattr(change, column) for column in _OF_CHANGE}
+    row |= {column: getattr(change, column) for column in _CHANGE_COLUMNS}
     row |= {f"{column}_ns": getattr(change, column) for column in ("difference", "difference_low", "difference_high")}
     sides = (("base", base, change.base, received.base), ("new", new, change.new, received.new))
     for (side, group, interval, share), typical_ns in zip(sides, change.typical, strict=True):

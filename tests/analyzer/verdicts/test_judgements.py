@@ -56,6 +56,7 @@ def test_links_bridges_own_nodes_and_a_job_are_rows_of_the_frame():
     analysis = make_analysis(*(Measured(5 * around(ms * MS), runs=3, **side) for ms, side in sides))
     job = Job("binary", 33_000, 10.0, 5 * MS // 2, 0.9, domain_mode="same", metric="latency")
     asked = replace(analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job))
+    assert analysis.judgements is analysis.judgements
     judged = replace(analysis, details=asked).judgements
     of_job = judged.filter(statistic="latency_p90", base="2.5 ms").sort("value")
     assert of_job.select("claim", "verdict").rows() == [("meets", "open"), ("meets", "open"), ("misses", "proven")]

@@ -141,7 +141,7 @@ def analyze_command(
 
         dds-trace analyze runs/ --report html
     """
-    from dds_trace.recorder.option_values import parse_percentage
+    from dds_trace.recorder.option import parse_percentage
 
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     deadline_ns, deadline_metric = _parse_deadline(deadline)

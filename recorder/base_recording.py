@@ -16,7 +16,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
-from .applied.carried import LOOPBACK
+from .applied.applied import LOOPBACK
 from .backends import load_backend, load_backends, open_node
 from .choices import Discovery, Security
 from .errors import NotAppliedError, NothingHeardError, StoppedError

@@ -15,8 +15,7 @@ from .backends import BACKEND_MODULES
 from .backends.node import NodeOptions
 from .bridges.base import BRIDGE_MODULES
 from .choices import Durability, FileMode, History, Reliability, Role
-from .option import Axis, Option, option, options_of
-from .option_values import parse_percentage
+from .option import Axis, Option, option, options_of, parse_percentage
 from .options import PingOptions, RecordOptions, TapOptions
 
 _SENDERS = (Role.PING, Role.RELAY, Role.BEACON)

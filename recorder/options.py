@@ -12,8 +12,21 @@ from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 
 from .choices import Discovery, Load, Role, Serialization
-from .option import OUTSIDE_OF_KEY, Axis, Option, changed_settings, detail, option
-from .option_values import KeepFree, Rotation, check_call, parse_pairs, parse_rate_or_max, parse_rates, parse_topics
+from .option import (
+    OUTSIDE_OF_KEY,
+    Axis,
+    KeepFree,
+    Option,
+    Rotation,
+    changed_settings,
+    check_call,
+    detail,
+    option,
+    parse_pairs,
+    parse_rate_or_max,
+    parse_rates,
+    parse_topics,
+)
 from .payloads import check_data
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
 from .host.environment import kept_stdout
 from .host.load import loaded
 from .host.process import parse_cpus
-from .option_values import ACTION_GOAL_BYTES
+from .option import ACTION_GOAL_BYTES
 from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.binary import BINARY

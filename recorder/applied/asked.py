@@ -75,23 +75,21 @@ def asked_settings(
 
     `settings` are the node's (`Middleware.settings`), with the recorder's part; `environment` is as the user set it.
     """
-    shared_memory = vendor_facts(vendor).shared_memory.get(transport)
-    requested = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
-    if congestion_control is not None:
-        requested = replace(requested, congestion_control=congestion_control)
-    if tuned:
-        facts = vendor_facts(vendor).tuned
-        requested = replace(
-            requested,
-            transport=facts.transport if transport == "default" else transport,
-            receive_buffer_bytes=facts.receive_bytes,
-        )
-    if segment_bytes is not None:
-        requested = replace(requested, segment_bytes=segment_bytes)
-    if vendor == "cyclonedds":
-        uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
-        requested = replace(requested, interface=interface_named(uri))
-    elif vendor == "fastdds" and requested.transport == "default":
+    facts = vendor_facts(vendor)
+    uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
+    requested = Asked(
+        vendor,
+        domain_id,
+        facts.tuned.transport if tuned and transport == "default" else transport,
+        tuned,
+        discovery,
+        facts.tuned.receive_bytes if tuned else 0,
+        shared_memory=facts.shared_memory.get(transport),
+        interface=interface_named(uri) if vendor == "cyclonedds" else "",
+        congestion_control=congestion_control or "",
+        segment_bytes=segment_bytes or 0,
+    )
+    if vendor == "fastdds" and requested.transport == "default":
         requested = _asked_by_environment(requested, environment or {})
     if buffer_bytes is not None:
         requested = replace(requested, receive_buffer_bytes=buffer_bytes, buffer_is_exact=True)

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from ..domains import domain_port_range
-from .carried import SHARED_MEMORY, UNKNOWN, Traffic, is_excluded, payload_path
+from .applied import SHARED_MEMORY, UNKNOWN, Traffic, is_excluded, payload_path
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
 if TYPE_CHECKING:

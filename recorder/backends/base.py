@@ -17,7 +17,7 @@ from ..host.environment import MiddlewareEnvironment, watched_configuration
 from ..security.keys import LAST_SECURED_DOMAIN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .node import Node, NodeOptions
@@ -46,7 +46,6 @@ class Backend:
     """One API that carries messages: `BACKEND` of each module in `BACKEND_MODULES`.
 
     Attributes:
-        label: its name for people.
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
         find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot
             run.
@@ -57,7 +56,6 @@ class Backend:
         make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
         has_ros: whether the ROS middleware and the executor can be chosen.
         security: levels besides `off`.
-        priorities: priorities that messages can have, None for none.
         sizes: transport -> names of `Sizes` that can be chosen with it.
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
@@ -115,53 +113,50 @@ class Backend:
     def check(self, options: NodeOptions) -> None:
         """Refuse options that would have no effect."""
         check_domain_id(options.domain_id)
-        if options.rmw is not None and not self.has_ros:
-            raise OptionError(f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out")
-        if options.executor is not ExecutorKind.AUTO and not self.has_ros:
-            raise OptionError(f"-o executor={options.executor.value}: the backend {self.name} has none; leave it out")
-        if options.congestion_control is not None and not self.has_congestion_control:
-            raise OptionError(
-                f"-o congestion_control={options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
-            )
-        self._check_sending(options)
-        self._check_sizes(options)
-        self._check_call(options)
-        if options.transport not in self.transports:
-            names = ", ".join(transport.value for transport in self.transports)
-            raise OptionError(f"-o transport={options.transport.value}: the backend {self.name} only has {names}")
-        if options.security is not Security.OFF and options.security not in self.security:
-            levels = ", ".join(level.value for level in (Security.OFF, *self.security))
-            raise OptionError(f"-o security={options.security.value}: the backend {self.name} only has {levels}")
-        if options.security is not Security.OFF and self.speaks_dds and options.domain_id > LAST_SECURED_DOMAIN:
-            raise OptionError(
-                f"--domain {options.domain_id}: secured domains are at most {LAST_SECURED_DOMAIN}; choose another"
-            )
+        for fault in self._faults(options):
+            raise OptionError(fault)
         self.own_variables(options)
         if options.peers and self.meeting is Meeting.DISCOVERY:
             raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")
         if self.check_settings is not None:
             self.check_settings(options)
 
-    def _check_sending(self, options: NodeOptions) -> None:
-        if options.priority is not None and options.priority not in (self.priorities or ()):
-            allowed = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
-            raise OptionError(f"-o priority={options.priority}: the priorities of the backend {self.name}: {allowed}")
-        if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
-            raise OptionError(
-                f"-o when_full={options.when_full.value}: the backend {self.name} has no such choice; leave it out"
-            )
-        if not options.multicast and not self.can_multicast:
-            raise OptionError(f"-o multicast=false: the backend {self.name} sends no message to a group; leave it out")
-
-    def _check_sizes(self, options: NodeOptions) -> None:
+    def _faults(self, options: NodeOptions) -> Iterator[str]:
+        if options.rmw is not None and not self.has_ros:
+            yield f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out"
+        if options.executor is not ExecutorKind.AUTO and not self.has_ros:
+            yield f"-o executor={options.executor.value}: the backend {self.name} has none; leave it out"
+        control = options.congestion_control
+        if control is not None and not self.has_congestion_control:
+            yield f"-o congestion_control={control}: the backend {self.name} has no TCP of its own; leave it out"
+        yield from self._faults_of_sending(options)
+        over = f" over {options.transport.value}" if self.sizes and options.transport is not Transport.DEFAULT else ""
         for name, size in options.sizes._asdict().items():
             if size is not None and name not in self.sizes.get(options.transport, ()):
-                over = (
-                    f" over {options.transport.value}"
-                    if self.sizes and options.transport is not Transport.DEFAULT
-                    else ""
-                )
-                raise OptionError(f"-o {name}={size}: the backend {self.name}{over} has no such size; leave it out")
+                yield f"-o {name}={size}: the backend {self.name}{over} has no such size; leave it out"
+        if options.transport not in self.transports:
+            names = ", ".join(transport.value for transport in self.transports)
+            yield f"-o transport={options.transport.value}: the backend {self.name} only has {names}"
+        if options.security not in (Security.OFF, *self.security):
+            levels = ", ".join(level.value for level in (Security.OFF, *self.security))
+            yield f"-o security={options.security.value}: the backend {self.name} only has {levels}"
+        if options.security is not Security.OFF and self.speaks_dds and options.domain_id > LAST_SECURED_DOMAIN:
+            yield f"--domain {options.domain_id}: secured domains are at most {LAST_SECURED_DOMAIN}; choose another"
+
+    def _faults_of_sending(self, options: NodeOptions) -> Iterator[str]:
+        if options.priority is not None and options.priority not in (self.priorities or ()):
+            allowed = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
+            yield f"-o priority={options.priority}: the priorities of the backend {self.name}: {allowed}"
+        if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
+            yield f"-o when_full={options.when_full.value}: the backend {self.name} has no such choice; leave it out"
+        if not options.multicast and not self.can_multicast:
+            yield f"-o multicast=false: the backend {self.name} sends no message to a group; leave it out"
+        call = f"-o call={options.call.value}"
+        if options.call not in (Call.NONE, *self.calls):
+            allowed = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
+            yield f"{call}: the calls of the backend {self.name}: {allowed}"
+        elif options.call is not Call.NONE and (options.priority, options.when_full) != (None, WhenFull.DEFAULT):
+            yield f"{call}: -o priority and -o when_full are of publishers; remove them"
 
     def own_variables(self, options: NodeOptions) -> Mapping[str, str]:
         """Return the variables that give the middleware the file of `--configuration`; refuse one that cannot be read."""
@@ -176,16 +171,6 @@ class Backend:
         if not variables:
             raise OptionError(f"--configuration: no file of {options.rmw or self.label} is known here; leave it out")
         return variables
-
-    def _check_call(self, options: NodeOptions) -> None:
-        if options.call is Call.NONE:
-            return
-        call = f"-o call={options.call.value}"
-        if options.call not in self.calls:
-            allowed = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
-            raise OptionError(f"{call}: the calls of the backend {self.name}: {allowed}")
-        if options.priority is not None or options.when_full is not WhenFull.DEFAULT:
-            raise OptionError(f"{call}: -o priority and -o when_full are of publishers; remove them")
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""

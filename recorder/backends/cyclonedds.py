@@ -1,6 +1,6 @@
 """`cyclonedds`: native Cyclone DDS through its Python package, with the topics and types of ROS 2.
 
-Messages pass in serialized form: the package's serializer takes 32 ms for a megabyte. Only this file and `cyclone_policies` import
+Messages pass in serialized form: the package's serializer takes 32 ms for a megabyte. Only this file and `cyclone_settings` import
 cyclonedds.
 """
 
@@ -23,8 +23,16 @@ from dds_trace.base.units import SECOND_NS
 from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
-from .cyclone_policies import cyclone_qos, opaque_type, priority_of, qos_of
-from .cyclone_settings import cyclone_loopback, cyclone_settings, loaded_plugins, security_settings
+from .cyclone_settings import (
+    cyclone_loopback,
+    cyclone_qos,
+    cyclone_settings,
+    loaded_plugins,
+    opaque_type,
+    priority_of,
+    qos_of,
+    security_settings,
+)
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
     LAST_ACKNOWLEDGEMENT_S,

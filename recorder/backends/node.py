@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from dds_trace.base import limits
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
@@ -344,6 +345,11 @@ class Node(ABC):
     def count_participants(self) -> int | None:
         """Count the participants (ROS: nodes) of the domain; None if the backend cannot."""
         return len(self.participant_names()) or None
+
+    def describe_others(self) -> str:
+        """Return in words how many other participants the node sees."""
+        count = self.count_participants()
+        return "an unknown number of other nodes" if count is None else counted(count - 1, "other node")
 
     def stop_receiving(self, timeout_s: float | None = STOP_S) -> None:
         """Call the subscriptions no more; interrupt what blocks in sending, where the middleware can."""

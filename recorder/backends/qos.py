@@ -54,9 +54,11 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
     }
 
 
-def refuse_durations(backend: str, qos: Qos) -> None:
+def refuse_policies(backend: str, qos: Qos, keeps_nothing: str) -> None:
     for policy in requested_durations(qos):
         raise OptionError(f"-o {policy}: the backend {backend} has no such quality of service; leave it out")
+    if qos.durability != Durability.VOLATILE:
+        raise OptionError(f"-o durability={qos.durability}: {keeps_nothing}")
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:

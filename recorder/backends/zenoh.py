@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
 
-from ..choices import Call, Discovery, Durability, Reliability, Security, Transport, WhenFull
+from ..choices import Call, Discovery, Reliability, Security, Transport, WhenFull
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
 from .call_node import RELAY_SUFFIX
 from .dds_types import DDS_TYPES
 from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
-from .qos import refuse_durations
+from .qos import refuse_policies
 from .zenoh_ros import GRAPH_KEY, data_key, origin_of, parse_token
 
 if TYPE_CHECKING:
@@ -134,18 +134,19 @@ class ZenohNode(Node):
         return on_sample
 
     def list_publications(self, matches: TopicPatterns) -> list[Publication]:
-        liveliness = self._session.liveliness()
-        tokens = (self._key("endpoint", PUBLISHER, "*", "*", "*"), GRAPH_KEY.format(domain_id=self.options.domain_id))
-        replies = [reply for token in tokens for reply in liveliness.get(token, timeout=LOOK_S)]
-        keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-        endpoints = [publication for key in sorted(keys) if (publication := _own_publication(key)) is not None]
+        keys = self._announced(self._key("endpoint", PUBLISHER, "*", "*", "*"))
+        endpoints = list(map(_own_publication, keys))
         types = defaultdict[str, set[str]](set)
         for publication in endpoints:
             types[publication.topic].add(publication.type_name)
         self._own_types = dict(types)
-        publications = [*endpoints, *map(parse_token, sorted(keys))]
+        ros_endpoints = map(parse_token, self._announced(GRAPH_KEY.format(domain_id=self.options.domain_id)))
         return [
-            *(publication for publication in publications if publication is not None and matches(publication.topic)),
+            *(
+                publication
+                for publication in (*endpoints, *ros_endpoints)
+                if publication and matches(publication.topic)
+            ),
             *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS
         ]
 
@@ -197,10 +198,12 @@ class ZenohNode(Node):
         return TopicView(topic, tuple(self._endpoints(PUBLISHER, topic)), tuple(self._endpoints(SUBSCRIPTION, topic)))
 
     def _endpoints(self, kind: str, topic: str) -> list[Endpoint]:
-        replies = self._session.liveliness().get(self._key("endpoint", kind, topic, "*", "*"), timeout=LOOK_S)
-        keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
-        parts = [key.split("/")[-2:] for key in keys]
-        return [Endpoint(name, type_name.replace(".", "/")) for name, type_name in parts]
+        seen = map(_own_publication, self._announced(self._key("endpoint", kind, topic, "*", "*")))
+        return [Endpoint(endpoint.node_name, endpoint.type_name) for endpoint in seen]
+
+    def _announced(self, key: str) -> list[str]:
+        replies = self._session.liveliness().get(key, timeout=LOOK_S)
+        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def read_security(self) -> str:
         links = {str(link.dst).partition(":")[0] for link in self._session.info.links()}
@@ -284,11 +287,8 @@ class ZenohCallNode(ZenohNode):
         return subscription
 
 
-def _own_publication(key: str) -> Publication | None:
-    parts = key.split("/")
-    if parts[0] != KEY_PREFIX:
-        return None
-    topic, node_name, type_name = parts[-3:]
+def _own_publication(key: str) -> Publication:
+    topic, node_name, type_name = key.split("/")[-3:]
     return Publication(f"/{topic}", type_name.replace(".", "/"), None, node_name)
 
 
@@ -408,11 +408,7 @@ def _priorities() -> list[Any]:
 
 
 def _check_qos(qos: Qos) -> None:
-    refuse_durations("zenoh", qos)
-    if qos.durability != Durability.VOLATILE:
-        raise OptionError(
-            f"-o durability={qos.durability}: zenoh keeps no messages for late subscriptions without a storage"
-        )
+    refuse_policies("zenoh", qos, "zenoh keeps no messages for late subscriptions without a storage")
 
 
 BACKEND = Backend(

@@ -33,8 +33,6 @@ LOCAL_LINK = "127.0.0.1:7447"
 
 
 class Half(Enum):
-    """Part of a bridge that runs here."""
-
     BOTH = "both"
     PING = "ping"
     RELAY = "relay"
@@ -57,12 +55,10 @@ class BridgedTopic:
 
     @property
     def reply_name(self) -> str:
-        """Name of the `_relay` twin."""
         return f"{self.name}_relay"
 
 
 def bridged_topic(text: str) -> BridgedTopic:
-    """Parse `NAME:TYPE`; raise an `OptionError` for another form."""
     match = re.fullmatch(r"/?([A-Za-z]\w*(?:/\w+)*):([a-z]\w*/msg/[A-Z]\w*)", text, re.ASCII)
     if match is None:
         raise OptionError(
@@ -89,12 +85,11 @@ class BridgeOptions:
     """Options of a bridge.
 
     Attributes:
-        topics: the only topics that cross.
-        transport: transport of our own bridges' nodes (see `NodeOptions`), and of `ddsrouter`.
-        tuned: whether our own nodes, `ddsrouter` and the Cyclone DDS in zenoh's bridges are set for large messages.
+        transport: of our own bridges' nodes (see `NodeOptions`), and of `ddsrouter`.
+        tuned: for our own nodes, `ddsrouter` and the Cyclone DDS in zenoh's bridges.
         listen: `HOST:PORT` at which this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.
-        keys: folder of keys with which the link between two halves is TLS; None for a plain one.
+        keys: folder of keys with which the link between two halves is TLS.
 
     Raises:
         OptionError: a domain, a topic or an address cannot be used.
@@ -132,11 +127,9 @@ class BridgeOptions:
 
     @property
     def topic_names(self) -> list[str]:
-        """All topics that cross, each followed by its twin."""
         return [name for topic in self.topics for name in (topic.name, topic.reply_name)]
 
     def sides(self) -> tuple[BridgeSide, ...]:
-        """Return this process's domains."""
         there = tuple(topic.name for topic in self.topics)
         back = tuple(topic.reply_name for topic in self.topics)
         sides = {
@@ -146,12 +139,11 @@ class BridgeOptions:
         return tuple(sides.values()) if self.half is Half.BOTH else (sides[self.half],)
 
     def type_of(self, name: str) -> str:
-        """Return the type of a topic or twin."""
         return next(topic.type_name for topic in self.topics if name in (topic.name, topic.reply_name))
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Split `HOST:PORT` (`[::1]:7447` for IPv6); raise an `OptionError` for another form."""
+    """Split `HOST:PORT`, `[::1]:7447` for IPv6."""
     host, _, port = address.rpartition(":")
     if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
         raise OptionError(f"{limits.shown(address)} is not an address; write {limits.ADDRESS.what}")
@@ -163,12 +155,10 @@ class Bridge:
     """One bridging program: `BRIDGE` of each module in `BRIDGE_MODULES`.
 
     Attributes:
-        name: in `--bridge` and in a run.
         install: how to install the program, in one line.
         tried: version that was run by us and how, or that none was.
         suffix: of the configuration file.
-        find: returns the program's path, None if it is not installed.
-        version: returns the version that the program reports, empty if none.
+        version: returns what the program reports, empty if nothing.
         arguments: returns the arguments between the program and the path of its configuration.
         environment: returns the variables to add.
         up_pattern: regular expression of the log line when the bridge is up.
@@ -194,7 +184,6 @@ class Bridge:
 
 
 def load_bridge(name: str) -> Bridge:
-    """Return a bridge; raise an `OptionError` if there is none."""
     if name not in BRIDGE_MODULES:
         raise OptionError(f"there is no bridge {name!r}; choose one of {', '.join(BRIDGE_MODULES)}")
     bridge: Bridge = import_module(BRIDGE_MODULES[name]).BRIDGE

@@ -47,7 +47,7 @@ class SystemClock:
     monotonic_ns = staticmethod(time.monotonic_ns)
 
     def anchor(self) -> ClockAnchor:
-        monotonic_ns, wall_ns = _read_together(time.time_ns, _ANCHOR_READINGS)
+        monotonic_ns, wall_ns = read_together(time.time_ns, _ANCHOR_READINGS)
         return ClockAnchor(wall_ns, monotonic_ns)
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
@@ -79,11 +79,11 @@ def measured_step_ns() -> int:
 
 def read_monotonic_pair() -> tuple[int, int]:
     """Return CLOCK_MONOTONIC and the unslewed CLOCK_MONOTONIC_RAW at one instant, ns."""
-    return _read_together(lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW), _PAIR_READINGS)
+    return read_together(lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW))
 
 
-def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, int]:
-    """Return the narrowest of some readings: a preemption widens one."""
+def read_together(read_other: Callable[[], int], readings: int = _PAIR_READINGS) -> tuple[int, int]:
+    """Return CLOCK_MONOTONIC and another clock at one instant, ns: the narrowest of some readings, as a preemption widens one."""
     narrowest: tuple[int, int, int] | None = None
     for _ in range(readings):
         before_ns, other_ns, after_ns = time.monotonic_ns(), read_other(), time.monotonic_ns()

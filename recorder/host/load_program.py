@@ -36,6 +36,10 @@ PROCESSORS = os.cpu_count() or 1
 STRESS_NG = {"cpu": ("--cpu", PROCESSORS), "memory": ("--stream", max(1, PROCESSORS // 2))}
 
 
+def say(program: str) -> None:
+    print(program, time.monotonic(), flush=True)
+
+
 def compute(data_bytes: int = 1 << 20) -> None:
     data = bytes(data_bytes)
     while True:
@@ -69,7 +73,7 @@ def hold_dma_latency() -> None:
     """Ask the kernel for no latency of waking up, until this program ends; print what it grants."""
     device = os.open("/dev/cpu_dma_latency", os.O_RDWR)
     os.write(device, bytes(4))
-    print(f"cpu_dma_latency {int.from_bytes(os.pread(device, 4, 0), sys.byteorder)} us", time.monotonic(), flush=True)
+    say(f"cpu_dma_latency {int.from_bytes(os.pread(device, 4, 0), sys.byteorder)} us")
     threading.Event().wait()
 
 
@@ -94,23 +98,23 @@ def main() -> None:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, range(PROCESSORS))
     if kind == "network":
-        print("own", time.monotonic(), flush=True)
+        say("own")
         send(host)
     if kind == "dma-latency":
         hold_dma_latency()
     lock = os.open(f"{tempfile.gettempdir()}/dds-trace-load-{os.getuid()}.lock", os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW)
     fcntl.flock(lock, fcntl.LOCK_EX)
     if kind == "emulated-pi3":
-        print("own", time.monotonic(), flush=True)
+        say("own")
         steal(int(host))
     if kind == "awake":
-        print("own", time.monotonic(), flush=True)
+        say("own")
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         for processor in range(PROCESSORS):
             threading.Thread(target=keep_awake, args=(processor,), daemon=True).start()
         threading.Event().wait()
     stress_ng = shutil.which("stress-ng")
-    print("stress-ng" if stress_ng else "own", time.monotonic(), flush=True)
+    say("stress-ng" if stress_ng else "own")
     if stress_ng:
         os.set_inheritable(lock, True)
         option, workers = STRESS_NG[kind]

@@ -13,6 +13,7 @@ import resource
 import shutil
 import signal
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -224,6 +225,14 @@ def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:
         return lambda: None
     library.timer_settime(timer, 0, after, None)
     return lambda: library.timer_delete(timer)
+
+
+def wait_or_kill(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    try:
+        process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def ending_with_parent() -> list[str]:

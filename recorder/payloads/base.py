@@ -90,7 +90,6 @@ class DataType:
     """One kind of data.
 
     Attributes:
-        name: in the trace and in `--data`.
         topic: of the way out.
         objects: None for a type that is only sent in serialized form.
         object_stamp: place of the stamp in a message object, also of another program.
@@ -108,7 +107,7 @@ class DataType:
 
     @property
     def relay_topic(self) -> str:
-        """Topic of the way back."""
+        """Of the way back."""
         return self.topic + RELAY_SUFFIX
 
     def in_flow(self, name: str) -> DataType:

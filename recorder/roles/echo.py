@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import SECOND_NS, counted, format_size, spell_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..applied.carried import MIN_PAYLOAD_BYTES, POSSIBLY, tcp_delta
+from ..applied.applied import MIN_PAYLOAD_BYTES, POSSIBLY, tcp_delta
 from ..applied.differences import Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
@@ -22,8 +22,7 @@ from ..payloads import data_types
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from ..applied.applied import Applied
-    from ..applied.carried import Traffic
+    from ..applied.applied import Applied, Traffic
     from ..applied.differences import Difference
     from ..backends.node import Endpoint, Node, NodeOptions
     from ..payloads.base import DataType
@@ -102,10 +101,8 @@ def explain_silence(
     through = "" if plan.bridge == "none" else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
     unlike = node.explain_security()
     where = f", at {', '.join(options.peers)}" if options.peers else ""
-    count = node.count_participants()
-    others = "an unknown number of other nodes" if count is None else counted(count - 1, "other node")
     saw = [
-        f"{others} in domain {options.domain_id}",
+        f"{node.describe_others()} in domain {options.domain_id}",
         f"{_listed(view.subscriptions)} subscribed to {data_type.topic}",
         f"{_listed(view.publishers)} publishing {data_type.relay_topic}",
         *view.incompatible,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
 
-from ..applied.carried import Traffic
+from ..applied.applied import Traffic
 from ..errors import RelayLostError
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import start_thread_use, tuned_gc

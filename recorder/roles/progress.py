@@ -12,7 +12,7 @@ import numpy as np
 from dds_trace.base.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from ..applied.carried import Traffic
+    from ..applied.applied import Traffic
     from .live import LiveRow
 
 PERCENTILE_SAMPLES = 10_000

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..applied.applied import read_applied
+from ..applied.applied import read_applied, with_path
 from ..applied.asked import Asked, asked_settings
-from ..applied.carried import with_path
 from ..applied.differences import Difference, Setting, differences, publisher_differences
 from ..choices import Security, WhenFull
 from ..errors import NotAppliedError
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..applied.applied import Applied
-    from ..applied.carried import Traffic
+    from ..applied.applied import Applied, Traffic
     from ..backends.node import Node
 
 NEWS_S = 0.02

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
-from ..applied.carried import Traffic
+from ..applied.applied import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT

@@ -15,7 +15,7 @@ from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.reading.mcap_source import read_first_session
 from dds_trace.tracefile.writing.destination import TraceDestination
 
-from ..option_values import KeepFree
+from ..option import KeepFree
 
 DIGITS = 5
 

@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
 
-from dds_trace.base.files import open_regular
+from dds_trace.base.files import is_locked, open_regular
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.ring import ring_path
 
@@ -169,7 +169,7 @@ def _read_entry(path: Path) -> Listed | None:
                 break
         else:
             return None
-        if _is_locked(file.fileno()):
+        if is_locked(file.fileno()):
             is_seen = _start_of(entry.pid) == entry.pid_start
             return Listed(entry, State.RUNNING if is_seen else State.UNSEEN)
         if not path.exists():
@@ -186,15 +186,6 @@ def _parse(text: bytes) -> Entry | None:
         return Entry(**{field.name: values[field.name] for field in fields(Entry)})
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-
-
-def _is_locked(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    fcntl.flock(descriptor, fcntl.LOCK_UN)
-    return False
 
 
 def _start_of(pid: int) -> int | None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
 
-    from ..option_values import Rotation
+    from ..option import Rotation
     from ..options import RecordOptions
 
 

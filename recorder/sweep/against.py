@@ -14,14 +14,11 @@ from pathlib import Path
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
-from .folder import locked_folder
 from .plan.cells import Cell
 from .plan.plan import Plan, depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
 from .run.progress import SweepProgress
-from .run.runner import Runner
-from .station.station import open_station
-from .sweep import SweepOutcome
+from .sweep import SweepOutcome, open_runner
 
 BASE, NEW = "base", "new"
 
@@ -89,10 +86,8 @@ def run_against(
     with ExitStack() as stack:
         runners = {}
         for (side, plan), command in zip(plans.items(), commands, strict=True):
-            lock = stack.enter_context(locked_folder(folder / side, progress.note))
-            station = stack.enter_context(open_station(plan, folder / side, lock, show=progress.note, command=command))
-            side_progress = _SideProgress(progress, side)
-            runners[side] = Runner(plan, folder / side, station, side_progress, is_installed_here=command is None)
+            opened = open_runner(plan, folder / side, _SideProgress(progress, side), progress.note, command)
+            runners[side] = stack.enter_context(opened)
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
 

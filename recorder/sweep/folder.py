@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, OutputError
-from dds_trace.base.files import create_file, output_error, replacing
+from dds_trace.base.files import create_file, output_error, replacing, try_lock
 from dds_trace.tracefile.format.ring import RING_SUFFIX
 
 if TYPE_CHECKING:
@@ -52,24 +52,16 @@ def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
     except OSError as err:
         raise OutputError(f"{folder}: {err.strerror}; give another --out") from err
     try:
-        if not _try_lock(lock):
+        if not try_lock(lock, fcntl.LOCK_EX):
             note(f"{folder} is in use; waiting for the programs of an earlier sweep to end")
             deadline_s = time.monotonic() + LOCK_PATIENCE_S
-            while not _try_lock(lock):
+            while not try_lock(lock, fcntl.LOCK_EX):
                 if time.monotonic() > deadline_s:
                     raise OptionError(f"{folder} is in use by another sweep; wait for it or end it")
                 time.sleep(POLL_S)
         yield lock
     finally:
         os.close(lock)
-
-
-def _try_lock(lock: int) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def make_parts(folder: Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -77,28 +78,31 @@ class SweepOutcome:
     too_wide: dict[str, float] = field(default_factory=dict)
 
 
+@contextmanager
+def open_runner(
+    plan: Plan, folder: Path, progress: SweepProgress, note: Callable[[str], None], command: Sequence[str] | None
+) -> Iterator[Runner]:
+    """Lock the folder and open the station of a plan within the block; `command` is `dds-record`, None for the installed one."""
+    with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note, command=command) as station:
+        yield Runner(plan, folder, station, progress, is_installed_here=command is None)
+
+
 def run_sweep(
     plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None, until: Until | None = None
 ) -> SweepOutcome:
-    """Record every incomplete cell of the plan, in a folder below `out`.
-
-    `command` is `dds-record` on this machine; `until` is the precision up to which passes are added.
+    """Record every incomplete cell of the plan, in a folder below `out`; `until` is the precision up to which passes are added.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
     """
     folder = out / plan.name
     groups = schedule(plan)
-    with (
-        locked_folder(folder, progress.note) as lock,
-        open_station(plan, folder, lock, show=progress.note, command=command) as station,
-    ):
+    with open_runner(plan, folder, progress, progress.note, command) as runner:
         for warning in depth_warnings(plan):
             progress.note(warning)
         cells = [cell for group in groups for cell in group.cells]
-        runner = Runner(plan, folder, station, progress, is_installed_here=command is None)
         if plan.relay.ssh is not None and command is None:
-            compare_clocks(plan, station, folder, progress.note)
+            compare_clocks(plan, runner.station, folder, progress.note)
         runner.run(groups)
         too_wide: dict[str, float] = {}
         if until is not None:
@@ -147,11 +151,7 @@ def run_search(
 ) -> tuple[Path, list[MaxRate]]:
     plan = search_plan(plan)
     folder = out / plan.name
-    with (
-        locked_folder(folder, progress.note) as lock,
-        open_station(plan, folder, lock, show=progress.note, command=command) as station,
-    ):
-        runner = Runner(plan, folder, station, progress, is_installed_here=command is None)
+    with open_runner(plan, folder, progress, progress.note, command) as runner:
         runner.prepare(plan.cells)
         progress.begin(0, 0)
         try:

@@ -138,10 +138,8 @@ class TapRecording(BaseRecording):
             return "; ".join([*reasons[:MOST_REASONS], *more])
         if tap.topics:
             return f"no message of {', '.join(tap.topics)} came: its publishers are there and silent, or the network drops what they send"
-        count = node.count_participants()
-        others = "an unknown number of other nodes" if count is None else f"{count - 1} other nodes"
         return (
-            f"no publisher of {names} in domain {domain_id} ({others} seen): check name, --domain, --discovery and --backend; in a "
+            f"no publisher of {names} in domain {domain_id} ({node.describe_others()} seen): check name, --domain, --discovery and --backend; in a "
             "secured domain give this process its keys (ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENABLE=true)"
         )
 

@@ -22,7 +22,7 @@ from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, 
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 
-from ..applied.carried import Traffic
+from ..applied.applied import Traffic
 from ..backends.dds_types import DDS_TYPES
 from ..backends.node import ROUND_S, Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability

@@ -21,6 +21,7 @@ from dds_trace.tracefile.format.wire import MESSAGE_ROW, WIRE_TOPIC, MessageRows
 
 from ..choices import Discovery
 from ..domains import domain_port_range
+from ..host.process import wait_or_kill
 from ..records import from_json, to_json
 from .counts import WireCounts
 from .packets.packet_filter import PortRange
@@ -147,11 +148,7 @@ class WireCapture:
     def close(self) -> None:
         if self._process.poll() is None:
             _stream(self._process.stdin).close()
-            try:
-                self._process.wait(_PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            wait_or_kill(self._process, _PATIENCE_S)
         for stream in (self._process.stdin, self._process.stdout):
             _stream(stream).close()
 

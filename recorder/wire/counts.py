@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from statistics import median
@@ -20,7 +20,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True)
-class ClassTally:
+class ClassCount:
+    """Traffic of a `WireClass` in one direction (`sent`, `received`, or `local` on loopback, where it is both).
+
+    Attributes:
+        packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
+        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
+            their own, so the classes' bytes sum to the packets' bytes.
+        submessages: RTPS submessages; 0 for TCP and other UDP.
+        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as
+            repeated.
+    """
+
+    name: str
+    direction: str
     packets: int = 0
     bytes: int = 0
     submessages: int = 0
@@ -28,13 +41,17 @@ class ClassTally:
     ip_fragments: int = 0
 
 
+class _ClassCounts(dict[tuple[WireClass, Direction], ClassCount]):
+    def __missing__(self, key: tuple[WireClass, Direction]) -> ClassCount:
+        self[key] = count = ClassCount(key[0].value, key[1].name.lower())
+        return count
+
+
 @dataclass(slots=True)
 class RunTally:
     """Counters of a run; frames of other domains are only in `foreign_packets`."""
 
-    classes: defaultdict[tuple[WireClass, Direction], ClassTally] = field(
-        default_factory=lambda: defaultdict(ClassTally)
-    )
+    classes: _ClassCounts = field(default_factory=_ClassCounts)
     foreign_packets: int = 0
     unseen_headers: int = 0
     requests: int = 0
@@ -57,28 +74,6 @@ class RunTally:
             if kind is not principal:
                 self.classes[kind, direction].bytes += size
                 self.classes[principal, direction].bytes -= size
-
-
-@dataclass(frozen=True, slots=True)
-class ClassCount:
-    """Traffic of a `WireClass` in one direction (`sent`, `received`, or `local` on loopback, where it is both).
-
-    Attributes:
-        packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
-        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
-            their own, so the classes' bytes sum to the packets' bytes.
-        submessages: RTPS submessages; 0 for TCP and other UDP.
-        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as
-            repeated.
-    """
-
-    name: str
-    direction: str
-    packets: int = 0
-    bytes: int = 0
-    submessages: int = 0
-    fragments: int = 0
-    ip_fragments: int = 0
 
 
 _IP_NAMES = {

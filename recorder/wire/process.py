@@ -23,11 +23,12 @@ from typing import Any
 from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.wire import MessageRows
 
+from ..host.clock import read_together
 from ..kernel.counters import InterfaceCounters, read_interfaces, read_kernel_counters
 from ..kernel.sockets import TCP_COUNTERS, ClosedConnections, TcpConnection, read_connections
 from ..records import from_json, since
 from .capture import WireOptions
-from .counts import ClassCount, InterfaceCount, WireCounts, ip_counts
+from .counts import InterfaceCount, WireCounts, ip_counts
 from .messages import count_repeats
 from .packets.packet_filter import wire_program
 from .ring import PacketRing, RingStatistics
@@ -37,7 +38,6 @@ NICENESS = 5
 """The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""
 TCP_EVERY_NS = 1_000_000_000
 """Connections are read this often, also because one may close before the run's end."""
-_CLOCK_READINGS = 5
 
 
 @dataclass(slots=True)
@@ -96,11 +96,7 @@ class Capture:
             interfaces=self._options.interfaces,
             begin_ns=before.begin_ns,
             end_ns=now.begin_ns,
-            classes=tuple(
-                ClassCount(kind.value, direction.name.lower(), **asdict(tally))
-                for (kind, direction), tally in sorted(run.classes.items())
-                if tally.packets or tally.bytes
-            ),
+            classes=tuple(count for _, count in sorted(run.classes.items()) if count.packets or count.bytes),
             repeats=count_repeats(rows),
             messages=len(rows),
             sample_bytes=int(rows["sample_bytes"].sum()),
@@ -167,9 +163,9 @@ class Capture:
         for ring in self._rings:
             batch = ring.read()
             if len(batch):
-                self._tally.add(
-                    batch, ring.interface, is_loopback=ring.is_loopback, wall_to_monotonic_ns=wall_to_monotonic_ns()
-                )
+                monotonic_ns, wall_ns = read_together(time.time_ns)
+                since_wall_ns = monotonic_ns - wall_ns
+                self._tally.add(batch, ring.interface, is_loopback=ring.is_loopback, wall_to_monotonic_ns=since_wall_ns)
             ring.release()
 
     def _catch_up(self) -> None:
@@ -194,16 +190,6 @@ class Capture:
         return _Before(
             run_id, time.monotonic_ns(), time.process_time(), read_kernel_counters(), read_interfaces(), dict(self._tcp)
         )
-
-
-def wall_to_monotonic_ns() -> int:
-    readings = []
-    for _ in range(_CLOCK_READINGS):
-        before_ns = time.monotonic_ns()
-        wall_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
-        readings.append((after_ns - before_ns, (before_ns + after_ns) // 2 - wall_ns))
-    return min(readings)[1]
 
 
 def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:

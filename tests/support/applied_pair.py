@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE_S, read_past
 
-from dds_trace.recorder.applied.applied import Applied
+from dds_trace.recorder.applied.applied import Applied, Traffic
 from dds_trace.recorder.applied.asked import Asked
-from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.records import from_json
 

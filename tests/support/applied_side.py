@@ -11,9 +11,8 @@ import threading
 import time
 from contextlib import nullcontext
 
-from dds_trace.recorder.applied.applied import read_applied
+from dds_trace.recorder.applied.applied import Traffic, read_applied, with_path
 from dds_trace.recorder.applied.asked import Asked, asked_settings
-from dds_trace.recorder.applied.carried import Traffic, with_path
 from dds_trace.recorder.applied.differences import differences
 from dds_trace.recorder.backends import open_node, ros2, zenoh
 from dds_trace.recorder.backends.node import NodeOptions

@@ -41,7 +41,7 @@ KINDS = {name: "recording" if name == "dds-record" else "reading" for name in MO
 RECORDING = (
     *("dds_trace.cli.record.run", "dds_trace.cli.record.command", "dds_trace.recorder.backends.node"),
     *("dds_trace.recorder.backends.ros2.node", "sensor_msgs.msg", "std_msgs.msg", "rosidl_generator_py"),
-    *("dds_trace.recorder.backends.socket.node", "dds_trace.recorder.recording"),
+    *("dds_trace.recorder.backends.socket", "dds_trace.recorder.recording"),
     *("dds_trace.recorder.bridges.base", "dds_trace.tracefile.recovery", "dds_trace.tracefile.mcapfile.scan"),
     *("rich.progress", "rich.console", "psutil"),
 )

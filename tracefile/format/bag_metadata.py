@@ -18,7 +18,7 @@ BAG_VERSION = 9
 
 @dataclass(frozen=True, slots=True)
 class TopicCount:
-    """A topic of a bag: its name, type with hash (REP 2016), and number of messages."""
+    """One topic; `type_hash` is of REP 2016."""
 
     topic: str
     schema_name: str
@@ -28,14 +28,11 @@ class TopicCount:
     encoding: str = "cdr"
 
     def plus(self, messages: int) -> TopicCount:
-        """Return it with more messages."""
         return replace(self, messages=self.messages + messages)
 
 
 @dataclass(frozen=True, slots=True)
 class BagFile:
-    """A file of a bag: its name, the first log time in ns since 1970, duration and messages."""
-
     name: str
     start_ns: int
     duration_ns: int
@@ -51,7 +48,7 @@ def write_bag_metadata(
     mode: int = OWNER_AND_GROUP,
     fsync: bool = True,
 ) -> None:
-    """Write `metadata.yaml` of a bag of several files; QoS stays as it was recorded where it is plain YAML."""
+    """Describe several files; QoS stays as it was recorded where it is plain YAML."""
     # Before version 9 the profiles are a text with numbers, since then a list with names.
     qos = [topic.qos for topic in topics]
     version = BAG_VERSION if any(map(_has_names, qos)) or not any(qos) else 8

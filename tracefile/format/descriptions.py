@@ -26,7 +26,7 @@ class Qos:
     extra: JsonObject = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the JSON object of `docs/trace-format.md`."""
+        """Return the JSON object."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "extra"}
         return {**values, **self.extra}
 
@@ -38,15 +38,10 @@ class Session:
     Attributes:
         session_id: 64-bit random number, 16 hex digits in the JSON.
         role: `ping`, `relay` or `tap`.
-        device: name of the machine, from the user or the system.
-        backend: the API that carried the messages.
         vendor: the DDS implementation, or `none`.
-        rmw: the ROS middleware; None outside of ROS 2.
-        relay_id: the relay's random number; None for others.
-        connectivity: the link between the devices, as the user named it.
+        rmw: None outside of ROS 2.
+        relay_id: None for other roles.
         wall_anchor_ns, monotonic_anchor_ns: one instant in ns since 1970, and of CLOCK_MONOTONIC.
-        host: fingerprint of the environment.
-        dropped_events: events that the recorder could not store.
         state: `open` at the start, `closed` at a clean end.
         extra: fields that this version does not know.
     """
@@ -113,14 +108,11 @@ class Run:
     Attributes:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         rate_hz: 0 for messages that left as fast as the middleware took them.
-        data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, without the stamp.
-        planned_messages: messages to measure, without warm-up.
-        warmup_messages: first messages that no statistic includes.
-        bridge: the bridge between the two domains, or `none`.
-        relay_domain_id: the relay's domain, as the user gave it; None if unknown.
+        planned_messages: without the warm-up.
+        relay_domain_id: as the user gave it; None if unknown.
         serialization: `raw` or `typed`.
-        published: messages handed to the middleware, with the warm-up; final in state `finished`.
+        published: with the warm-up; final in state `finished`.
         state: `started` or `finished`.
         extra: fields that this version does not know.
     """

@@ -26,7 +26,6 @@ _TEXT_AT = len(CDR_HEADER) + 4
 
 
 def encode_string(text: str) -> bytes:
-    """Return a little-endian String message."""
     data = text.encode() + b"\0"
     return CDR_HEADER + struct.pack("<I", len(data)) + data
 

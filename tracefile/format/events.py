@@ -31,16 +31,7 @@ uint32 relay_id
 """
 
 EVENT_DTYPE = np.dtype(
-    [
-        ("run_id", "<u8"),
-        ("sequence", "<u8"),
-        ("monotonic_ns", "<i8"),
-        ("scheduled_ns", "<i8"),
-        ("source_ns", "<i8"),
-        ("received_ns", "<i8"),
-        ("payload_bytes", "<u4"),
-        ("relay_id", "<u4"),
-    ]
+    [(name, np.dtype(kind).newbyteorder("<")) for kind, name in map(str.split, EVENT_DEFINITION.splitlines())]
 )
 """One event without its CDR header: 56 bytes, no padding."""
 
@@ -59,7 +50,7 @@ class Stage(Enum):
 
     @property
     def topic(self) -> str:
-        """MCAP topic of this stage."""
+        """Topic in the file."""
         return f"/dds_trace/{self.value}"
 
     @property
@@ -84,13 +75,12 @@ class EventColumns:
     """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
 
     Attributes:
-        run_id: the random number of the run.
-        sequence: the message's number within the run.
+        sequence: number of the message within its run.
         monotonic_ns: CLOCK_MONOTONIC of the recording device.
         scheduled_ns: T0 on the same clock (T1 only, else 0).
         source_ns, received_ns: the middleware's source and reception time stamps, ns since 1970; 0 if unknown.
-        payload_bytes: application bytes of the message.
-        relay_id: the relay that handled the message; 0 on T1.
+        payload_bytes: application bytes.
+        relay_id: 0 on T1.
     """
 
     run_id: NDArray[np.uint64]
@@ -212,17 +202,8 @@ class TapColumns:
 
     @classmethod
     def from_events(cls, events: EventColumns) -> TapColumns:
-        """Give the events of `Stage.TAP` their names; no copy."""
-        return cls(
-            content_hash=events.run_id,
-            publication_sequence=events.sequence,
-            monotonic_ns=events.monotonic_ns,
-            header_ns=events.scheduled_ns,
-            source_ns=events.source_ns,
-            received_ns=events.received_ns,
-            payload_bytes=events.payload_bytes,
-            publisher_id=events.relay_id,
-        )
+        """Give the events of `Stage.TAP` their names, in the order of the fields; no copy."""
+        return cls(*(getattr(events, column.name) for column in fields(events)))
 
 
 def event_fault(stage: Stage, encoding: str, schema_name: str | None) -> str | None:

@@ -50,7 +50,6 @@ _SECTION = re.compile(r"\s*MSG:\s*(\S+)\s*")
 
 
 def plain_name(name: str) -> str:
-    """Return `package/Type` of `package/msg/Type`."""
     package, _, remainder = name.partition("/")
     return f"{package}/{remainder.rpartition('/')[2]}" if remainder else name
 
@@ -89,7 +88,6 @@ class Types:
     stored: Stored
 
     def fields(self, name: str) -> Fields | None:
-        """Return the fields of a type, None if it is unknown."""
         return self.defined.get(name) or self.stored(name)
 
     def with_header(self, name: str) -> frozenset[str]:

@@ -67,7 +67,6 @@ class DescriptionFields:
 
     @classmethod
     def parse(cls, text: str, path: Path | str, what: str) -> DescriptionFields:
-        """Parse a description of the version `FORMAT_VERSION`."""
         try:
             value = parse_json(text)
         except ValueError as err:
@@ -85,30 +84,24 @@ class DescriptionFields:
         return fields
 
     def nested(self, name: str) -> DescriptionFields:
-        """Take an object with fields of its own."""
         return DescriptionFields(self.mapping(name), self._path, f"{self._what}.{name}")
 
     def text(self, name: str) -> str:
-        """Take a string."""
         return self._take(name, str, "a string")
 
     def integer(self, name: str, limit: Limit = STORED_INTEGER) -> int:
-        """Take an integer within `limit`."""
         return self._limited(name, self._take(name, int, "an integer"), limit)
 
     def number(self, name: str, limit: Limit) -> float:
-        """Take a number within `limit`."""
         value = self._pop(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(name, value, "a number")
         return float(self._limited(name, value, limit))
 
     def mapping(self, name: str) -> dict[str, Json]:
-        """Take an object as it is."""
         return self._take(name, dict, "an object")
 
     def hex_id(self, name: str) -> int:
-        """Take a 64-bit number written as 16 hex digits."""
         text = self.text(name)
         try:
             value = int(text, 16)
@@ -127,7 +120,6 @@ class DescriptionFields:
         return value if limit is None else self._limited(name, value, limit)
 
     def rest(self) -> dict[str, Json]:
-        """Return what was not taken."""
         return self._unread
 
     def _limited(self, name: str, value: T, limit: Limit) -> T:
@@ -156,12 +148,10 @@ class DescriptionFields:
 
 
 def object_of(value: object) -> JsonObject:
-    """Return a value of a foreign trace, which may be any JSON; nothing for anything but an object."""
     return value if isinstance(value, dict) else {}
 
 
 def objects_of(values: object) -> list[JsonObject]:
-    """Return the objects of a list; none for anything else."""
     return [object_of(value) for value in values] if isinstance(values, list) else []
 
 

@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.files import OWNER_AND_GROUP, open_regular
+from dds_trace.base.files import OWNER_AND_GROUP, is_locked, open_regular
 
 from .descriptions import Session
 from .events import EVENT_DTYPE, Stage
@@ -240,7 +240,7 @@ def is_recorded(trace: Path) -> bool:
     """Return whether a living recorder has the trace's ring."""
     try:
         with open_regular(ring_path(trace)) as stream:
-            return _is_locked(stream.fileno())
+            return is_locked(stream.fileno())
     except OSError:
         return False
 
@@ -251,7 +251,7 @@ def _read(path: Path) -> tuple[bytes, bool]:
         size = os.fstat(stream.fileno()).st_size
         if size > MOST_RING_BYTES:
             raise TraceFormatError(path, f"has {size} bytes, more than any ring of dds-trace; it was not read")
-        recording = _is_locked(stream.fileno())  # before its content: a recorder may end meanwhile
+        recording = is_locked(stream.fileno())  # before its content: a recorder may end meanwhile
         return stream.read(), recording
 
 
@@ -281,14 +281,3 @@ def _session(text: bytes, path: Path) -> Session:
     except (ValueError, KeyError, TypeError, RecursionError) as err:
         raise TraceFormatError(path, f"the ring's header names no session ({err})", RING_HEADER.size) from err
     return Session.from_json(json.dumps(described), path)
-
-
-def _is_locked(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    fcntl.flock(descriptor, fcntl.LOCK_UN)
-    return False

@@ -48,7 +48,7 @@ class ColumnsMemory:
 
 
 class ColumnsBuilder:
-    """Events of all stages, each batch copied into memory reserved for the `expected` number; full at `most_events`."""
+    """Events of all stages, each batch copied into memory for the `expected` number; full at `most_events`, or one batch."""
 
     def __init__(
         self, expected: Mapping[Stage, int], most_events: int = sys.maxsize, memory: ColumnsMemory | None = None
@@ -57,16 +57,13 @@ class ColumnsBuilder:
         self._most_events = most_events
 
     def is_full_before(self, events: int) -> bool:
-        """Return whether so many more are too many; an empty builder accepts any number."""
         filled = sum(columns.filled for columns in self._columns.values())
         return filled > 0 and filled + events > self._most_events
 
     def append(self, stage: Stage, records: Records) -> int:
-        """Append a contiguous array of `EVENT_DTYPE` to the events of the stage."""
         return self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
-        """Return all events; the builder may not be used again."""
         return {stage: columns.finish() for stage, columns in self._columns.items()}
 
 

@@ -93,7 +93,6 @@ def storage_files(path: Path) -> list[Path]:
 
 
 def is_bag(folder: Path) -> bool:
-    """Return whether a folder has a `metadata.yaml` and a storage file."""
     try:
         return (folder / METADATA_NAME).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
     except OSError:  # no permission: nothing in it can be found
@@ -102,7 +101,6 @@ def is_bag(folder: Path) -> bool:
 
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
-    """Open a storage file."""
     opener = _OPENERS[_opener_suffix(file) or ".mcap"]
     with unpacked(file) as path, closing(opener(path, pool, file)) as source:
         yield source

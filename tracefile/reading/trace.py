@@ -36,14 +36,13 @@ class Trace:
     """One trace: a `.mcap` file (with its ring, if one was left) or a rosbag2 folder.
 
     Attributes:
-        sessions, runs: the latest description of each, in order of appearance.
-        events: the events of every stage, in file order; a stage may be empty.
+        sessions, runs, publishers: the latest description of each, in order of appearance.
+        events: of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
-        wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).
-        publishers: the latest JSON object of `/dds_trace/publisher` of each session and `publisher_id`, in order of appearance.
-        truncated: why the file ends early, or None; everything complete before it is in `events`.
-        ring_events: events from the ring that a killed recorder left.
-        unreadable_messages: messages on event topics that are not events (wrong length or encoding).
+        wire: the JSON objects of `/dds_trace/wire` (`format.wire`).
+        truncated: why the file ends early; everything complete before it is in `events`.
+        ring_events: from the ring that a killed recorder left.
+        unreadable_messages: on event topics, of wrong length or encoding.
         notes: one line for each other fact that a reader of the numbers should know.
     """
 
@@ -61,7 +60,6 @@ class Trace:
 
     @property
     def event_count(self) -> int:
-        """Number of events of all stages."""
         return sum(len(columns) for columns in self.events.values())
 
 
@@ -80,7 +78,6 @@ class TextCollector:
         self.unreadable = Counter[str]()
 
     def add(self, text: Text) -> None:
-        """Add one message; an unknown topic is ignored."""
         try:
             if text.topic == SESSION_TOPIC:
                 session = Session.from_json(_string(text), text.path)
@@ -97,7 +94,6 @@ class TextCollector:
             raise TraceFormatError(text.path, what, text.offset) from err
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
-        """Add a ring's session, unless the trace has it, and the header's number of drops."""
         session = self.sessions.get(described.session_id, described)
         dropped_events = max(session.dropped_events, dropped_events)
         self.sessions[session.session_id] = replace(session, dropped_events=dropped_events)
@@ -135,7 +131,7 @@ class RingBeside:
     fault: str | None = None
 
     def batch(self, events_in_file: int) -> Batch:
-        """Return the events that the file lacks, given the number that the recorder had written to it."""
+        """Return the events after the first `events_in_file`, which the recorder had written to the file."""
         if self.contents is None:
             return Batch(notes=[self.fault] if self.fault else [])
         slots = self.contents.slots
@@ -167,8 +163,6 @@ def ring_beside(file: Path) -> RingBeside | None:
 
 @dataclass(slots=True)
 class TraceBuilder:
-    """A trace except its events, collected batch by batch."""
-
     path: Path
     texts: TextCollector = field(default_factory=TextCollector)
     topics: set[str] = field(default_factory=set)
@@ -218,7 +212,6 @@ class TraceBuilder:
         return [*self.notes[:_MOST_NOTES], f"and {remainder}"]
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
-        """Return the trace with these events."""
         self.check()
         for topic, count in self.texts.unreadable.items():
             self.notes.append(f"{counted(count, *_NO_JSON_OBJECT[topic])}; not used")

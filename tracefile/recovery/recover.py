@@ -57,7 +57,6 @@ class RecoveryReport:
     ring_fault: str | None = None
 
     def lines(self) -> list[str]:
-        """Return the report as lines for a terminal."""
         if self.recovered is None:
             whole = f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
             fault = f"its damaged ring is left as it is: {self.ring_fault}"

@@ -73,9 +73,9 @@ class TraceWriter:
         self._end = 0
         self._length = 0  # more than `_end` where an incomplete write could not be cut off
         for topic in EVENT_TOPICS:
-            self._channel(topic, TAP_SCHEMA if topic == Stage.TAP.topic else EVENT_SCHEMA)
+            self._own_channel(topic, TAP_SCHEMA if topic == Stage.TAP.topic else EVENT_SCHEMA)
         for topic in TEXT_TOPICS:
-            self._channel(topic, STRING_SCHEMA)
+            self._own_channel(topic, STRING_SCHEMA)
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         except OSError as err:
@@ -133,7 +133,7 @@ class TraceWriter:
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
         """Append a String in its own chunk, so that no later damage loses it; log times never decrease."""
-        channel = self._channel(topic, STRING_SCHEMA)
+        channel = self._own_channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
         message = Message(
             channel_id=channel.id,
@@ -199,32 +199,29 @@ class TraceWriter:
     def __exit__(self, *_exception: object) -> None:
         self.abandon()
 
-    def _channel(self, topic: str, schema: Schema) -> Channel:
+    def _own_channel(self, topic: str, schema: Schema) -> Channel:
         if topic not in self._channels:
-            self._channels[topic] = Channel(
-                id=len(self._channels) + 1,
-                topic=topic,
-                message_encoding="cdr",
-                metadata={"topic_type_hash": TYPE_HASHES[schema.name]},
-                schema_id=schema.id,
-            )
+            self._declare(topic, topic, schema, "cdr", {"topic_type_hash": TYPE_HASHES[schema.name]})
         return self._channels[topic]
 
     def _payload_channel(self, topic: PayloadTopic) -> Channel:
         if topic not in self._channels:
-            encoding = "ros2msg" if topic.definition else ""
-            schema = Schema(
-                data=topic.definition.encode(), encoding=encoding, id=len(self._schemas) + 1, name=topic.type_name
-            )
+            encoding, text = "ros2msg" if topic.definition else "", topic.definition.encode()
+            schema = Schema(data=text, encoding=encoding, id=len(self._schemas) + 1, name=topic.type_name)
             self._schemas[schema.id] = schema
-            self._channels[topic] = Channel(
-                id=len(self._channels) + 1,
-                topic=topic.topic,
-                message_encoding=topic.encoding,
-                metadata={},
-                schema_id=schema.id,
-            )
+            self._declare(topic, topic.topic, schema, topic.encoding, {})
         return self._channels[topic]
+
+    def _declare(
+        self, key: str | PayloadTopic, topic: str, schema: Schema, encoding: str, metadata: dict[str, str]
+    ) -> None:
+        self._channels[key] = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding=encoding,
+            metadata=metadata,
+            schema_id=schema.id,
+        )
 
     def _used_channels(self) -> list[Channel]:
         return [channel for channel in self._channels.values() if channel.id in self._counts]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from dds_trace.base.printable import printable
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
-from ...host.process import ending_with_parent
+from ...host.process import ending_with_parent, wait_or_kill
 from ...security.keys import enclave
 from ..base import has_package
 from ..node import Middleware
@@ -219,14 +218,9 @@ class Router:
 
     def close(self) -> None:
         process, self.process = self.process, None
-        if process is None:
-            return
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        if process is not None:
+            process.terminate()
+            wait_or_kill(process, PATIENCE_S)
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:

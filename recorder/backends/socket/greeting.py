@@ -11,6 +11,7 @@ import errno
 import json
 import os
 import socket
+import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -71,6 +72,11 @@ class Greeting:
         ):
             return None
         return cls(name, subscriptions, publishers, cookie)
+
+
+def timeval(seconds: float) -> bytes:
+    """Return the `struct timeval` of SO_SNDTIMEO and SO_RCVTIMEO."""
+    return struct.pack("@ll", int(seconds), round(seconds % 1 * 1e6))
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:

@@ -33,6 +33,7 @@ from .greeting import (
     PeerError,
     bound_socket,
     is_own_address,
+    timeval,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +53,6 @@ LEAST_READ_BYTES = 16_384
 PIECE_BYTES = 1 << 20
 """Memory grows by as much as has arrived and this: a header may claim anything."""
 
-_TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's name; then name and message
 
 
@@ -292,9 +292,7 @@ class _TcpPeer:
             self._be_patient(READER_PATIENCE_S)
 
     def _be_patient(self, wait_s: float) -> None:
-        self._connection.setsockopt(
-            socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIME.pack(int(wait_s), round(wait_s % 1 * 1e6))
-        )
+        self._connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval(wait_s))
 
     def greet(self, greeting: Greeting) -> None:
         text = greeting.to_bytes()

@@ -28,6 +28,7 @@ from .greeting import (
     TOO_LARGE,
     Greeting,
     bound_socket,
+    timeval,
 )
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ DATAGRAMS_A_ROUND = 256
 GREETING_S = 1.0
 FORGET_S = 10.0
 
-_TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the name; then name and fragment
 _COOKIE_MARK = b"cookie "
 _COOKIE_DIGITS = 16
@@ -84,7 +84,7 @@ class UdpLinks:
         if buffer_bytes is not None:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
         # Not `settimeout`, with which Python calls the kernel twice for each datagram.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIME.pack(0, round(ROUND_S * 1e6)))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval(ROUND_S))
         self._buffer = memoryview(bytearray(1 << 16))
         self._number = 0
         self._numbering = threading.Lock()

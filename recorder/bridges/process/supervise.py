@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 
 from ...errors import BridgeError
+from ...host.process import wait_or_kill
 
 STOP_PATIENCE_S = 4.0
 """Time to end after SIGINT, then after SIGTERM, before SIGKILL."""
@@ -115,11 +116,8 @@ class SupervisedProgram:
             if not self._guard.stdin.closed:
                 self._guard.stdin.write(b"stop\n")
                 self._guard.stdin.close()
-        try:
-            self._guard.wait(5 * STOP_PATIENCE_S + 5)  # the program's three signals, its children's two
-        except subprocess.TimeoutExpired:
-            self._guard.kill()  # the kernel ends the program with it
-            self._guard.wait()
+        # The program's three signals, its children's two; then the kernel ends the program with the guard.
+        wait_or_kill(self._guard, 5 * STOP_PATIENCE_S + 5)
         self._read_report()
         self._last_log = self._last_log or self.log_tail()
 

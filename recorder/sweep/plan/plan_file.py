@@ -19,9 +19,8 @@ from ...choices import Security
 from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell, OutageBy
-from .drive import read_drive
 from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, fan_out_faults, flow_cells, sender_cells
-from .link import PRESETS, Link
+from .link import PRESETS, Link, read_drive
 from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search, Threshold
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable

@@ -78,14 +78,14 @@ class Runner:
         self._missing: Mapping[Middlewares, str] = {}
         self.folder = folder
         self._parts = make_parts(folder)
-        self._station = station
+        self.station = station
         self._progress = progress
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
 
     def _leave_out(self, cells: Iterable[Cell]) -> None:
         if self._is_installed_here:
-            self._missing = missing_middlewares(self.plan, self._station.device)
+            self._missing = missing_middlewares(self.plan, self.station.device)
         waiting = {
             cell.name: reason
             for cell in cells
@@ -111,8 +111,8 @@ class Runner:
         self.resume()
         complete = sum(map(self._is_done, cells))
         if complete < len(cells):
-            self._station.device.prepare()
-            self._station.device.clear(self.state.segments)
+            self.station.device.prepare()
+            self.station.device.clear(self.state.segments)
             self._leave_out(cells)
         return complete
 
@@ -156,7 +156,7 @@ class Runner:
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
         relay = GroupRelay(
-            self._station.within(group.need.environment).device,
+            self.station.within(group.need.environment).device,
             [
                 (position.host, relay_arguments(self.plan, group.need, group.cells[0].repeat, position))
                 for position in relay_places(group.need)
@@ -229,7 +229,7 @@ class Runner:
         drafts = {cell: self._parts / f"{cell.name}.ping.mcap" for cell in cells}
         outage = None
         if cells[0].outage:
-            outage = Outage(cells[0], self.plan.run, pair=self._station.pair, kill=relay.kill, serve=relay.serve)
+            outage = Outage(cells[0], self.plan.run, pair=self.station.pair, kill=relay.kill, serve=relay.serve)
         try:
             with contextlib.nullcontext() if outage is None else outage.repaired():
                 results, link = self._attempt(drafts, relay, outage)
@@ -242,21 +242,21 @@ class Runner:
                 remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
 
     def _shape_link(self, cell: Cell) -> None:
-        if self._station.pair is not None and (shaped := self.plan.link_of(cell)) is not None:
-            self._station.pair.shape(replace(shaped, queue_ms=cell.queue or shaped.queue_ms))
+        if self.station.pair is not None and (shaped := self.plan.link_of(cell)) is not None:
+            self.station.pair.shape(replace(shaped, queue_ms=cell.queue or shaped.queue_ms))
         self._report_link()  # traffic counts for this attempt from here on
 
     def _attempt(
         self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
     ) -> tuple[list[CellResult], LinkReport | None]:
         self._shape_link(next(iter(drafts)))
-        drive_link = self._station.drive_link
+        drive_link = self.station.drive_link
         if drive_link is not None:
             drive_link(starts=False)
         began_s = time.monotonic()
         lead_s = start_lead_s(len(drafts))
         start = ["--start-at", f"{time.time() + lead_s:.3f}"] if lead_s else []
-        run, station = self.plan.run, self._station
+        run, station = self.plan.run, self.station
         longest_s = lead_s + max(run.planned_seconds(cell.rate, cell.outage) for cell in drafts) + run.cutoff_seconds
         limit_s, has_begun = START_ALLOWANCE_S + station.wait_s + longest_s, False
         programs: dict[Cell, Program] = {}
@@ -331,11 +331,11 @@ class Runner:
         return result
 
     def _report_link(self) -> LinkReport | None:
-        return None if self._station.report_link is None else self._station.report_link()
+        return None if self.station.report_link is None else self.station.report_link()
 
     def _collect(self, segment: str) -> None:
         cells, killed = self.state.in_segment(segment), self.state.killed_in(segment)
-        device = self._station.device
+        device = self.station.device
         is_here = (cells or killed) and not device.keeps_traces
         try:
             counts = self._split(device.collect(segment), cells, killed, place_of(segment)[0]) if is_here else {}

@@ -22,8 +22,7 @@ from dds_trace.tracefile.reading.trace import Trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
 
-from ..plan.drive import COLUMNS, Drive
-from ..plan.link import LinkReport
+from ..plan.link import COLUMNS, Drive, LinkReport
 from .outage import OutageReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000

@@ -75,19 +75,13 @@ class NamespacePair:
 
     def __init__(self, link: Link | None, hosts: int = 1, *, has_air: bool = False) -> None:
         self.link = self._shaped = link
-        number = self._number = next(_counter)
-        self.ping, self.relay = (
-            Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}") for host, role in enumerate(_ROLES, 1)
-        )
-        self.relays = (
-            self.relay,
-            *(
-                Side(f"ddstrace-{os.getpid()}-{number}-host{host}", f"10.213.0.{20 + host}")
-                for host in range(2, hosts + 1)
-            ),
-        )
+        self._number = next(_counter)
+        prefix = f"ddstrace-{os.getpid()}-{self._number}"
+        self.ping, self.relay = (Side(f"{prefix}-{role}", f"10.213.0.{host}") for host, role in enumerate(_ROLES, 1))
+        further = (Side(f"{prefix}-host{host}", f"10.213.0.{20 + host}") for host in range(2, hosts + 1))
+        self.relays = (self.relay, *further)
         self._has_air = has_air or _is_air(link)
-        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 or self._has_air else ""
+        self._switch = f"{prefix}-switch" if hosts > 1 or self._has_air else ""
         self._shaped_ends: list[tuple[str, str]] = []  # namespace and device with the queue disciplines
         self.applied_by = ""
         self.commands: list[str] = []

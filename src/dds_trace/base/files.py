@@ -65,25 +65,34 @@ def folder_lock(folder: Path, kind: int, wait_s: float = 0.0) -> Iterator[bool]:
 
     It fails where the folder is missing, its file system has no locks, or a stranger keeps one.
     """
-    descriptor, is_locked = None, False
+    descriptor, has_lock = None, False
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         end_s = time.monotonic() + wait_s
-        while not (is_locked := _try_lock(descriptor, kind)) and time.monotonic() < end_s:
+        while not (has_lock := try_lock(descriptor, kind)) and time.monotonic() < end_s:
             time.sleep(_LOCK_PAUSE_S)
     try:
-        yield is_locked
+        yield has_lock
     finally:
         if descriptor is not None:
             os.close(descriptor)
 
 
-def _try_lock(descriptor: int, kind: int) -> bool:
+def try_lock(descriptor: int, kind: int) -> bool:
     try:
         fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
+
+
+def is_locked(descriptor: int) -> bool:
+    """Return whether a process has a file locked exclusively; a file system without locks has no such process."""
+    with suppress(OSError):
+        if not try_lock(descriptor, fcntl.LOCK_SH):
+            return True
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False
 
 
 def remove_drafts(folder: Path, names: Iterable[str]) -> None:

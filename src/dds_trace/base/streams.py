@@ -29,13 +29,8 @@ def plain(text: str) -> str:
 
 
 def _spelled(character: str) -> str:
-    return "".join(
-        f"\\u{int.from_bytes(unit, 'big'):04x}" for unit in _units(character.encode("utf-16-be", "surrogatepass"))
-    )
-
-
-def _units(encoded: bytes) -> Iterable[bytes]:
-    return (encoded[at : at + 2] for at in range(0, len(encoded), 2))
+    encoded = character.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{int.from_bytes(encoded[at : at + 2], 'big'):04x}" for at in range(0, len(encoded), 2))
 
 
 def without_commands(text: str, *, is_at_start: bool = True) -> str:

@@ -21,8 +21,8 @@ from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
 from dds_trace.recorder.errors import BridgeError, LossesError, StoppedError
 from dds_trace.recorder.host.recorder_cost import RecorderCost
+from dds_trace.recorder.option import parse_percentage
 from dds_trace.recorder.option_table import OPTIONS, help_of
-from dds_trace.recorder.option_values import parse_percentage
 from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
 from dds_trace.recorder.recording import Recorded
 from dds_trace.recorder.roles.progress import PingProgress, RelayProgress

@@ -3,7 +3,7 @@
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
-from dds_trace.recorder.applied.carried import Traffic, is_excluded, payload_path, with_path
+from dds_trace.recorder.applied.applied import Traffic, is_excluded, payload_path, with_path
 
 TRAFFIC = Traffic(sent=100, received=100, payload_bytes=100_000)
 MB = 1_000_000

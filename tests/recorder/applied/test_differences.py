@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
-from dds_trace.recorder.applied.applied import Applied, Snapshot, read_applied
+from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic, read_applied
 from dds_trace.recorder.applied.asked import Asked
-from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.differences import Setting, differences
 from dds_trace.recorder.applied.vendors import VENDORS
 from dds_trace.recorder.records import from_json

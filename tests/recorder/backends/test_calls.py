@@ -9,7 +9,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Call, WhenFull
-from dds_trace.recorder.option_values import check_call
+from dds_trace.recorder.option import check_call
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 

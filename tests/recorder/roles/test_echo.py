@@ -4,8 +4,7 @@ from dataclasses import replace
 import pytest
 from fake_node import FakeNode
 
-from dds_trace.recorder.applied.applied import Applied, Snapshot
-from dds_trace.recorder.applied.carried import Traffic
+from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView

@@ -2,7 +2,7 @@ import pytest
 from fake_node import FakeNode
 from snapshots import applied, counted, segment, udp
 
-from dds_trace.recorder.applied.carried import Traffic
+from dds_trace.recorder.applied.applied import Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends.node import Middleware, NodeOptions
 from dds_trace.recorder.choices import Transport

@@ -9,7 +9,7 @@ from trace_files import RELAY_SESSION_ID, relay_session, write_trace
 
 from dds_trace.base.errors import OutputError
 from dds_trace.recorder.backends.node import NodeOptions
-from dds_trace.recorder.option_values import KeepFree
+from dds_trace.recorder.option import KeepFree
 from dds_trace.recorder.options import RecordOptions
 from dds_trace.recorder.service import upkeep
 from dds_trace.recorder.service.rotation import RotatedFiles, find_shortage

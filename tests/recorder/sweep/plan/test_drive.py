@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.sweep.plan.drive import COLUMNS, read_drive
+from dds_trace.recorder.sweep.plan.link import COLUMNS, read_drive
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan, read_plan
 
 PLANS = Path(__file__).parents[4] / "plans"

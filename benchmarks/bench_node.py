@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from timing import awake_cores
 
-from dds_trace.recorder.backends.cyclone_settings import cyclone_loopback, cyclone_settings
+from dds_trace.recorder.backends.cyclone_settings import cyclone_settings
 from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
@@ -61,11 +61,7 @@ WARM_UP_S = 0.5
 PORT = 21_471
 DOMAIN_ID = 71
 LOCALHOST = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(DOMAIN_ID)}
-CYCLONE = {
-    "CYCLONEDDS_URI": ",".join(
-        (cyclone_loopback(Discovery.LOCALHOST, {}), cyclone_settings(Discovery.LOCALHOST, tuned=False, environment={}))
-    )
-}
+CYCLONE = {"CYCLONEDDS_URI": cyclone_settings(Discovery.LOCALHOST, tuned=False, environment={}, on_loopback=True)}
 
 
 @dataclass(frozen=True, slots=True)

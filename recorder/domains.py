@@ -22,11 +22,7 @@ def check_domain_id(domain_id: int) -> None:
 
 
 def check_domain(domain_id: int, proc: Path = PROC) -> list[str]:
-    """Return warnings about joining a domain now.
-
-    Raises:
-        OptionError: there is no such domain, or no port left in it.
-    """
+    """Return warnings about joining a domain now; an `OptionError` without a port left in it."""
     check_domain_id(domain_id)
     bound = bound_udp_ports(proc)
     ports, room = domain_port_range(domain_id), participants_that_fit(domain_id)

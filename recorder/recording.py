@@ -69,7 +69,7 @@ ALL_RELAYS_S = 3.0
 def record(
     options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False, leave: Leave = nullcontext
 ) -> Recorded:
-    """Record in the role of the options until it is done or `stop` is set; `watch` receives notes and progress.
+    """Record in the role of the options until it is done or `stop` is set.
 
     The trace is closed first. Then the middleware is left in the context `leave`, as it may never return.
 
@@ -284,10 +284,7 @@ class PingRecording(BaseRecording):
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:
-    """Start a recording and end it before its first message; errors as for `record`.
-
-    The other side, the network and the disk are not tested.
-    """
+    """Start a recording and end it before its first message; errors as for `record`. The other side, network and disk are not tested."""
     check_options(options)
     with tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as folder:
         scratch = replace(options.destination, path=Path(folder) / options.destination.path.name)
@@ -295,12 +292,7 @@ def rehearse(options: RecordOptions, watch: Watch) -> None:
 
 
 def check_options(options: RecordOptions) -> None:
-    """Check the options, and that the data exists, without opening a node.
-
-    Raises:
-        OptionError: an option makes no sense, or not with the others.
-        OutputExistsError: there is a trace already.
-    """
+    """Check the options, and that the data exists, without opening a node; errors as for `record`."""
     options.check()
     check_domain_id(options.node.domain_id)
     load_backend(options.backend).check(options.node)

@@ -40,11 +40,7 @@ def since(record: Counters, before: Counters | None, *counters: str) -> Counters
 
 
 def from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
-    """Return the dataclass `kind` of a JSON object; unknown fields are ignored, missing ones have their defaults.
-
-    Raises:
-        TypeError: `data` lacks a field that has no default.
-    """
+    """Return the dataclass `kind` of a JSON object; unknown fields are ignored, missing ones have their defaults or raise a `TypeError`."""
     hints = get_type_hints(kind)
     return kind(**{name: _value(hint, data[name]) for name, hint in hints.items() if name in data})
 

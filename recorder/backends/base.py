@@ -47,8 +47,7 @@ class Backend:
 
     Attributes:
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
-        find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot
-            run.
+        find_installed: returns the ROS middlewares here, `[None]` for a backend without, empty if it cannot run.
         install: how to install the middleware, for the end of a message.
         meeting_needs: what ping and relay need to meet, with `{port}` of the relay and `{dds_backends}` that speak DDS.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
@@ -182,11 +181,7 @@ class Backend:
         return self.meeting_needs.format(port=port, dds_backends=dds_backends)
 
     def peer_addresses(self, options: NodeOptions) -> tuple[tuple[str, int], ...]:
-        """Return host and port of each relay that a ping connects to.
-
-        Raises:
-            OptionError: an address is wrong or missing.
-        """
+        """Return host and port of each relay that a ping connects to; an `OptionError` for a wrong or missing one."""
         port = self.port_of(options.domain_id)
         if options.discovery is Discovery.LOCALHOST and not options.peers:
             return (("127.0.0.1", port),)

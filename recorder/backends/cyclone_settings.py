@@ -78,9 +78,11 @@ def cyclone_settings(
     multicast: bool = True,
     environment: Mapping[str, str] = os.environ,
     sizes: Sizes = VENDORS_SIZES,
+    on_loopback: bool = False,
 ) -> str:
     """Return a value of CYCLONEDDS_URI; our settings win over the user's."""
     parts = [
+        cyclone_loopback(discovery, environment) if on_loopback else "",
         environment.get("CYCLONEDDS_URI", ""),
         "" if multicast else CYCLONE_UNICAST,
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",
@@ -113,11 +115,7 @@ _SECURITY = """<CycloneDDS><Domain><Security>
 
 
 def security_settings(options: NodeOptions) -> str:
-    """Return the part of CYCLONEDDS_URI, which is in no trace; empty without keys.
-
-    Raises:
-        BackendUnavailableError: the loaded Cyclone DDS has no plugins.
-    """
+    """Return the part of CYCLONEDDS_URI, which is in no trace; empty without keys. A `BackendUnavailableError` without its plugins."""
     if options.keys is None:
         return ""
     # The plugins are next to the library of this process, or where Debian has them.

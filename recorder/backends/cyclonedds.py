@@ -24,7 +24,6 @@ from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_settings import (
-    cyclone_loopback,
     cyclone_qos,
     cyclone_settings,
     loaded_plugins,
@@ -80,10 +79,9 @@ class CycloneNode(ThreadedNode):
             raise BackendUnavailableError(
                 f"cyclonedds {version} is not supported; install 11, or 0.10.2 for DDS Security"
             )
-        document = cyclone_settings(
-            options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes
+        settings = cyclone_settings(
+            options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes, on_loopback=True
         )
-        settings = ",".join(filter(None, (cyclone_loopback(options.discovery), document)))
         parts = (settings, security_settings(options))
         try:
             self._domain = _configured_domain(options.domain_id, ",".join(filter(None, parts)))
@@ -104,7 +102,7 @@ class CycloneNode(ThreadedNode):
             "cyclonedds",
             "cyclonedds",
             None,
-            {"cyclonedds": metadata.version("cyclonedds"), **_library_version()},
+            {"cyclonedds": version, **_library_version()},
             {
                 "discovery": options.discovery.value,
                 "tuned": str(options.tuned).lower(),

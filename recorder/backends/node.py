@@ -41,8 +41,7 @@ class NodeOptions:
     """How to open a node.
 
     Attributes:
-        name: name of the node in the graph.
-        qos: quality of service of every data topic, unless an endpoint has its own.
+        qos: of every data topic, unless an endpoint has its own.
         listens: whether the node waits for others to connect (a relay), where a backend has such sides.
     """
 
@@ -159,8 +158,7 @@ class Middleware:
     """The software that carries the messages, as it reports itself.
 
     Attributes:
-        rmw: identifier of the running ROS middleware, None outside ROS.
-        versions: of each library by its name.
+        rmw: None outside ROS.
         vendor_label: name for people, empty for the backend's label.
     """
 
@@ -225,8 +223,7 @@ class Publication:
         topic: name with its first slash.
         publisher: GUID in 32 hex digits; None if the middleware does not give it.
         node_name: with namespace; empty if unknown.
-        qos: what it offers; None if unknown.
-        is_local: whether it runs on this device; None if unknown.
+        is_local: whether it runs on this device.
     """
 
     topic: str
@@ -255,12 +252,8 @@ class TapReceive(Protocol):
     ) -> None:
         """Take one message.
 
-        Args:
-            message: encapsulation and CDR.
-            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: its reception time stamp likewise.
-            sequence: the publisher's number of the message, from 1; 0 if unknown.
-            source: the publisher, as the node identifies it (`TapNode.publisher_of`); None if the middleware does not say who sent it.
+        `sequence` is the publisher's number of the message, from 1; 0 if unknown. `source` is the publisher, as the node identifies
+        it (`TapNode.publisher_of`); None if the middleware does not say who sent it.
         """
 
 
@@ -269,20 +262,16 @@ class TapNode(Protocol):
     """A node that can listen to other programs."""
 
     def list_publications(self, matches: TopicPatterns) -> list[Publication]:
-        """Return the publishers of other nodes on topics with a name that `matches`."""
+        """Return the publishers of other nodes."""
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
-        """Subscribe to serialized messages of any type.
-
-        Raises:
-            BackendUnavailableError: the message type's package is needed, and not installed.
-        """
+        """Subscribe to serialized messages of any type; a `BackendUnavailableError` names a package of messages that is needed."""
 
     def publisher_of(self, source: Hashable) -> str | None:
         """Return the `Publication.publisher` of a message's `source`."""
 
     def members(self, type_name: str) -> Mapping[str, str] | None:
-        """Return the members of a message type with their types; None if the node does not know it."""
+        """Return members and their types; None if the node does not know the message type."""
 
 
 class Node(ABC):
@@ -309,11 +298,7 @@ class Node(ABC):
 
     @abstractmethod
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
-        """Create a publisher of serialized messages on a ROS name without the first slash.
-
-        Raises:
-            OptionError: the backend does not have this quality of service or type.
-        """
+        """Create a publisher on a ROS name without the first slash; an `OptionError` for a quality of service or type that it lacks."""
 
     @abstractmethod
     def create_subscription(
@@ -327,10 +312,10 @@ class Node(ABC):
 
     @abstractmethod
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints on `topic` that the node sees now, its own included."""
+        """Return the endpoints that the node sees now, its own included."""
 
     def read_security(self) -> str:
-        """Return in words what secures the messages, as the middleware or a connection reports it; empty if nothing."""
+        """Return in words what secures the messages, as the middleware or a connection reports it."""
         return ""
 
     def explain_security(self) -> str:
@@ -365,7 +350,7 @@ class Node(ABC):
 
     @abstractmethod
     def _stop_receiving(self, timeout_s: float | None) -> None:
-        """End the threads that call the subscriptions."""
+        """End the threads of the subscriptions."""
 
     @abstractmethod
     def _leave(self) -> None:

@@ -191,11 +191,7 @@ def load_bridge(name: str) -> Bridge:
 
 
 def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
-    """Return the options of each process here: two if both halves run on this machine and meet at `link`.
-
-    Raises:
-        OptionError: the bridge has no halves, or the half could never meet the other.
-    """
+    """Return the options of each process here: two if both run on this machine and meet at `link`; an `OptionError` without halves, or where they could never meet."""
     has_link = bool(options.listen or options.peers)
     half = Half.PING if options.half is Half.BOTH and has_link else options.half
     if half is not Half.BOTH:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..backends.cyclone_settings import cyclone_loopback, cyclone_settings
+from ..backends.cyclone_settings import cyclone_settings
 from ..security.tls import zenoh_tls
 from .base import BridgeOptions, Half
 
@@ -41,8 +41,7 @@ def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mappin
     A bridge that itself names the loopback interface must not get its name again: Cyclone DDS would not start.
     """
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
-    loopback = "" if names_loopback else cyclone_loopback(options.discovery)
-    settings = ",".join(filter(None, (loopback, cyclone_settings(options.discovery, tuned=options.tuned))))
+    settings = cyclone_settings(options.discovery, tuned=options.tuned, on_loopback=not names_loopback)
     return {**log, "CYCLONEDDS_URI": settings} if settings else log
 
 

@@ -58,13 +58,9 @@ class MachineLoad:
 
 @contextmanager
 def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Iterator[MachineLoad]:
-    """Load the machine within the block.
+    """Load the machine within the block: `network` sends to `host`; `emulated-pi3` takes four fifths of the last processor, the relay's.
 
-    `network` sends to `host`; `emulated-pi3` takes four fifths of the last processor, which a relay then has, and other
-    roles not.
-
-    Raises:
-        OptionError: this user may not keep the processors from sleeping, or take one; or there is only one.
+    An `OptionError` if this user may not keep processors from sleeping, or take one, or there is only one.
     """
     if kind == "none" or (kind == "network" and host is None):
         yield MachineLoad()

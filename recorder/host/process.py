@@ -49,13 +49,10 @@ _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 
 
 def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Json]:
-    """Give this process its CPUs and real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
+    """Give this process its CPUs and real-time priority (SCHED_FIFO, all memory locked), and return the session's fields.
 
-    Threads that write the trace or sample the host give the priority back (`base.threads.run_in_background`). Returns
-    the session's fields of what was requested.
-
-    Raises:
-        OptionError: a value is impossible on this machine, or the system does not permit it.
+    Later threads inherit both; those that write the trace or sample the host give the priority back (`run_in_background`). An `OptionError` names
+    what this machine lacks or does not permit.
     """
     applied: dict[str, Json] = {}
     if cpu_affinity is not None:
@@ -144,10 +141,7 @@ def realtime_threads() -> dict[str, Json]:
 
 @contextlib.contextmanager
 def tuned_gc() -> Iterator[None]:
-    """Switch garbage collection off within the block, and let received messages wait less for other threads.
-
-    Reference counts free a message's objects; call `gc.collect` in a quiet moment.
-    """
+    """Switch garbage collection off within the block (call `gc.collect` in a quiet moment), and threads more often."""
     was_enabled, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()  # a later collection skips older objects, and so is quick

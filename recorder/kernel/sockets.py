@@ -77,10 +77,7 @@ class DiagError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class DiagSocket:
-    """One socket; `local` and `remote` are address and port (port 0: not connected), `attributes` bytes by their number.
-
-    `state` is the number of its TCP state (1 established, 7 closed or not connected, 10 listening).
-    """
+    """One socket: address and port of both ends (port 0: not connected), number of its TCP state (10: listening)."""
 
     local: tuple[str, int]
     remote: tuple[str, int]
@@ -223,13 +220,7 @@ def read_connections(ports: Sequence[tuple[int, int]]) -> dict[int, TcpConnectio
 
 
 class ClosedConnections:
-    """Listener for connections that end in this network namespace, with their last `TCP_INFO`.
-
-    A connection that is read once a second has sent more when it ends.
-
-    Raises:
-        OptionError: the kernel was built without sock_diag.
-    """
+    """Listener for connections that end: one that is read once a second has sent more when it ends. An `OptionError` without sock_diag."""
 
     def __init__(self, ports: Sequence[tuple[int, int]]) -> None:
         self._ports = ports
@@ -266,11 +257,7 @@ def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[tuple[int, int]])
 
 
 def dump_sockets(family: int, protocol: int, states: int = _ALL_STATES) -> list[DiagSocket]:
-    """Return the sockets of a family and protocol in this network namespace; `states` has a bit for each state.
-
-    Raises:
-        DiagError: the kernel refuses, or does not know the protocol here.
-    """
+    """Return the sockets of a family and protocol in this network namespace; `states` has a bit for each state. A `DiagError` if the kernel refuses."""
     attributes = sum(1 << (attribute - 1) for attribute in (_INFO, _CONGESTION, _MEMORY))
     request = _REQUEST.pack(family, protocol, attributes, states)
     header = _HEADER.pack(_HEADER.size + len(request), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST | _NLM_F_DUMP, 1, 0)

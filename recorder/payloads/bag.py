@@ -33,12 +33,7 @@ NAMED_FIELD = 2
 
 
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
-    """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate.
-
-    Raises:
-        OptionError: the bag, the topic or its type cannot be used.
-        BackendUnavailableError: rosbags is not installed.
-    """
+    """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate; an `OptionError` for what cannot be used."""
     from dds_trace.tracefile.reading.recorded import Condition  # noqa: PLC0415
     from dds_trace.tracefile.recordings.recording_files import content_hash, copied_messages  # noqa: PLC0415
 

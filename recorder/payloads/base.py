@@ -35,7 +35,7 @@ class Feed(Protocol):
         """Keep messages from now on."""
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
-        """Wait for the next message; return it and its arrival (monotonic ns), or None if `stop` is set."""
+        """Wait for the next message; return it and its arrival (monotonic ns), None after `stop`."""
 
     @property
     def skipped(self) -> int:
@@ -47,9 +47,9 @@ class Payload:
     """The messages of a run, sent in a cycle.
 
     Attributes:
-        payload_bytes: application bytes of the largest message.
-        rate_hz: recorded rate, None if there is none.
-        feed: live source of the messages; then `messages` are for probes.
+        payload_bytes: of the largest message.
+        rate_hz: as it was recorded.
+        feed: live source; then `messages` are for probes.
         notes: doubts about the source, in words.
     """
 
@@ -114,7 +114,7 @@ class DataType:
         return replace(self, topic=f"{self.topic}_{name}")
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
-        """Return the form of message objects; raise an `OptionError` if there is none."""
+        """Return the form of message objects, if there is one."""
         if self.objects is None:
             raise OptionError(f"-o serialization=typed: {self.type_name} is only sent as raw bytes")
         return self.objects

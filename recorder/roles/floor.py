@@ -70,13 +70,7 @@ def measure_floor(
     patience_s: float = FLOOR_PATIENCE_S,
     rate_hz: float | None = None,
 ) -> FloorCost:
-    """Send small messages within this process, at the rate of a run, and time them.
-
-    Where nodes do not receive their own messages (sockets), a second node receives them.
-
-    Raises:
-        NoEchoError: no message arrives for `patience_s`.
-    """
+    """Time small messages within this process, at the rate of a run; a `NoEchoError` if none arrives for `patience_s`."""
     received_at_ns, arrived = [0], threading.Event()
 
     def receive(_message: RawMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:

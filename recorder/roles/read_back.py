@@ -108,11 +108,7 @@ class ReadBack:
         ]
 
     def report(self, trace: Path | None = None) -> None:
-        """Note each setting that was not applied, once; at the end, with the path of the trace.
-
-        Raises:
-            NotAppliedError: there is one, and the recording is strict.
-        """
+        """Note each setting that was not applied, once; a `NotAppliedError` of a strict recording, at the end with the trace's path."""
         unreported = self._unreported()
         self._reported.update((difference.setting, difference.asked) for difference in unreported)
         if unreported and self._strict:

@@ -41,7 +41,7 @@ class RotatedFiles:
         return replace(self._destination, path=folder / f"{self._stem}.{number:0{DIGITS}d}.mcap", force=False)
 
     def drop_oldest(self, keep: int) -> list[Path]:
-        """Delete all but the newest `keep` files, except files with a ring; return the deleted paths."""
+        """Return the files that it deleted: all but the newest `keep`, and those with a ring."""
         folder = self._destination.path.parent
         matches = sorted((m for m in self._matches() if not m["ring"]), key=lambda m: int(m["number"]))
         ours = [path for m in matches if _is_of_session(path := folder / m.string, self._session_id)]

@@ -76,8 +76,7 @@ def run_against(
     """Record every cell of both sides, interleaved, in the folders `base` and `new`; order and repeats are the base's.
 
     `busier` returns, by cell of the base, repeats in which the machine was busier on one side: they are recorded again, once.
-    `commands` are the `dds-record` of each
-    side, None for the installed one.
+    `commands` are the `dds-record` of each side, None for the installed one.
     """
     runs = interleave(base, new)
     partners = {new_cell.name: base_cell.name for new_cell, base_cell in zip(new.cells, base.cells, strict=True)}

@@ -59,8 +59,7 @@ class Explanation:
 def explain_rates(plan: Plan) -> Explanation:
     """Return the sweep of each setup of a plan at its fastest and its slowest rate, as it is and under `CONDITIONS`.
 
-    Raises:
-        OptionError: the plan has one rate, or conditions of its own.
+    An `OptionError` for a plan with one rate, or conditions of its own.
     """
     condition_axes = sorted({axis for axes in CONDITIONS.values() for axis in axes})
     if any(getattr(cell, axis) != DEFAULTS[axis] for cell in plan.cells for axis in condition_axes):
@@ -108,8 +107,7 @@ def _native(cell: Cell) -> Cell | None:
 def explain_size(plan: Plan, text: str) -> Explanation:
     """Return the sweep of each setup of a plan around a size (`SIZE`, or `LOW..HIGH`), each factor varied by itself.
 
-    Raises:
-        OptionError: the size is wrong, or the plan's data has no size to choose.
+    An `OptionError` for a wrong size, and for data without a size to choose.
     """
     sizes = [parse_size(part, "SIZE") for part in text.split("..", 1)]
     low, high = sizes if len(sizes) > 1 else (round(share * sizes[0]) for share in AROUND)

@@ -41,10 +41,8 @@ _OWN_NAME = re.compile(
 def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
     """Make the folder and lock it for one sweep within the block; yield the file descriptor of the lock.
 
-    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has ended.
-
-    Raises:
-        OptionError: another sweep uses the folder.
+    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has ended. An
+    `OptionError` if another sweep uses the folder.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -150,12 +150,7 @@ _NAMES = ("127.0.0.1", "localhost")
 
 @contextmanager
 def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "this device") -> Iterator[str]:
-    """Serve the table of `rows` within the block; yield the address.
-
-    Raises:
-        OptionError: the port is in use.
-    """
-
+    """Serve the table of `rows` within the block; yield the address. An `OptionError` for a port in use."""
     page = (
         (files("dds_trace.recorder.tap") / "live.html")
         .read_text(encoding="utf-8")

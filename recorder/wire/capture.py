@@ -42,10 +42,7 @@ _SYSTEM = Path("/sys/class/net")
 
 
 def run_interfaces(discovery: Discovery, system: Path = _SYSTEM) -> tuple[str, ...]:
-    """Return the interfaces of this network namespace that a run with this range of discovery uses.
-
-    Ports of a bridge or bond are left out: their packets would count twice.
-    """
+    """Return the interfaces that a run with this range of discovery uses, without ports of a bridge: they would count twice."""
     if discovery is Discovery.LOCALHOST:
         return (LOOPBACK,)
     names = sorted(name for _, name in socket.if_nameindex())
@@ -70,13 +67,13 @@ def domain_ports(domain_id: int) -> PortRange:
 
 @dataclass(frozen=True, slots=True)
 class WireOptions:
-    """Interfaces and ports of a capture, and its memory.
+    """What is captured.
 
     Attributes:
-        rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
+        rtps_ports: UDP ports of the run's DDS domains; other RTPS is left out. Empty: all RTPS counts.
         ring_bytes: kernel memory for packets on each interface; 100 Mbit/s may need 12.5 MB a second.
         block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
-        cpus: that the capturing process may run on; empty for its parent's.
+        cpus: of the capturing process; empty for its parent's.
     """
 
     interfaces: tuple[str, ...]
@@ -100,13 +97,7 @@ class WireResult:
 
 
 class WireCapture:
-    """A capture from its construction to `close`.
-
-    Start it before the middleware, for the first announcement of a participant.
-
-    Raises:
-        OptionError: no CAP_NET_RAW, a system without packet sockets, or an interface that cannot be captured.
-    """
+    """A capture from its construction to `close`; an `OptionError` names what cannot be captured."""
 
     def __init__(self, options: WireOptions) -> None:
         if not hasattr(socket, "AF_PACKET"):
@@ -136,10 +127,7 @@ class WireCapture:
         self._answer()
 
     def take(self) -> WireResult:
-        """Return what was counted since `begin`, a quarter of a second of late packets included.
-
-        Call it once for each `begin`: rows and drops are handed over. A waiting row needs 61 bytes of memory.
-        """
+        """Return what was counted since `begin`, a quarter of a second of late packets included; once, as rows are handed over."""
         self._ask({"ask": "take"})
         answer = self._answer()
         rows = np.frombuffer(_stream(self._process.stdout).read(answer["row_bytes"]), MESSAGE_ROW)

@@ -47,7 +47,7 @@ def may_capture() -> bool:
 
 @dataclass(frozen=True, slots=True)
 class RingStatistics:
-    """Since the previous call: packets that passed the filter, those that found no room, and how often the ring was full."""
+    """Since the previous call: packets that passed the filter, that found no room, and how often the ring was full."""
 
     packets: int = 0
     drops: int = 0
@@ -57,10 +57,7 @@ class RingStatistics:
 class PacketRing:
     """A socket with its ring on one interface; the kernel delivers a full block, or any after `block_timeout_ms`.
 
-    On `lo`, which frames pass twice, only the incoming pass is captured.
-
-    Raises:
-        OptionError: no CAP_NET_RAW, no such interface, or one without Ethernet frames.
+    On `lo`, which frames pass twice, only the incoming pass is captured. An `OptionError` names what cannot be captured.
     """
 
     def __init__(

@@ -97,12 +97,12 @@ class EventColumns:
 
     @classmethod
     def from_records(cls, records: NDArray[np.void]) -> EventColumns:
-        """Copy columns out of an array with the field names of `EVENT_DTYPE`."""
+        """Copy columns out of an array of `EVENT_DTYPE`."""
         return cls(**{name: np.ascontiguousarray(records[name]) for name in EVENT_DTYPE.names or ()})
 
     @classmethod
     def empty(cls) -> EventColumns:
-        """Return columns without an event."""
+        """Return no event."""
         return cls.from_records(np.empty(0, EVENT_DTYPE))
 
     @classmethod
@@ -183,9 +183,8 @@ class TapColumns:
         publication_sequence: the publisher's number of the message; 0 if unknown.
         monotonic_ns: arrival on CLOCK_MONOTONIC of the recording device.
         header_ns: stamp of the message's first header, on its sender's clock; 0 if there is none.
-        source_ns, received_ns: the middleware's source and reception time stamps, ns since 1970; 0 if unknown.
+        source_ns, received_ns: as in `EventColumns`.
         payload_bytes: length of the serialized message.
-        publisher_id: `publisher_id` of a description in the same session.
     """
 
     content_hash: NDArray[np.uint64]

@@ -76,18 +76,9 @@ class EventPacker:
         payload_bytes: int = 0,
         relay_id: int = 0,
     ) -> None:
-        """Store one event, or count it as dropped if the ring is full, the sink closed, or a value out of range.
+        """Store one event (fields: `EventColumns`), or count it as dropped if the ring is full, the sink closed, or a value out of range.
 
-        Args:
-            stage: 1 to 4, for T1 to T4.
-            run_id: the random number of the run.
-            sequence: the message's number in the run.
-            monotonic_ns: the time stamp, on this device's monotonic clock.
-            scheduled_ns: T0 on the same clock (T1 only).
-            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: its reception time stamp likewise.
-            payload_bytes: application bytes of the message.
-            relay_id: the relay that handled the message; 0 on T1.
+        `stage` is 1 to 4, for T1 to T4; 5 of a tap.
         """
         try:
             self._take()
@@ -129,7 +120,7 @@ class EventPacker:
         payload_bytes: int = 0,
         relay_id: int = 0,
     ) -> int:
-        """Read the clock, store the event of this instant, and return its time stamp; arguments as for `record`.
+        """Read the clock, store the event of this instant, and return its time stamp.
 
         Everything else is packed first, so that only two stores follow the clock: a process that is killed when the
         message leaves has stored its event.
@@ -185,10 +176,7 @@ class EventPacker:
         payload_bytes: int,
         relay_id: int,
     ) -> int:
-        """Store the arrival of a message and stamp its departure: `record`, then `stamp`, in one step; arguments as for `record`.
-
-        `stages` are of arrival and departure; the three times are the arrival's. Return the departure's time stamp.
-        """
+        """Store the arrival of a message and stamp its departure: `record`, then `stamp`, in one step; the three times are the arrival's."""
         now = self._clock_ns
         with self._packing:
             head = self._head
@@ -235,10 +223,7 @@ class EventPacker:
     ) -> ExpectedPair | None:
         """Pack the pair that `record_and_stamp` would store for the next message without its times: not an event yet.
 
-        Between an arrival and its reply every instruction counts; after the reply there is time.
-
-        Returns:
-            The pair for `record_expected`; None if there is no slot for it now.
+        Between an arrival and its reply every instruction counts; after the reply there is time. None: there is no slot for it now.
         """
         with self._packing:
             self._expected = None
@@ -258,8 +243,7 @@ class EventPacker:
     def record_expected(self, expected: ExpectedPair, monotonic_ns: int, source_ns: int, received_ns: int) -> bool:
         """Store the pair that `expect` has packed, with its arrival's times; the clock gives the departure's.
 
-        Returns:
-            False, with nothing stored, if another event has the slot or a time is out of range: then call `record_and_stamp`.
+        False: nothing is stored, as another event has the slot or a time is out of range; then call `record_and_stamp`.
         """
         now = self._clock_ns
         try:
@@ -290,7 +274,7 @@ class EventPacker:
                 self._packing.wake()
 
     def _has_room(self, head: int) -> bool:
-        """Wake the draining thread; return whether a slot is free. The caller has the lock."""
+        """Wake the draining thread; the caller has the lock."""
         if head >= self._limit:
             self._drop()
             return False

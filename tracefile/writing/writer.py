@@ -216,11 +216,7 @@ class TraceWriter:
         self, key: str | PayloadTopic, topic: str, schema: Schema, encoding: str, metadata: dict[str, str]
     ) -> None:
         self._channels[key] = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding=encoding,
-            metadata=metadata,
-            schema_id=schema.id,
+            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, metadata=metadata, schema_id=schema.id
         )
 
     def _used_channels(self) -> list[Channel]:

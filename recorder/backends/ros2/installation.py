@@ -180,11 +180,7 @@ _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-
 
 @lru_cache(256)
 def message_class(type_name: str) -> Any:
-    """Return the class of an installed interface; a stranger's type name imports nothing else.
-
-    Raises:
-        BackendUnavailableError: it is not installed, or not the name of an interface.
-    """
+    """Return the class of an installed interface; a stranger's type name imports nothing else. A `BackendUnavailableError` for any other."""
     if _INTERFACE.fullmatch(type_name) is None:
         raise BackendUnavailableError(f"{printable(type_name, 80)} is not the name of a ROS 2 type (package/msg/Name)")
     package, kind, name = type_name.split("/")

@@ -364,11 +364,7 @@ class _TcpPeer:
             head_bytes = len(head)
 
     def _read_frames(self, data: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
-        """Complete the frames that start in `data`; return head, topic and message of each, None at the end.
-
-        Raises:
-            PeerError: one is broken, or comes before the greeting.
-        """
+        """Complete the frames that start in `data`; return head, topic and message of each, None at the end. A `PeerError` for one that is broken, or before the greeting."""
         frames = []
         if not data:
             return None

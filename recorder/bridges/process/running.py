@@ -295,11 +295,7 @@ def open_requested_bridge(
 
 
 def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> BridgeOptions | None:
-    """Return the requested bridge's options, None if there is none to start.
-
-    Raises:
-        OptionError: there is no such bridge, or it does not support the options or the backend.
-    """
+    """Return the requested bridge's options, None if there is none to start; an `OptionError` for one that does not support them."""
     if ping.bridge == "none":
         return None
     bridge = load_bridge(ping.bridge)

@@ -42,13 +42,7 @@ _PASS_NAME = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
 
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
-    """Read a plan; `by_hand` if a person starts the relay.
-
-    `installed` returns (backend, rmw) of every middleware of this machine.
-
-    Raises:
-        OptionError: the file cannot be read, or has a wrong key or value.
-    """
+    """Read a plan; `by_hand` if a person starts the relay. An `OptionError` names a file, key or value that is wrong."""
     try:
         text = read_regular(path).decode()
     except OSError as err:

@@ -161,8 +161,8 @@ class PingRecording(BaseRecording):
     role: AnyPing
     run: Run
 
-    def __init__(self, options: RecordOptions, *more: object, **named: object) -> None:
-        super().__init__(options, *more, **named)  # type: ignore[arg-type]
+    def __init__(self, options: RecordOptions, *more: object, **keywords: object) -> None:
+        super().__init__(options, *more, **keywords)  # type: ignore[arg-type]
         assert options.ping is not None
         self._ping_options: PingOptions = options.ping
 

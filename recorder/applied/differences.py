@@ -130,11 +130,16 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
 
 def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     sizes = [file.size_bytes for file in _memory_of(requested, applied) if file.role == SEGMENT and file.is_own]
-    asked_bytes = requested.segment_bytes
-    if requested.vendor != "fastdds" or not asked_bytes or not sizes or asked_bytes <= max(sizes) <= 2 * asked_bytes:
+    requested_bytes = requested.segment_bytes
+    if (
+        requested.vendor != "fastdds"
+        or not requested_bytes
+        or not sizes
+        or requested_bytes <= max(sizes) <= 2 * requested_bytes
+    ):
         return None
-    words = f"asked for a segment of {asked_bytes:,} bytes, the mapped one has {max(sizes):,}"
-    return Difference(Setting.SEGMENT, str(asked_bytes), str(max(sizes)), words)
+    words = f"asked for a segment of {requested_bytes:,} bytes, the mapped one has {max(sizes):,}"
+    return Difference(Setting.SEGMENT, str(requested_bytes), str(max(sizes)), words)
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:

@@ -119,7 +119,7 @@ def security_settings(options: NodeOptions) -> str:
     if options.keys is None:
         return ""
     # The plugins are next to the library of this process, or where Debian has them.
-    library = re.search(r"/\S*libddsc\S*\.so\S*", Path("/proc/self/maps").read_text())
+    library = re.search(r"/\S*libddsc\S*\.so\S*", _maps())
     folder = Path(library[0]).parent if library else Path()
     folders = (folder, folder / "libddsc0debian")
     plugins = next((folder for folder in folders if (folder / "libdds_security_auth.so").exists()), None)
@@ -132,7 +132,16 @@ def security_settings(options: NodeOptions) -> str:
 
 
 def loaded_plugins() -> str:
-    return ", ".join(sorted(set(_PLUGIN.findall(Path("/proc/self/maps").read_text()))))
+    return ", ".join(sorted(set(_PLUGIN.findall(_maps()))))
+
+
+def library_version() -> dict[str, str]:
+    version = re.search(r"libddsc\S*\.so\.([\d.]+)", _maps())
+    return {"libddsc": version[1]} if version else {}
+
+
+def _maps() -> str:
+    return Path("/proc/self/maps").read_text()
 
 
 FOREVER_NS = (1 << 63) - 1

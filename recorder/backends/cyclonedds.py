@@ -14,7 +14,6 @@ from contextlib import suppress
 from ctypes import addressof, c_void_p
 from functools import cache, partial
 from importlib import import_module, metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError
@@ -26,6 +25,7 @@ from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_settings import (
     cyclone_qos,
     cyclone_settings,
+    library_version,
     loaded_plugins,
     opaque_type,
     priority_of,
@@ -102,7 +102,7 @@ class CycloneNode(ThreadedNode):
             "cyclonedds",
             "cyclonedds",
             None,
-            {"cyclonedds": version, **_library_version()},
+            {"cyclonedds": version, **library_version()},
             {
                 "discovery": options.discovery.value,
                 "tuned": str(options.tuned).lower(),
@@ -424,13 +424,6 @@ def _member_type(text: str) -> Any:
 
 def _delete(entity: Any) -> None:
     entity.__del__()
-
-
-def _library_version() -> dict[str, str]:
-    with suppress(OSError):
-        if version := re.search(r"libddsc\S*\.so\.([\d.]+)", Path("/proc/self/maps").read_text()):
-            return {"libddsc": version[1]}
-    return {}
 
 
 BACKEND = Backend(

@@ -259,12 +259,12 @@ class NotingSink:
     def write_run(self, run: Run) -> None:
         self._sink.write_run(run)
 
-    def stamp(self, stage: int, run_id: int, sequence: int, *rest: int) -> int:
-        publish_ns = self._sink.stamp(stage, run_id, sequence, *rest)
+    def stamp(self, stage: int, run_id: int, sequence: int, *fields: int) -> int:
+        publish_ns = self._sink.stamp(stage, run_id, sequence, *fields)
         self._exchanges.note_sent(run_id, sequence, publish_ns)
         return publish_ns
 
-    def record(self, stage: int, run_id: int, sequence: int, monotonic_ns: int, *rest: int) -> None:
-        self._sink.record(stage, run_id, sequence, monotonic_ns, *rest)
+    def record(self, stage: int, run_id: int, sequence: int, monotonic_ns: int, *fields: int) -> None:
+        self._sink.record(stage, run_id, sequence, monotonic_ns, *fields)
         if stage == T2:
-            self._exchanges.note_reply(run_id, sequence, rest[-1], monotonic_ns)
+            self._exchanges.note_reply(run_id, sequence, fields[-1], monotonic_ns)

@@ -171,7 +171,7 @@ _MANY_FRAGMENTS_BYTES = 1_000_000
 """About 700 frames of Ethernet: the loss of one loses the message."""
 
 
-def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
+def _advice_unheard(node: Node, size_bytes: int, seen_causes: Iterable[str]) -> str:
     others = ports_of_others(domain_port_range(node.options.domain_id))
     if others and node.middleware.vendor == "fastdds" and node.options.transport is not Transport.UDP:
         name, uid = next(iter(others.items()))
@@ -179,7 +179,7 @@ def _advice_unheard(node: Node, size_bytes: int, own: Iterable[str]) -> str:
             f"{SHM / name} belongs to user {uid} and this process to user {os.geteuid()}, and Fast DDS's shared memory is only "
             "open to its owner: run both as one user, or give both -o transport=udp"
         )
-    causes = list(own)
+    causes = list(seen_causes)
     if size_bytes >= _MANY_FRAGMENTS_BYTES and node.options.qos.reliability == "best_effort":
         causes.append(
             f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does "

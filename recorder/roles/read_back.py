@@ -55,20 +55,20 @@ class ReadBack:
         self._strict = strict
         self._note = note
         self._applied: Applied | None = None
-        self._of_middleware: tuple[Difference, ...] = ()
+        self._node_differences: tuple[Difference, ...] = ()
         self._bridge: tuple[Difference, ...] = ()
         self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
         if self._applied is None:
             applied = read_applied()
-            self._of_middleware = self._compare(applied)
+            self._node_differences = self._compare(applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
-            self._of_middleware = self._compare(self._applied, traffic)
+            self._node_differences = self._compare(self._applied, traffic)
 
     def _compare(self, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
         different = differences(self.requested, applied, traffic)
@@ -84,7 +84,7 @@ class ReadBack:
 
     @property
     def _differences(self) -> tuple[Difference, ...]:
-        return self._of_middleware + self._bridge
+        return self._node_differences + self._bridge
 
     def wait(self, stop: threading.Event, seconds: float) -> bool:
         """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.

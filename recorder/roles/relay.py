@@ -121,10 +121,10 @@ class Relay:
                 self._foreign += 1
                 self._strangers.count(UNSTAMPED)
                 return
-            run_id, sequence, relay_wanted = stamp
+            run_id, sequence, relay_mark = stamp
             if is_own(run_id, sequence):
                 return
-            if relay_wanted == NO_REPLY:
+            if relay_mark == NO_REPLY:
                 record(T3, run_id, sequence, relay_in_ns, 0, source_ns, received_ns, size, relay_id)
                 self._note(run_id, size)
                 return

@@ -162,7 +162,7 @@ def run_search(
 
 SECONDS = 6
 TIMEOUT_S = 60.0
-SEGMENT, OWN = "0-0-0.mcap", "clocks.ping.mcap"
+SEGMENT, OWN_TRACE = "0-0-0.mcap", "clocks.ping.mcap"
 MARK = "your clocks differ"
 
 
@@ -174,7 +174,7 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
         return
     words = ["--role", "beacon", "--rate", "5", "--backend", backend, "--domain", str(plan.run.domain)]
     words += ["--discovery", plan.discovery, "--no-own-cost", "--force"]
-    out = make_parts(folder) / OWN
+    out = make_parts(folder) / OWN_TRACE
     names = [host.name or host.ssh or "" for host in plan.hosts] or [""]
     others: dict[str, StartedProgram] = {}
     seen: list[str] = []
@@ -198,7 +198,7 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
                 latest = _latest(log.read_text(errors="replace")) if len(names) > 1 else {}
                 seen += [f"seen from {names[number - 1]}: {latest[name]}" for name in names[number:] if name in latest]
                 station.device.discard(segment)
-            remove_files(out.parent, OWN, TRACE_ENDINGS)
+            remove_files(out.parent, OWN_TRACE, TRACE_ENDINGS)
     except (TraceError, OSError, subprocess.TimeoutExpired) as error:
         note(f"the clocks of both devices were not compared: {error}")
         return

@@ -206,9 +206,11 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
-            condition.topics |= {topic_of(known.record, items.channels) for _, known in items.channels.items()}
+            condition.topics |= {
+                topic_of(declaration.record, items.channels) for _, declaration in items.channels.items()
+            }
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
-            for topic, count in [(known.topic, count) for known, count in claims if known]:
+            for topic, count in [(declaration.topic, count) for declaration, count in claims if declaration]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count
 
 

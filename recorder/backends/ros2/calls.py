@@ -44,13 +44,13 @@ class Ros2CallNode(Ros2Node):
     """Of the latest way back; its server is created next."""
     _take_response: Receive[CallMessage]
 
-    def __init__(self, options: NodeOptions, *more: Any, **named: Any) -> None:
+    def __init__(self, options: NodeOptions, *more: Any, **keywords: Any) -> None:
         serves_over_tcp = uses_tcp(options) and options.listens and options.call is Call.SERVICE
         if (
             serves_over_tcp and options.executor is ExecutorKind.AUTO
         ):  # the other one responds with the interpreter's lock
             options = replace(options, executor=ExecutorKind.SINGLE)
-        super().__init__(options, *more, **named)
+        super().__init__(options, *more, **keywords)
 
     def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
         if topic.endswith(RELAY_SUFFIX):

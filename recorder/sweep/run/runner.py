@@ -268,7 +268,9 @@ class Runner:
                 programs[cell] = Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
             poll_s = POLL_S if drive_link is None else START_POLL_S
             # All are waited for in turn.
-            while None in [one.wait(poll_s) for one in programs.values()] and time.monotonic() - began_s < limit_s:
+            while (
+                None in [program.wait(poll_s) for program in programs.values()] and time.monotonic() - began_s < limit_s
+            ):
                 relay.check()
                 _check_programs(programs.values())
                 if not ring_path(next(iter(drafts.values()))).exists():  # the first message follows

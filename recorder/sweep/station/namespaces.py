@@ -155,8 +155,8 @@ class NamespacePair:
                     self._set_address(OTHER_ADDRESS)
                 self._bring_up(self.ping)
             done_ns = time.monotonic_ns()
-        found_ns = events.last_ns(passes=True) if by is OutageBy.LOSS else events.first_ns(passes=True)
-        return found_ns or done_ns
+        kernel_ns = events.last_ns(passes=True) if by is OutageBy.LOSS else events.first_ns(passes=True)
+        return kernel_ns or done_ns
 
     def repair(self) -> None:
         self._restore_disciplines()

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.recorder.sweep.sweep import MARK, OWN, SEGMENT, compare_clocks
+from dds_trace.recorder.sweep.sweep import MARK, OWN_TRACE, SEGMENT, compare_clocks
 
 LINE = "jetson: your clocks differ by 1.234 ms +- 0.021 (that one shows the later time; chrony: follows ntp1)"
 BEACON = (
@@ -51,7 +51,7 @@ def test_the_user_reads_how_the_clocks_differ(tmp_path):
     assert arguments[:2] == ["--role", "beacon"]
     assert arguments[arguments.index("--domain") + 1] == "12"
     assert (segment, device.stopped, device.discarded) == (SEGMENT, 1, [SEGMENT])
-    assert not list(tmp_path.rglob(OWN))
+    assert not list(tmp_path.rglob(OWN_TRACE))
 
 
 @pytest.mark.parametrize("program", ["raise SystemExit('no other beacon answered')", "pass"])

@@ -38,8 +38,7 @@ class CallNode(Protocol):
 
 @runtime_checkable
 class Caller(Protocol):
-    def is_matched(self) -> bool:
-        """Return whether a server is discovered."""
+    def is_matched(self) -> bool: ...
 
     def describe(self) -> dict[str, int]:
         """Return times of its calls in ns, at the end of a run."""

@@ -143,7 +143,6 @@ class BridgeOptions:
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Split `HOST:PORT`, `[::1]:7447` for IPv6."""
     host, _, port = address.rpartition(":")
     if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
         raise OptionError(f"{limits.shown(address)} is not an address; write {limits.ADDRESS.what}")

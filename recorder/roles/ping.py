@@ -81,8 +81,7 @@ class Record(Protocol):
         payload_bytes: int,
         relay_id: int,
         /,
-    ) -> None:
-        """Keep one event."""
+    ) -> None: ...
 
 
 AnyPing: TypeAlias = "Ping[Any, Any]"

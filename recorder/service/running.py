@@ -89,8 +89,6 @@ def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
 
 
 class RunningRecording:
-    """The entry of this process, if it can be made."""
-
     def __init__(self, session: Session, path: Path, folder: Path | None = None) -> None:
         folder = runtime_folder() if folder is None else folder
         self._path = folder / f"{session.session_id:016x}{SUFFIX}"

@@ -55,13 +55,10 @@ class RecordHeader:
 
 
 class Records:
-    """Records in memory."""
-
     def __init__(self, data: bytes) -> None:
         self._data, self.size = data, len(data)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on."""
         return self._data[offset : offset + size]
 
     def peek(self, offset: int, size: int) -> bytes:

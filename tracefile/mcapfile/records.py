@@ -30,8 +30,7 @@ _HAS_MAP = frozenset({Channel, Statistics})
 
 class ParsedRecord(Protocol):
     @staticmethod
-    def read(stream: ReadDataStream) -> object:
-        """Return the record in `stream`."""
+    def read(stream: ReadDataStream) -> object: ...
 
 
 R = TypeVar("R", bound=ParsedRecord)
@@ -59,7 +58,6 @@ class RecordContent(ReadDataStream):
 
 
 def parse_record(kind: type[R], content: Buffer) -> R:
-    """Parse the bytes after opcode and length."""
     if kind in _HAS_MAP and len(content) > _MAX_MAP_RECORD_BYTES:
         raise ValueError(f"it has {counted(len(content), 'byte')}, more than any file needs")
     record = kind.read(RecordContent(content))

@@ -141,8 +141,7 @@ class McapSource:
         else:
             batch.texts.append(Text(channel.topic, log_time_ns, unpack_message(data), self._path, offset))
 
-    def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
-        """Do nothing with a message of another program."""
+    def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None: ...
 
     def _closing_notes(self) -> list[str]:
         notes = [*self.walk.damages, *self.walk.notes]

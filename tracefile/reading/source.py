@@ -57,11 +57,9 @@ class Source(Protocol):
     def expected_events(self) -> Mapping[Stage, int]:
         """Return each stage's events as the file claims; it may be wrong."""
 
-    def batches(self) -> Iterator[Batch]:
-        """Yield all messages in file order."""
+    def batches(self) -> Iterator[Batch]: ...
 
-    def close(self) -> None:
-        """Close the file."""
+    def close(self) -> None: ...
 
 
 def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:

@@ -43,8 +43,6 @@ UNFINISHED_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """Result of a recovery."""
-
     path: Path
     recovered: Path | None
     originals: tuple[Path, ...] = ()

@@ -75,7 +75,6 @@ class Greeting:
 
 
 def timeval(seconds: float) -> bytes:
-    """Return the `struct timeval` of SO_SNDTIMEO and SO_RCVTIMEO."""
     return struct.pack("@ll", int(seconds), round(seconds % 1 * 1e6))
 
 

@@ -26,20 +26,16 @@ class SweepProgress:
     def begin(self, cells: int, complete: int) -> None:
         """Start with the number of cells (0: not fixed), and of complete ones."""
 
-    def relay(self, name: str) -> None:
-        """Show that a relay starts."""
+    def relay(self, name: str) -> None: ...
 
-    def cell(self, name: str, remaining: Remaining) -> None:
-        """Show that a cell starts, and the time left."""
+    def cell(self, name: str, remaining: Remaining) -> None: ...
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """Show a cell's result, or the reason of its failure."""
 
-    def note(self, text: str) -> None:
-        """Show a line."""
+    def note(self, text: str) -> None: ...
 
-    def end(self) -> None:
-        """End the sweep."""
+    def end(self) -> None: ...
 
 
 class PlainProgress(SweepProgress):

@@ -23,8 +23,7 @@ class StartedProgram(Protocol):
         """Reason of its end, None while it runs."""
 
     @property
-    def exit_code(self) -> int | None:
-        """Exit code, None while it runs."""
+    def exit_code(self) -> int | None: ...
 
     @property
     def relay_id(self) -> int | None:
@@ -33,8 +32,7 @@ class StartedProgram(Protocol):
     def stop(self) -> object:
         """End the program and wait until its trace is closed."""
 
-    def kill(self) -> object:
-        """End the program at once, as a crash would."""
+    def kill(self) -> object: ...
 
 
 class RelayDevice:

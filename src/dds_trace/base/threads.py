@@ -19,11 +19,9 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class PendingResult(Protocol[T_co]):
-    def result(self) -> T_co:
-        """Wait until the job is done; raise its exception."""
+    def result(self) -> T_co: ...
 
-    def cancel(self) -> bool:
-        """Keep the job from starting, if it has not."""
+    def cancel(self) -> bool: ...
 
 
 def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int) -> Generator[T]:

@@ -13,6 +13,7 @@ from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.printable import printable
+from dds_trace.base.records import to_json
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 
@@ -22,7 +23,7 @@ from .model.presenter import presenter
 from .model.runs import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
-from .saving.records import Content, from_json, to_json
+from .saving.records import Content, from_json
 from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .topics.hops import HOP_SCHEMA
 from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs

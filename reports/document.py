@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import polars as pl
 
-from dds_trace.analyzer.saving.records import to_json
+from dds_trace.base.records import to_json
 
 from .blocks import Report
 

@@ -60,7 +60,7 @@ _OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecid
 
 
 def thresholds_json(gates: Sequence[Gated]) -> object:
-    from dds_trace.analyzer.saving.records import to_json
+    from dds_trace.base.records import to_json
 
     judged = [
         {

@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from dds_trace.base.records import to_json
 from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..kernel.counters import (
@@ -19,9 +20,9 @@ from ..kernel.counters import (
     read_interfaces,
     read_kernel_counters,
     read_limits,
+    since,
 )
 from ..kernel.sockets import Socket, read_sockets
-from ..records import since, to_json
 from .memory import Library, SharedMemory, read_libraries, read_memory
 
 

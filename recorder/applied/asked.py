@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 import psutil
 
 from dds_trace.base.files import read_regular
+from dds_trace.base.records import to_json
 from dds_trace.base.units import UNIT_BYTES
 
-from ..records import to_json
 from .vendors import VENDORS, vendor_facts
 
 if TYPE_CHECKING:

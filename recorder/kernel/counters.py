@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import socket
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Counters = TypeVar("Counters", bound="DataclassInstance")
 
 PROC = Path("/proc")
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
@@ -33,6 +39,14 @@ class InterfaceCounters:
     received_bytes: int = 0
     sent_packets: int = 0
     received_packets: int = 0
+
+
+def since(record: Counters, before: Counters | None, *counters: str) -> Counters:
+    """Return the record with its counters (all fields if none is named) since `before`; itself if there was none before."""
+    if before is None:
+        return record
+    names = counters or tuple(field.name for field in fields(record))
+    return replace(record, **{name: getattr(record, name) - getattr(before, name) for name in names})
 
 
 @dataclass(frozen=True, slots=True)

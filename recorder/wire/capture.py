@@ -17,12 +17,12 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.records import from_json, to_json
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, WIRE_TOPIC, MessageRows, row_texts
 
 from ..choices import Discovery
 from ..domains import domain_port_range
 from ..host.process import wait_or_kill
-from ..records import from_json, to_json
 from .counts import WireCounts
 from .packets.packet_filter import PortRange
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from dds_trace.base.records import to_json
 from dds_trace.tracefile.format.wire import AGAIN_CLASSES, DISCOVERY_CLASSES, Direction
 
 from ..kernel.sockets import TcpConnection
-from ..records import to_json
 from .messages import RepeatCount
 from .packets.classes import WireClass
 

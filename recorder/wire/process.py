@@ -21,12 +21,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from dds_trace.base.errors import TraceError
+from dds_trace.base.records import from_json
 from dds_trace.tracefile.format.wire import MessageRows
 
 from ..host.clock import read_together
-from ..kernel.counters import InterfaceCounters, read_interfaces, read_kernel_counters
+from ..kernel.counters import InterfaceCounters, read_interfaces, read_kernel_counters, since
 from ..kernel.sockets import TCP_COUNTERS, ClosedConnections, TcpConnection, read_connections
-from ..records import from_json, since
 from .capture import WireOptions
 from .counts import InterfaceCount, WireCounts, ip_counts
 from .messages import count_repeats

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE_S, read_past
 
+from dds_trace.base.records import from_json
 from dds_trace.recorder.applied.applied import Applied, Traffic
 from dds_trace.recorder.applied.asked import Asked
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
-from dds_trace.recorder.records import from_json
 
 LIMIT_BYTES = min(int(Path(f"/proc/sys/net/core/{name}").read_text()) for name in ("rmem_max", "wmem_max"))
 needs_large_buffers = pytest.mark.skipif(

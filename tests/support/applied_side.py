@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import nullcontext
 
+from dds_trace.base.records import from_json
 from dds_trace.recorder.applied.applied import Traffic, read_applied, with_path
 from dds_trace.recorder.applied.asked import Asked, asked_settings
 from dds_trace.recorder.applied.differences import differences
@@ -18,7 +19,6 @@ from dds_trace.recorder.backends import open_node, ros2, zenoh
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY
-from dds_trace.recorder.records import from_json
 from dds_trace.tracefile.format.descriptions import Qos
 
 TOPIC, BACK = "applied_there", "applied_back"

@@ -15,7 +15,7 @@ from waiting import PATIENCE_S, read_past
 from wire_truth import Truth, truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.recorder.records import from_json, to_json
+from dds_trace.base.records import from_json, to_json
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, open_tap, tc
 from dds_trace.recorder.sweep.station.namespaces import Side
 from dds_trace.recorder.wire.capture import WireOptions

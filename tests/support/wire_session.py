@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dds_trace.recorder.records import from_json
+from dds_trace.base.records import from_json
 from dds_trace.recorder.wire.capture import WireCapture, WireOptions
 
 

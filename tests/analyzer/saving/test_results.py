@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.model.finding import Finding, Severity
-from dds_trace.analyzer.saving.records import from_json, to_json
+from dds_trace.analyzer.saving.records import from_json
 from dds_trace.analyzer.saving.results import RESULT_NAMES, replacing_results
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import folder_lock
+from dds_trace.base.records import to_json
 
 OWN = "notes.md"
 FILE_EVENTS = {"open", "fcntl.flock", *(f"os.{name}" for name in ("mkdir", "listdir", "rename", "remove", "rmdir"))}

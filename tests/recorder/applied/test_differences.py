@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
+from dds_trace.base.records import from_json
 from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic, read_applied
 from dds_trace.recorder.applied.asked import Asked
 from dds_trace.recorder.applied.differences import Setting, differences
 from dds_trace.recorder.applied.vendors import VENDORS
-from dds_trace.recorder.records import from_json
 
 MB = 1_000_000
 TRAFFIC = Traffic(sent=100, received=100, payload_bytes=100_000)
@@ -213,9 +213,9 @@ def test_fields_of_a_newer_version_are_skipped_and_those_of_an_older_one_have_de
 
 
 def test_what_cannot_be_missing():
-    with pytest.raises(TypeError, match="vendor"):
+    with pytest.raises(ValueError, match="vendor"):
         from_json(Asked, {})
-    with pytest.raises(TypeError, match="begin"):
+    with pytest.raises(ValueError, match="begin"):
         from_json(Applied, {})
 
 

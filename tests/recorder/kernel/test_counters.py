@@ -10,8 +10,8 @@ from dds_trace.recorder.kernel.counters import (
     read_interfaces,
     read_kernel_counters,
     read_limits,
+    since,
 )
-from dds_trace.recorder.records import since
 
 DEV = """\
 Inter-|   Receive                                                |  Transmit

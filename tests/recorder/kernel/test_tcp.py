@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.recorder.kernel.counters import since
 from dds_trace.recorder.kernel.sockets import (
     TCP_COUNTERS,
     ClosedConnections,
@@ -13,7 +14,6 @@ from dds_trace.recorder.kernel.sockets import (
     parse_tcp_info,
     read_connections,
 )
-from dds_trace.recorder.records import since
 from dds_trace.recorder.wire.packets.classes import TcpFlows, WireClass
 from dds_trace.recorder.wire.packets.packet_filter import PortRange
 

@@ -1,8 +1,8 @@
 import json
 
+from dds_trace.base.records import from_json
 from dds_trace.recorder.kernel.sockets import TcpConnection
 from dds_trace.recorder.payloads.stamp import Stamp
-from dds_trace.recorder.records import from_json
 from dds_trace.recorder.wire.counts import ClassCount, InterfaceCount, WireCounts, ip_counts
 from dds_trace.recorder.wire.messages import (
     RepeatCount,

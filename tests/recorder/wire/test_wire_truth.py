@@ -15,7 +15,7 @@ from record_reader import events_of
 from waiting import read_past
 from wire_truth import truth_of
 
-from dds_trace.recorder.records import from_json
+from dds_trace.base.records import from_json
 from dds_trace.recorder.wire.capture import WireOptions, domain_ports
 from dds_trace.recorder.wire.counts import WireCounts
 from dds_trace.recorder.wire.packets.classes import WireClass

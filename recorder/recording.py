@@ -22,7 +22,7 @@ from .backends.node import Node
 from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
 from .beacon.recording import BeaconRecording
-from .bridges.process.running import check_requested_bridge, open_requested_bridge
+from .bridges.process.running import check_requested_bridge, open_bridge
 from .choices import Call, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
@@ -191,7 +191,9 @@ class PingRecording(BaseRecording):
         self.role = open_ping(self.node, self._plan, self.clock)
         with kept_stdout() as read_error:
             self.node.start()
-            self.bridge = open_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type, stack)
+            asked = check_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type)
+            if asked is not None:
+                self.bridge = stack.enter_context(open_bridge(self._ping_options.bridge, asked))
             if self.rehearses:  # there is no connection to read applied settings from
                 return False
             self._wait_for_echo(read_error)

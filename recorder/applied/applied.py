@@ -10,9 +10,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from dds_trace.base.records import to_json
-from dds_trace.tracefile.format.json_fields import JsonObject
-
 from ..kernel.counters import (
     InterfaceCounters,
     MulticastGroup,
@@ -52,9 +49,6 @@ class Applied:
     @property
     def latest(self) -> Snapshot:
         return self.begin if self.end is None else self.end
-
-    def to_json(self) -> JsonObject:
-        return to_json(self)
 
     def socket_drops(self) -> int | None:
         """Return the datagrams dropped at the process's own UDP sockets during the run; None before the end, and if unknown.

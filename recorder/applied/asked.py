@@ -6,19 +6,14 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import psutil
 
 from dds_trace.base.files import read_regular
-from dds_trace.base.records import to_json
 from dds_trace.base.units import UNIT_BYTES
 
 from .vendors import VENDORS, vendor_facts
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
 
@@ -53,9 +48,6 @@ class Asked:
     congestion_control: str = ""
     buffer_is_exact: bool = False
     segment_bytes: int = 0
-
-    def to_json(self) -> JsonObject:
-        return to_json(self)
 
 
 def asked_settings(

@@ -16,8 +16,6 @@ from .vendors import SEGMENT, TransportFacts, vendor_facts
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
     from ..kernel.sockets import Socket
     from .applied import Applied
     from .asked import Asked
@@ -56,9 +54,6 @@ class Difference:
     asked: str
     applied: str
     words: str
-
-    def to_json(self) -> JsonObject:
-        return {"setting": self.setting.value, "asked": self.asked, "applied": self.applied, "words": self.words}
 
 
 def differences(requested: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:

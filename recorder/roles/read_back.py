@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dds_trace.base.records import to_json
+
 from ..applied.applied import read_applied, with_path
 from ..applied.asked import Asked, asked_settings
 from ..applied.differences import Difference, Setting, differences, publisher_differences
@@ -121,11 +123,7 @@ class ReadBack:
         return differences(self.requested, read_applied(), traffic)
 
     def fields(self) -> JsonObject:
-        requested: JsonObject = {"asked": self.requested.to_json()}
+        described: JsonObject = {"asked": to_json(self.requested)}
         if self._applied is None:
-            return requested
-        return {
-            **requested,
-            "applied": self._applied.to_json(),
-            "not_applied": [difference.to_json() for difference in self._differences],
-        }
+            return described
+        return {**described, "applied": to_json(self._applied), "not_applied": to_json(self._differences)}

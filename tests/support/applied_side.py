@@ -11,7 +11,7 @@ import threading
 import time
 from contextlib import nullcontext
 
-from dds_trace.base.records import from_json
+from dds_trace.base.records import from_json, to_json
 from dds_trace.recorder.applied.applied import Traffic, read_applied, with_path
 from dds_trace.recorder.applied.asked import Asked, asked_settings
 from dds_trace.recorder.applied.differences import differences
@@ -63,7 +63,7 @@ class Side:
             environment=users_own,
             settings=self.node.middleware.settings,
         )
-        self.asked = from_json(Asked, {**asked.to_json(), **given["asked"]})
+        self.asked = from_json(Asked, {**to_json(asked), **given["asked"]})
         self.count = 0
         self.arrived = threading.Event()
 
@@ -127,8 +127,8 @@ class Side:
     def report(self, begun, traffic, ended=None):
         applied = with_path(ended or read_applied(begun), traffic)
         return {
-            "asked": self.asked.to_json(),
-            "applied": applied.to_json(),
+            "asked": to_json(self.asked),
+            "applied": to_json(applied),
             "traffic": [traffic.sent, traffic.received, traffic.payload_bytes],
             "at_begin": [_plain(each) for each in differences(self.asked, begun)],
             "at_end": [_plain(each) for each in differences(self.asked, applied, traffic)],

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -16,6 +16,7 @@ from pathlib import Path
 import psutil
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.records import to_json
 from dds_trace.tracefile.format.json_fields import Json
 
 from ...applied.applied import Applied, read_applied
@@ -88,9 +89,9 @@ class ProgramReadBack:
         if self._applied is None:
             return {}
         return {
-            "asked": [requested.to_json() for requested in self._requested],
-            "applied": self._applied.to_json(),
-            "not_applied": [difference.to_json() for difference in self.not_applied],
+            "asked": to_json(self._requested),
+            "applied": to_json(self._applied),
+            "not_applied": to_json(self.not_applied),
         }
 
 
@@ -283,15 +284,6 @@ def _start_half(bridge: Bridge, program: Path, version: str, options: BridgeOpti
     if options.keys is not None:  # a trace has no private path
         text = text.replace(options.keys, "KEYS")
     return _RunningHalf(options, version, text, extra, supervised, read_back)
-
-
-def open_requested_bridge(
-    options: RecordOptions, ping: PingOptions, data_type: DataType, stack: ExitStack
-) -> RunningBridge | None:
-    bridge_options = check_requested_bridge(options, ping, data_type)
-    if bridge_options is None:
-        return None
-    return stack.enter_context(open_bridge(ping.bridge, bridge_options))
 
 
 def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> BridgeOptions | None:

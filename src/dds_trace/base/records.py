@@ -8,10 +8,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints, overload
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
 
@@ -19,11 +16,7 @@ _NOT_FINITE = ("inf", "-inf", "nan")
 _PLAIN = frozenset({str, int, bool})
 
 
-@overload
-def to_json(value: DataclassInstance, not_finite: Callable[[float], object] = str) -> dict[str, Any]: ...
-@overload
-def to_json(value: object, not_finite: Callable[[float], object] = str) -> object: ...
-def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:
+def to_json(value: object, not_finite: Callable[[float], object] = str) -> Any:
     if value is None or type(value) in _PLAIN:  # nearly all values of a table
         return value
     if isinstance(value, float):

@@ -11,6 +11,7 @@ from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.analyzer.verdicts.job import make_job
+from dds_trace.base.records import to_json
 
 MS = 1_000_000
 COUNT = 1000
@@ -107,9 +108,8 @@ def test_a_gate_that_meets_a_barred_group_is_inconclusive(tmp_path, side):
 
 
 def instants(begin_sockets, end_sockets, begin_counters=None, end_counters=None):
-    data = applied(
-        begin_sockets=begin_sockets, sockets=end_sockets, begin=counted(lo=(0, 0)), end=counted(lo=(9, 9))
-    ).to_json()
+    begin, end = counted(lo=(0, 0)), counted(lo=(9, 9))
+    data = to_json(applied(begin_sockets=begin_sockets, sockets=end_sockets, begin=begin, end=end))
     data["begin"]["counters"], data["end"]["counters"] = begin_counters or {}, end_counters or {}
     data["begin"]["limits"] = {"net.ipv4.ipfrag_time": 30, "net.ipv4.ipfrag_high_thresh": 4_194_304}
     return {"applied": data}
@@ -208,7 +208,7 @@ def test_a_count_that_began_anew_is_no_finding(tmp_path):
 
 
 def of_path(path, *, memory=(), sockets=()):
-    data = applied(memory=memory, sockets=sockets, begin=counted(lo=(0, 0)), end=counted(lo=(9, 9))).to_json()
+    data = to_json(applied(memory=memory, sockets=sockets, begin=counted(lo=(0, 0)), end=counted(lo=(9, 9))))
     return {"applied": {**data, "path": path}}
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from snapshots import applied, counted, port, segment, tcp, udp
 
-from dds_trace.base.records import from_json
+from dds_trace.base.records import from_json, to_json
 from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic, read_applied
 from dds_trace.recorder.applied.asked import Asked
 from dds_trace.recorder.applied.differences import Setting, differences
@@ -83,7 +83,7 @@ def carried(lo, eth1, **more):
     ],
 )
 def test_what_is_not_applied_is_named(asked, read_back, traffic, settings, sentences):
-    found = [each.to_json() for each in differences(asked, read_back, traffic)]
+    found = to_json(differences(asked, read_back, traffic))
     assert " ".join(each["setting"] for each in found) == settings
     assert {tuple(each) for each in found} == {("setting", "asked", "applied", "words")}
     sentences(*(f"{each['asked']} | {each['applied']} | {each['words']}" for each in found))
@@ -178,7 +178,7 @@ def test_a_connection_that_ended_with_the_other_side_carried_the_messages():
 
 
 def there_and_back(value):
-    return from_json(type(value), json.loads(json.dumps(value.to_json())))
+    return from_json(type(value), json.loads(json.dumps(to_json(value))))
 
 
 def test_what_is_read_now_comes_back():
@@ -200,11 +200,11 @@ def test_a_drawn_one_comes_back():
 def test_asked_comes_back():
     asked = Asked("zenoh", 5, shared_memory=False, interface="eth0")
     assert there_and_back(asked) == asked
-    assert asked.to_json()["shared_memory"] is False
+    assert to_json(asked)["shared_memory"] is False
 
 
 def test_fields_of_a_newer_version_are_skipped_and_those_of_an_older_one_have_defaults():
-    data = applied(sockets=(tcp(),), begin=counted(lo=(1, 2))).to_json()
+    data = to_json(applied(sockets=(tcp(),), begin=counted(lo=(1, 2))))
     data["later"] = data["begin"]["later"] = data["begin"]["sockets"][0]["later"] = {"x": 1}
     data["begin"]["sockets"][0]["tcp"]["later"] = 1
     del data["begin"]["groups"], data["begin"]["interfaces"]["lo"]["sent_packets"], data["path"]

@@ -2,6 +2,7 @@ import pytest
 from fake_node import FakeNode
 from snapshots import applied, counted, segment, udp
 
+from dds_trace.base.records import to_json
 from dds_trace.recorder.applied.applied import Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends.node import Middleware, NodeOptions
@@ -75,7 +76,7 @@ def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch)
     bench.read_back.report()
     (note,) = bench.notes
     assert note.startswith(f"not applied: {of_bridge.words}")
-    assert bench.read_back.fields()["not_applied"] == [of_bridge.to_json()]
+    assert bench.read_back.fields()["not_applied"] == [to_json(of_bridge)]
 
 
 def test_an_honest_run_tells_nothing(monkeypatch):

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from dds_trace.base.errors import TraceError, TraceFormatError
+from dds_trace.base.records import to_json
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Qos
@@ -31,20 +32,8 @@ CHECK_PERIOD_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
-    values = {
-        "ping_domain_id": options.ping_domain_id,
-        "relay_domain_id": options.relay_domain_id,
-        "half": options.half.value,
-        "listen": options.listen,
-        "peers": options.peers,
-        "discovery": options.discovery.value,
-        "transport": options.transport.value,
-        "tuned": options.tuned,
-        "qos": options.qos.to_dict(),
-        "topics": {topic.name: topic.type_name for topic in options.topics},
-        **({"keys": options.keys} if options.keys else {}),
-    }
-    return json.dumps(values, indent=2) + "\n"
+    topics = {topic.name: topic.type_name for topic in options.topics}
+    return json.dumps({**to_json(options), "qos": options.qos.to_dict(), "topics": topics}, indent=2) + "\n"
 
 
 def options_from_json(path: Path) -> BridgeOptions:

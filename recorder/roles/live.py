@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
 
 from dds_trace.base.units import SECOND_NS
-from dds_trace.tracefile.format.json_fields import JsonObject
 
 KEPT_MESSAGES = 1000
 WINDOW_NS = 5 * SECOND_NS
@@ -48,9 +47,6 @@ class LiveRow:
     age_p99_ns: int | None
     missing: int
     silence_ns: int | None
-
-    def to_dict(self) -> JsonObject:
-        return {**asdict(self), "health": self.health.value}
 
 
 class LiveTopic:

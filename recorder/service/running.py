@@ -14,11 +14,12 @@ import tempfile
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
 
 from dds_trace.base.files import is_locked, open_regular
+from dds_trace.base.records import from_json
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.ring import ring_path
 
@@ -180,9 +181,8 @@ def _read_entry(path: Path) -> Listed | None:
 
 def _parse(text: bytes) -> Entry | None:
     try:
-        values = json.loads(text)
-        return Entry(**{field.name: values[field.name] for field in fields(Entry)})
-    except (ValueError, KeyError, TypeError, RecursionError):
+        return from_json(Entry, json.loads(text))
+    except (ValueError, RecursionError):
         return None
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.local_server import LocalServer
+from dds_trace.base.records import to_json
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
@@ -164,7 +165,7 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "
             elif self.path == "/":
                 self._send("text/html; charset=utf-8", page)
             elif self.path == "/live.json":
-                self._send("application/json", json.dumps([row.to_dict() for row in rows()]))
+                self._send("application/json", json.dumps(to_json(rows())))
             else:
                 self.send_error(HTTPStatus.NOT_FOUND)
 

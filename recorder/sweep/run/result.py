@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -42,8 +43,8 @@ class CellResult:
     received: int
     sent_bytes: int
     achieved_rate_hz: float | None
-    rtt_ms: dict[str, float] | None
-    response_ms: dict[str, float] | None
+    rtt_ms: Mapping[str, float] | None
+    response_ms: Mapping[str, float] | None
     dropped_events: int
     cut_off: bool
     not_applied: str = ""

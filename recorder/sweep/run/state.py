@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.records import from_json, to_json
 
 from ..folder import is_segment_name, replace_text
 from .result import CellResult
@@ -114,9 +115,7 @@ class SweepState:
                 name: replace(
                     CellState(**cell),
                     status=Status(cell["status"]),
-                    result=CellResult(**{**cell["result"], "relay_ids": tuple(cell["result"].get("relay_ids", ()))})
-                    if cell["result"]
-                    else None,
+                    result=from_json(CellResult, cell["result"]) if cell["result"] else None,
                     link=cell["link"] or None,
                     outage=cell.get("outage") or None,
                     further=tuple(cell.get("further") or ()),
@@ -142,13 +141,7 @@ class SweepState:
 
     def _save(self) -> None:
         cells = {
-            name: {
-                **asdict(cell),
-                "status": cell.status.value,
-                "result": asdict(cell.result) if cell.result else {},
-                "link": cell.link or {},
-                "outage": cell.outage or {},
-            }
+            name: {key: {} if value is None else value for key, value in to_json(cell).items()}
             for name, cell in self._cells.items()
         }
         document = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -13,6 +12,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from ..kernel.sockets import open_files
 from .vendors import PORT, SEGMENT, VENDORS, memory_owner, vendor_facts
 
 SHM = Path("/dev/shm")  # noqa: S108 - POSIX shared memory of Linux, shm_overview(7)
@@ -77,14 +77,16 @@ class _Mapped:
 
 
 def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemory, ...] | None:
-    process = Path("/proc") / str(os.getpid() if pid is None else pid)
+    pid = os.getpid() if pid is None else pid
     memory: tuple[SharedMemory, ...] = ()
     for _ in range(_ATTEMPTS):
         try:
-            mapped = parse_maps((process / "maps").read_text(errors="replace"))
+            mapped = parse_maps(Path(f"/proc/{pid}/maps").read_text(errors="replace"))
         except OSError:
             return None
-        opened = set(_opened_names(process))
+        opened: set[str] = set()
+        with suppress(OSError):
+            opened.update(target.name for _, target in open_files(pid) if target.parent == SHM)
         memory = tuple(
             _shared_memory(name, owner, mapping, opened, folder)
             for name, mapping in sorted(mapped.items())
@@ -127,23 +129,13 @@ def ports_of_others(ports: range, folder: Path = SHM) -> dict[str, int]:
     }
 
 
-def _opened_names(process: Path) -> Iterator[str]:
-    with suppress(OSError):
-        for descriptor in (process / "fd").iterdir():
-            with suppress(OSError):  # closed meanwhile
-                target = descriptor.readlink()
-                if target.parent == SHM:
-                    yield target.name
-
-
 def remove_own_segments(vendor: str, folder: Path = SHM) -> None:
     """Zenoh's locks are shared: the last process to give up its own locks exclusively."""
-    for descriptor in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):
-            path = descriptor.readlink()
-            if path.parent == folder and memory_owner(path.name) == (vendor, SEGMENT):
-                fcntl.flock(int(descriptor.name), fcntl.LOCK_UN)
-                fcntl.flock(int(descriptor.name), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    for descriptor, path in open_files(os.getpid()):
+        if path.parent == folder and memory_owner(path.name) == (vendor, SEGMENT):
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 path.unlink()
 
 

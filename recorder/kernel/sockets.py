@@ -167,7 +167,8 @@ def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
     """Return a process's sockets, sorted; None if the kernel does not answer or the process may not be inspected."""
     sockets = []
     try:
-        inodes = _socket_inodes(os.getpid() if pid is None else pid)
+        names = (str(target) for _, target in open_files(os.getpid() if pid is None else pid))
+        inodes = {int(match[1]) for name in names if (match := re.fullmatch(r"socket:\[(\d+)\]", name))}
         for protocol, protocol_number in _PROTOCOLS.items():
             for family, family_number in _FAMILIES.items():
                 dumped = dump_sockets(family_number, protocol_number)
@@ -177,13 +178,10 @@ def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
     return tuple(sorted(sockets, key=lambda read: (read.protocol, read.family, read.local_port, read.remote_port)))
 
 
-def _socket_inodes(pid: int) -> set[int]:
-    inodes = set()
+def open_files(pid: int) -> Iterator[tuple[int, Path]]:
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         with suppress(OSError):  # closed meanwhile
-            if match := re.fullmatch(r"socket:\[(\d+)\]", str(descriptor.readlink())):
-                inodes.add(int(match[1]))
-    return inodes
+            yield int(descriptor.name), descriptor.readlink()
 
 
 def _socket(protocol: str, family: str, dumped: DiagSocket) -> Socket:

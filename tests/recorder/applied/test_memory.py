@@ -156,7 +156,7 @@ def test_a_file_that_is_removed_during_the_look_is_a_remainder(segment, monkeypa
         segment.unlink(missing_ok=True)
         return iter(())
 
-    monkeypatch.setattr("dds_trace.recorder.applied.memory._opened_names", remove)
+    monkeypatch.setattr("dds_trace.recorder.applied.memory.open_files", remove)
     assert (seen(segment).is_here, seen(segment).is_deleted) == (True, True)
 
 

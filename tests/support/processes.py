@@ -138,6 +138,14 @@ def ping(domain_id: int, out: Path, *more: object) -> Finished:
     return run("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *more)
 
 
+def record_pair(domain_id: int, folder: Path, both: Sequence[object] = (), more: Sequence[object] = ()) -> Finished:
+    """A ping with options of its own (`more`) and its relay, each with its trace in the folder; how the ping ended."""
+    with relay(domain_id, folder / "relay.mcap", *both) as command:
+        done = ping(domain_id, folder / "ping.mcap", *both, *more)
+        command.stop()
+    return done
+
+
 def run(*arguments: object, environment: dict[str, str] | None = None) -> Finished:
     with running(*arguments, environment=environment) as command:
         return command.finish()

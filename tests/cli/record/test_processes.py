@@ -13,7 +13,7 @@ import pytest
 from backend_pairs import ROOMY, SIZES
 from event_cdr import unpack_event
 from mcap.reader import make_reader
-from processes import PATIENCE_S, counts_in, ping, relay, run, running, wait_for_chunks
+from processes import PATIENCE_S, counts_in, ping, record_pair, relay, run, running, wait_for_chunks
 from record_reader import FIELDS
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -237,9 +237,7 @@ def test_best_effort_on_both_sides(domain_id, tmp_path, data):
 
 
 def test_quality_of_service_that_never_matches_ends_the_wait_and_is_named(domain_id, tmp_path):
-    with relay(domain_id, tmp_path / "relay.mcap") as command:
-        done = ping(domain_id, tmp_path / "ping.mcap", "--reliability", "best_effort", "--wait", PATIENCE_S * 10)
-        command.stop()
+    done = record_pair(domain_id, tmp_path, more=("--reliability", "best_effort", "--wait", PATIENCE_S * 10))
     assert done.status == 8
     assert "best_effort offered, reliable requested" in done.stderr
     assert "the same --reliability" in done.stderr

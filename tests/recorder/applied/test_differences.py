@@ -189,18 +189,16 @@ def test_what_is_read_now_comes_back():
     assert there_and_back(Applied(ended.begin)) == Applied(ended.begin)
 
 
-def test_a_drawn_one_comes_back():
-    drawn = applied(
-        sockets=(udp(7411), tcp(7, 8)), memory=(segment(),), begin=counted(lo=(1, 2)), end=counted(lo=(3, 4))
-    )
-    assert there_and_back(drawn) == drawn
-    assert there_and_back(applied(sockets=None)).begin.sockets is None
-
-
-def test_asked_comes_back():
-    asked = Asked("zenoh", 5, shared_memory=False, interface="eth0")
-    assert there_and_back(asked) == asked
-    assert to_json(asked)["shared_memory"] is False
+@pytest.mark.parametrize(
+    "record",
+    [
+        applied(sockets=(udp(7411), tcp(7, 8)), memory=(segment(),), begin=counted(lo=(1, 2)), end=counted(lo=(3, 4))),
+        applied(sockets=None),
+        Asked("zenoh", 5, shared_memory=False, interface="eth0"),
+    ],
+)
+def test_a_drawn_one_comes_back(record):
+    assert there_and_back(record) == record
 
 
 def test_fields_of_a_newer_version_are_skipped_and_those_of_an_older_one_have_defaults():

@@ -23,6 +23,13 @@ def localhost(value):
     return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": value}
 
 
+def run_under_profile(text, domain_id, prefix=()):
+    with written_profile(text) as path:
+        environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
+        variables = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)}
+        return path.name, run_pair("ros2", domain_id, environment=environment, variables=variables, prefix=prefix)
+
+
 @needs_ros2
 def test_1_udp_under_the_localhost_range(domain_id):
     ping, relay = run_pair("ros2", domain_id, transport="udp", environment=localhost("UDPv4"))
@@ -45,17 +52,11 @@ def test_2_tuned_under_the_localhost_range(domain_id):
 @needs_ros2
 def test_3_a_profile_that_keeps_the_builtin_transports(domain_id):
     loose = localhost_profile(Transport.UDP).replace("<useBuiltinTransports>false</useBuiltinTransports>", "")
-    with written_profile(loose) as path:
-        sides = run_pair(
-            "ros2",
-            domain_id,
-            environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
-            variables={"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)},
-        )
+    name, sides = run_under_profile(loose, domain_id)
     for side in sides:
         ((setting, words),) = side.at_begin
         assert setting == "profile"
-        assert f"the profile {path.name} asks for UDP" in words
+        assert f"the profile {name} asks for UDP" in words
         # On a quiet machine the loopback interface, which the profile names, is seen to carry nothing as well.
         assert side.settings in (["profile"], ["profile", "interface"])
 
@@ -88,15 +89,7 @@ def test_4_an_interface_that_carries_nothing(domain_id, unused_interface):
 def test_4_an_interface_of_a_fast_dds_profile_that_carries_nothing(domain_id, unused_interface):
     name, inside = unused_interface
     text = localhost_profile(Transport.UDP, 4_000_000).replace("127.0.0.1", "198.51.100.1")
-    with written_profile(text) as path:
-        sides = run_pair(
-            "ros2",
-            domain_id,
-            environment={"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
-            variables={"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)},
-            prefix=inside,
-        )
-    for side in sides:
+    for side in run_under_profile(text, domain_id, inside)[1]:
         assert side.asked.interface == name
         assert (side.applied.path, side.at_begin, side.settings) == ("lo", [], ["interface"])
 

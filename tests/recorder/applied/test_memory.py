@@ -1,10 +1,12 @@
 import fcntl
 import mmap
 import os
+from subprocess import PIPE, Popen
 
 import pytest
 from applied_pair import relaying
 
+from dds_trace.recorder.applied import memory
 from dds_trace.recorder.applied.memory import SHM, Library, parse_libraries, parse_maps, ports_of_others, read_memory
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT, memory_owner
 from dds_trace.recorder.domains import domain_port_range
@@ -125,6 +127,20 @@ def test_a_file_is_served_while_its_lock_is_held_and_abandoned_while_it_only_exi
 def test_of_a_lock_that_cannot_be_opened_nothing_is_known(tmp_path, segment):
     (tmp_path / (segment.name + "_el")).symlink_to(tmp_path / (segment.name + "_el"))  # ELOOP, for root too
     assert (seen(segment, tmp_path).is_served, seen(segment, tmp_path).is_abandoned) == (None, False)
+
+
+def test_a_zenoh_segment_is_removed_by_the_last_process_that_locks_it(tmp_path):
+    segment = tmp_path / "2879179048.zenoh"
+    segment.touch()
+    with segment.open() as own, Popen(["flock", "-s", segment, "cat"], stdin=PIPE, stdout=PIPE, bufsize=0) as other:
+        fcntl.flock(own, fcntl.LOCK_SH)
+        other.stdin.write(b"\n")
+        assert other.stdout.readline() == b"\n"  # it has its lock
+        memory.remove_own_segments("zenoh", tmp_path)
+        assert segment.exists()
+        other.communicate()
+        memory.remove_own_segments("zenoh", tmp_path)
+    assert not segment.exists()
 
 
 @pytest.mark.middleware

@@ -3,7 +3,7 @@ import time
 
 import pytest
 from backend_pairs import all_data_types, options
-from processes import PATIENCE_S, ping, relay
+from processes import PATIENCE_S, record_pair
 from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
@@ -98,9 +98,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id, sentences):
 
 
 def test_a_ping_that_can_never_match_says_so(domain_id, tmp_path):
-    with relay(domain_id, tmp_path / "relay.mcap", *CYCLONE) as command:
-        done = ping(domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S)
-        command.stop()
+    done = record_pair(domain_id, tmp_path, CYCLONE, ("--reliability", "best_effort", "--wait", PATIENCE_S))
     assert done.status == 8
     assert "reliability (best_effort offered, reliable requested)" in done.stderr
 

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 from middlewares import PACKAGES, skip_without
-from processes import PATIENCE_S, ping, relay, running
+from processes import PATIENCE_S, ping, record_pair, relay, running
 from waiting import wait_until
 
 from dds_trace.base import limits
@@ -92,9 +92,7 @@ def test_a_ping_and_a_relay_meet_in_the_last_domain(backend, domains, tmp_path):
     skip_without(backend)
     last = domains.wait_for(limits.LAST_DOMAIN)
     options = ("--backend", backend, "--depth", 1000)
-    with relay(last, tmp_path / "relay.mcap", *options) as command:
-        done = ping(last, tmp_path / "ping.mcap", *options, "--messages", 20, "--warmup", 2, "--rate", 50)
-        command.stop()
+    done = record_pair(last, tmp_path, options, ("--messages", 20, "--warmup", 2, "--rate", 50))
     assert done.status == 0, done.stderr
     assert "ports for 63 participants" in done.stderr
     assert "received 20, lost 0" in done.stdout + done.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from backend_pairs import all_data_types, events, options
-from processes import PATIENCE_S, ping, relay
+from processes import PATIENCE_S, ping, record_pair
 from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
@@ -26,6 +26,7 @@ from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
 SOCKET = ("--backend", "socket")
+FEW = ("--data", "imu", "--messages", 5, "--rate", 50)
 UDP = ("--transport", "udp", "--reliability", "best_effort")
 BEST_EFFORT = Qos(reliability="best_effort")
 
@@ -374,12 +375,7 @@ def test_another_backend_has_no_congestion_control(domain_id):
 def test_congestion_control_is_set_read_back_and_told(domain_id, tmp_path):
     """`reno` is in every kernel; the other side keeps the system's, as `sysctl` has it."""
     usual = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text().strip()
-    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
-        done = ping(
-            *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),
-            *("--congestion-control", "reno", "--strict"),
-        )
-        command.stop()
+    done = record_pair(domain_id, tmp_path, SOCKET, (*FEW, "--congestion-control", "reno", "--strict"))
     assert done.status == 0, done.stderr
     for name, control in (("ping", "reno"), ("relay", usual)):
         session = read_trace(tmp_path / f"{name}.mcap").sessions[-1]
@@ -444,11 +440,7 @@ def test_several_connections_call_back_one_at_a_time(domain_id):
 
 @pytest.mark.middleware
 def test_a_ping_takes_the_relays_address(domain_id, tmp_path):
-    with relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as command:
-        done = ping(
-            *(domain_id, tmp_path / "ping.mcap", *SOCKET, "--data", "imu", "--messages", 5, "--rate", 50),
-            *("--discovery", "subnet", "--peer", f"127.0.0.1:{BACKEND.port_of(domain_id)}"),
-        )
-        command.stop()
+    address = f"127.0.0.1:{BACKEND.port_of(domain_id)}"
+    done = record_pair(domain_id, tmp_path, SOCKET, (*FEW, "--discovery", "subnet", "--peer", address))
     assert done.status == 0, done.stderr
     assert len(read_trace(tmp_path / "ping.mcap").events[Stage.T2]) == 15

@@ -20,12 +20,17 @@ class Bench:
         self.node.middleware = Middleware("ros2", "fastdds", "rmw_fastrtps_cpp")
         self.notes, self.reads = [], 0
         self.seen = applied(sockets=(udp(8660),), begin=counted(lo=(0, 0)))
+        self.ended = applied(begin=counted(lo=(0, 0)), end=counted(lo=(0, 0)))
         monkeypatch.setattr(read_back, "read_applied", self.read)
         self.read_back = ReadBack(self.node, {}, strict=strict, note=self.notes.append)
 
     def read(self, begun=None):
         self.reads += 1
-        return self.seen if begun is None else applied(begin=counted(lo=(0, 0)), end=counted(lo=(0, 0)))
+        return self.seen if begun is None else self.ended
+
+    def end(self):
+        self.ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
+        self.read_back.read_end(Traffic(100, 100, 100_000))
 
 
 @pytest.fixture
@@ -100,13 +105,11 @@ def test_a_difference_is_told_once_and_kept(bench):
     assert note.startswith(f"not applied: {difference['words']}")
 
 
-def test_other_words_for_the_same_setting_at_the_end_are_no_news(bench, monkeypatch):
+def test_other_words_for_the_same_setting_at_the_end_are_no_news(bench):
     bench.seen = applied(memory=(segment(),), begin=counted(lo=(0, 0)))
     bench.read_back.read_begin()
     bench.read_back.report()
-    ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
-    monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
-    bench.read_back.read_end(Traffic(100, 100, 100_000))
+    bench.end()
     bench.read_back.report()
     assert len(bench.notes) == 1
     (difference,) = bench.read_back.fields()["not_applied"]
@@ -127,9 +130,7 @@ def test_strict_names_the_trace_of_a_setting_that_only_the_end_shows(monkeypatch
     bench = Bench(monkeypatch, strict=True)
     bench.read_back.read_begin()
     bench.read_back.report()
-    ended = applied(memory=(segment(),), begin=counted(lo=(0, 0)), end=counted(lo=(9, 9)))
-    monkeypatch.setattr(read_back, "read_applied", lambda _: ended)
-    bench.read_back.read_end(Traffic(100, 100, 100_000))
+    bench.end()
     with pytest.raises(NotAppliedError, match=r"shared memory \(seen at the end: .*ping\.mcap is complete"):
         bench.read_back.report(tmp_path / "ping.mcap")
 

@@ -155,6 +155,7 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
+        began_ms = time.time_ns() // 1_000_000
         relay = GroupRelay(
             self.station.within(group.need.environment).device,
             [
@@ -162,7 +163,7 @@ class Runner:
                 for position in relay_places(group.need)
             ],
             half_arguments(self.plan, group) if group.bridge else None,
-            self._segment_names(group),
+            (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1)),
             waits=any(map(is_crowded, self.plan.cells)),
         )
         self._progress.relay(group.need.relay_name)
@@ -250,7 +251,8 @@ class Runner:
         self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
     ) -> tuple[list[CellResult], LinkReport | None]:
         self._shape_link(next(iter(drafts)))
-        drive_link = self.station.drive_link
+        pair, link = self.station.pair, self.plan.link
+        drive_link = pair.drive if pair is not None and link is not None and link.file else None
         if drive_link is not None:
             drive_link(starts=False)
         began_s = time.monotonic()
@@ -292,9 +294,9 @@ class Runner:
             self._read(draft, programs[cell], ended[cell], cut_off=cell in cut_off) for cell, draft in drafts.items()
         ]
         relay.check_answers({relay_id for result in results for relay_id in result.relay_ids})
-        link = self._store(drafts, results)
+        report = self._store(drafts, results)
         self._estimate.measured(next(iter(drafts)), time.monotonic() - began_s)
-        return results, link
+        return results, report
 
     def _store(self, drafts: Mapping[Cell, Path], results: Sequence[CellResult]) -> LinkReport | None:
         """Move complete traces to their final names; refuse traces that did not cross the link."""
@@ -303,7 +305,7 @@ class Runner:
         returned_bytes = sum(result.returned_bytes for result in results)
         has_bypassed = link is not None and link["ping"]["sent_bytes"] < returned_bytes
         for cell, draft in drafts.items():
-            final = self.ping_path(cell.name)
+            final = self.folder / f"{cell.name}.ping.mcap"
             target = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
             try:
                 draft.replace(target)
@@ -333,7 +335,7 @@ class Runner:
         return result
 
     def _report_link(self) -> LinkReport | None:
-        return None if self.station.report_link is None else self.station.report_link()
+        return None if self.station.pair is None else self.station.pair.report()
 
     def _collect(self, segment: str) -> None:
         cells, killed = self.state.in_segment(segment), self.state.killed_in(segment)
@@ -381,15 +383,8 @@ class Runner:
             self._progress.note(f"the relay's trace cannot be used: {err}")
             return {}
 
-    def ping_path(self, name: str) -> Path:
-        return self.folder / f"{name}.ping.mcap"
-
     def relay_path(self, name: str, number: int = 1) -> Path:
         return self.folder / f"{name}.relay{'' if number == 1 else f'-{number}'}.mcap"
-
-    def _segment_names(self, group: CellGroup) -> Iterator[str]:
-        began_ms = time.time_ns() // 1_000_000
-        return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))
 
 
 Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None, str | None]"

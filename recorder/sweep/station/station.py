@@ -20,7 +20,6 @@ from .ssh import SshDevice, folder_there
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from ..plan.link import LinkReport
     from ..plan.plan import Plan
     from .devices import RelayDevice
 
@@ -34,8 +33,6 @@ class Station:
     Attributes:
         lock: file descriptor of the folder's lock, for the programs to inherit.
         relay_address: address of the relay's device, None on one machine; `further` of the other hosts.
-        report_link: `NamespacePair.report`, None without an emulated link.
-        drive_link: `NamespacePair.drive`, None for a link without a file.
     """
 
     ping_command: Sequence[str]
@@ -43,8 +40,6 @@ class Station:
     lock: int | None = None
     wait_s: float = DEFAULT_WAIT_S
     relay_address: str | None = None
-    report_link: Callable[[], LinkReport | None] | None = None
-    drive_link: Callable[..., None] | None = None
     pair: NamespacePair | None = None
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
     further: tuple[str, ...] = ()
@@ -101,8 +96,6 @@ def open_station(
             *both(recorder),
             lock,
             relay_address=pair.relay.address if pair else None,
-            report_link=pair.report if pair else None,
-            drive_link=pair.drive if pair and plan.link and plan.link.file else None,
             pair=pair,
             environments={environment: both(program) for environment, program in others.items()},
             further=tuple(relay.address for relay in pair.relays[1:]) if pair else (),

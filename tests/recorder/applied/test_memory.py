@@ -90,8 +90,7 @@ def seen(path, folder=SHM):
 
 def test_a_mapped_segment_has_size_and_owner(segment):
     read = seen(segment)
-    assert (read.middleware, read.role) == ("fastdds", SEGMENT)
-    assert (read.size_bytes, read.owner_uid) == (12_000, os.getuid())
+    assert (read.middleware, read.role, read.size_bytes, read.owner_uid) == ("fastdds", SEGMENT, 12_000, os.getuid())
     assert (read.is_here, read.is_deleted, read.is_in_use) == (True, False, True)
 
 

@@ -10,6 +10,7 @@ from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from sweep_desk import COMMAND, FIRST, FOURTH, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
@@ -296,7 +297,7 @@ def link(monkeypatch):
     @contextmanager
     def with_link(*arguments, **options):
         with open_station(*arguments, **options) as station:
-            yield replace(station, report_link=lambda: measured)
+            yield replace(station, pair=SimpleNamespace(report=lambda: measured))
 
     monkeypatch.setattr(sweep_module, "open_station", with_link)
     return measured

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import socket
 import struct
 from dataclasses import dataclass, fields, replace
@@ -39,6 +40,14 @@ class InterfaceCounters:
     received_bytes: int = 0
     sent_packets: int = 0
     received_packets: int = 0
+
+
+def ask_interface(interface: str, request: int) -> int:
+    # Not from /sys/class/net: after `nsenter --net` it still shows the previous namespace's interfaces.
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        answer = fcntl.ioctl(any_socket, request, struct.pack("16s16x", interface.encode()))
+    number: int = struct.unpack_from("H", answer, 16)[0]
+    return number
 
 
 def since(record: Counters, before: Counters | None, *counters: str) -> Counters:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import socket
-import struct
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -23,6 +21,7 @@ from dds_trace.tracefile.format.wire import MESSAGE_ROW, WIRE_TOPIC, MessageRows
 from ..choices import Discovery
 from ..domains import domain_port_range
 from ..host.process import wait_or_kill
+from ..kernel.counters import ask_interface
 from .counts import WireCounts
 from .packets.packet_filter import PortRange
 
@@ -50,14 +49,10 @@ def run_interfaces(discovery: Discovery, system: Path = _SYSTEM) -> tuple[str, .
 
 
 def _is_up(interface: str) -> bool:
-    request = struct.pack("16sH14x", interface.encode(), 0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        try:
-            answer = fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request)
-        except OSError:  # it was removed meanwhile
-            return False
-    flags: int = struct.unpack_from("H", answer, 16)[0]
-    return bool(flags & _IFF_UP)
+    try:
+        return bool(ask_interface(interface, _SIOCGIFFLAGS) & _IFF_UP)
+    except OSError:  # it was removed meanwhile
+        return False
 
 
 def domain_ports(domain_id: int) -> PortRange:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import mmap
 import socket
 import struct
@@ -13,6 +12,7 @@ import numpy as np
 
 from dds_trace.base.errors import OptionError
 
+from ..kernel.counters import ask_interface
 from .packets.frames import FrameBatch, Numbers
 from .packets.packet_filter import attach_filter
 
@@ -143,14 +143,10 @@ class PacketRing:
 
 
 def _hardware_type(interface: str) -> int:
-    # Not from /sys/class/net: after `nsenter --net` it still shows the previous namespace's interfaces.
-    request = struct.pack("16s16x", interface.encode())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        try:
-            answer = fcntl.ioctl(any_socket, _SIOCGIFHWADDR, request)
-        except OSError as err:
-            raise OptionError(f"--wire: there is no network interface {interface!r}") from err
-    number: int = struct.unpack_from("H", answer, 16)[0]
+    try:
+        number = ask_interface(interface, _SIOCGIFHWADDR)
+    except OSError as err:
+        raise OptionError(f"--wire: there is no network interface {interface!r}") from err
     if number not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
         raise OptionError(f"--wire: {interface} has no Ethernet frames (type {number})")
     return number

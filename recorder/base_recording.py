@@ -16,7 +16,6 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
-from .applied.applied import LOOPBACK
 from .backends import load_backend, load_backends, open_node
 from .choices import Discovery, Security
 from .errors import NotAppliedError, NothingHeardError, StoppedError
@@ -26,7 +25,7 @@ from .host.fingerprint import host_fingerprint, read_boot_id
 from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
-from .kernel.counters import read_interfaces
+from .kernel.counters import LOOPBACK, read_interfaces
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack

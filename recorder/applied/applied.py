@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from ..kernel.counters import (
+    LOOPBACK,
     InterfaceCounters,
     MulticastGroup,
     read_groups,
@@ -84,7 +85,6 @@ def read_applied(started: Applied | None = None, pid: int | None = None) -> Appl
 
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
-LOOPBACK = "lo"
 
 MIN_PAYLOAD_BYTES = 2_000_000
 """Less payload cannot be distinguished from discovery (0.7 MB in six seconds)."""

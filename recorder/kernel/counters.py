@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 Counters = TypeVar("Counters", bound="DataclassInstance")
 
 PROC = Path("/proc")
+LOOPBACK = "lo"
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
 """Groups that the kernel joins on every interface."""
 

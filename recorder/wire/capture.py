@@ -21,7 +21,7 @@ from dds_trace.tracefile.format.wire import MESSAGE_ROW, WIRE_TOPIC, MessageRows
 from ..choices import Discovery
 from ..domains import domain_port_range
 from ..host.process import wait_or_kill
-from ..kernel.counters import ask_interface
+from ..kernel.counters import LOOPBACK, ask_interface
 from .counts import WireCounts
 from .packets.packet_filter import PortRange
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.sink import TraceSink
 
 
-LOOPBACK = "lo"
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _SYSTEM = Path("/sys/class/net")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
@@ -128,7 +127,7 @@ class _RunningHalf:
 class RunningBridge:
     """A bridge with its programs running; `mark_ready` follows the first echo."""
 
-    def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
+    def __init__(self, bridge: Bridge, options: BridgeOptions, halves: Sequence[_RunningHalf]) -> None:
         self.name = bridge.name
         self.options = options
         self._halves = halves
@@ -242,25 +241,20 @@ def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_T
     """
     bridge = load_bridge(name)
     program = find_program(bridge)
-    folder = Path(tempfile.mkdtemp(prefix="dds-trace-bridge-"))
+    version = bridge.version(program)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        link = f"127.0.0.1:{probe.getsockname()[1]}"
     halves: list[_RunningHalf] = []
-    running: RunningBridge | None = None
-    try:
-        version = bridge.version(program)
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            link = f"127.0.0.1:{probe.getsockname()[1]}"
-        for half_options in split_halves(bridge, options, link):
-            halves.append(_start_half(bridge, program, version, half_options, folder))  # noqa: PERF401 - after a failed start the list has the started ones
-        running = RunningBridge(bridge, options, tuple(halves))
-        running.wait_until_up(up_timeout_s)
-        yield running
-    finally:
-        for half in halves:
-            half.program.stop()
-        if running is not None:
+    running = RunningBridge(bridge, options, halves)
+    with tempfile.TemporaryDirectory(prefix="dds-trace-bridge-", ignore_cleanup_errors=True) as folder:
+        try:
+            for half_options in split_halves(bridge, options, link):
+                halves.append(_start_half(bridge, program, version, half_options, Path(folder)))  # noqa: PERF401 - after a failed start the list has the started ones
+            running.wait_until_up(up_timeout_s)
+            yield running
+        finally:
             running.stop()
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def find_program(bridge: Bridge) -> Path:

@@ -71,15 +71,11 @@ def read_defaults(
 
 
 def _read(path: Path, table: str, options: Mapping[str, Any], ignored: Collection[str]) -> dict[str, object]:
-    from dds_trace.base.files import read_regular
+    from dds_trace.base.files import read_settings
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable  # not loaded where there is no file
 
-    try:
-        text = read_regular(path, partial(_check_owner, path)).decode()
-    except OSError as err:
-        raise OptionError(f"{path}: {err.strerror}; name another file in {VARIABLE}, or leave it empty") from err
-    except UnicodeDecodeError as err:
-        raise OptionError(f"{path}: {err}; it is UTF-8 text") from err
+    remedy = f"name another file in {VARIABLE}, or leave it empty"
+    text = read_settings(path, "it", remedy, partial(_check_owner, path))
     root = TomlTable.parse(text, str(path))
     root.allow(*TABLES)
     entries = root.table(table)

@@ -31,15 +31,11 @@ LEAST_LOSS = 0.005
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
     from dds_trace.analyzer.verdicts.compare import RECEIVED_RATIO
     from dds_trace.analyzer.verdicts.gate import VALUES_OF_TOPICS
-    from dds_trace.base.files import read_regular
+    from dds_trace.base.files import read_settings
     from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
     from dds_trace.recorder.sweep.plan.toml_table import TomlTable
 
-    try:
-        text = read_regular(path).decode()
-    except (OSError, UnicodeDecodeError) as err:
-        raise OptionError(f"--limits {path}: {getattr(err, 'strerror', None) or err}; give a file of limits") from err
-    root = TomlTable.parse(text, str(path))
+    root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
     root.allow("thresholds", "accepted")
     thresholds = list(read_thresholds(root.table("thresholds")))
     for table in root.tables("accepted"):

@@ -13,7 +13,7 @@ from typing import TypeAlias, TypedDict
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.files import read_regular
+from dds_trace.base.files import read_settings
 from dds_trace.base.units import SECOND_NS, counted
 
 from .cells import plan_key
@@ -59,13 +59,8 @@ class Drive:
 
 @cache
 def read_drive(path: str) -> Drive:
-    try:
-        data = read_regular(Path(path))
-        lines = data.decode().splitlines()
-    except OSError as err:
-        raise OptionError(f"{path}: {err.strerror}; give the path of a CSV file, from the folder of the plan") from err
-    except UnicodeDecodeError as err:
-        raise OptionError(f"{path}: {err}; a drive is a CSV file of UTF-8 text") from err
+    text = read_settings(Path(path), "a drive", "give the path of a CSV file, from the folder of the plan")
+    lines = text.splitlines()
     if len(lines) > MOST_ROWS:
         raise OptionError(f"{path} has more than {MOST_ROWS:,} lines; thin it out")
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
@@ -82,7 +77,7 @@ def read_drive(path: str) -> Drive:
     for (number, _), before, after in zip(numbered[2:], times, times[1:], strict=False):
         if after <= before:
             raise OptionError(f"{path}:{number}: time_s {after:g} does not follow {before:g}; sort the rows by time")
-    return Drive(tuple(rows), "rate_mbit_s" in names, hashlib.sha256(data).hexdigest())
+    return Drive(tuple(rows), "rate_mbit_s" in names, hashlib.sha256(text.encode()).hexdigest())
 
 
 def _row(where: str, names: list[str], record: list[str]) -> Row:

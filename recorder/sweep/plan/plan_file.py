@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.files import expand_home, read_regular
+from dds_trace.base.files import expand_home, read_settings
 from dds_trace.base.printable import printable
 from dds_trace.base.units import parse_size
 
@@ -43,12 +43,7 @@ _PASS_NAME = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
     """Read a plan; `by_hand` if a person starts the relay. An `OptionError` names a file, key or value that is wrong."""
-    try:
-        text = read_regular(path).decode()
-    except OSError as err:
-        raise OptionError(f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml") from err
-    except UnicodeDecodeError as err:
-        raise OptionError(f"{path}: {err}; a plan is UTF-8 text") from err
+    text = read_settings(path, "a plan", "give the path of a plan such as plans/quick.toml")
     return parse_plan(text, path.stem, str(path), installed, by_hand=by_hand)
 
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from .errors import OutputError
+from .errors import OptionError, OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -138,6 +138,16 @@ def read_regular(path: Path, check_owner: Callable[[int], object] = bool) -> byt
     if len(data) > MOST_SETTINGS_BYTES:
         raise OSError(errno.EFBIG, "larger than any file of settings", str(path))
     return data
+
+
+def read_settings(path: Path, what: str, remedy: str, check_owner: Callable[[int], object] = bool) -> str:
+    """Return the text of a file that a person names; an `OptionError` if it cannot be read."""
+    try:
+        return read_regular(path, check_owner).decode()
+    except OSError as err:
+        raise OptionError(f"{path}: {err.strerror}; {remedy}") from err
+    except UnicodeDecodeError as err:
+        raise OptionError(f"{path}: {err}; {what} is UTF-8 text") from err
 
 
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.node import Middleware, Node, NodeOptions, TopicView
 from dds_trace.recorder.backends.other_side import Strangers
 from dds_trace.recorder.host.clock import Clock
 from dds_trace.tracefile.format.descriptions import Qos, Run
@@ -37,6 +37,8 @@ class FakeSubscription:
 
 
 class FakeNode:
+    describe_others = Node.describe_others
+
     def __init__(self, options: NodeOptions | None = None) -> None:
         self.options = options or NodeOptions(name="me")
         self.middleware = Middleware("ros2", "fakedds", "rmw_fake")

@@ -203,8 +203,12 @@ class TopicTimes:
 
 
 def _by_counts(losses: Losses, count: int, evidence: str) -> Losses:
-    is_too_many = sum(hole.missing for hole in losses.holes) > count
-    holes = [hole for hole in losses.holes if not (is_too_many and hole.missing)]
+    remaining, holes = count, list[Hole]()
+    for hole in sorted(losses.holes, key=lambda hole: -hole.duration_ns):
+        missing = min(hole.missing, remaining)
+        remaining -= missing
+        holes += [replace(hole, missing=missing)] * bool(missing or not hole.missing)
+    holes.sort(key=lambda hole: hole.start_ns)
     return replace(losses, evidence=evidence, missing=count, low=count, high=count, holes=holes)
 
 

@@ -110,7 +110,7 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
-    if elsewhere > 0:
+    if elsewhere > 0 and (shown or row["missing_from"] not in {"tap", "recorder"}):
         more = "more " if shown else ""
         yield f"{elsewhere:,} {more}{'message is' if elsewhere == 1 else 'messages are'} missing, in short holes"
 

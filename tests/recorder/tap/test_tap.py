@@ -88,6 +88,7 @@ def test_a_bag_of_a_taps_own_file_has_the_taps_own_counts(tmp_path, skipped):
     row = report.topics.row(by_predicate=pl.col("topic") == CAMERA.topic, named=True)
     assert (row["messages"], row["missing_from"]) == (bench.tap.messages, "tap") == (802, "tap")
     assert row["missing"] == row["missing_low"] == row["missing_high"] == bench.tap.streams[0].missing == skipped
+    assert report.holes.filter(topic=CAMERA.topic)["missing"].sum() == skipped
     assert report.verdict == ("holes" if skipped else "whole")
 
 

@@ -122,7 +122,7 @@ def on_three_devices(shares, **more):
 
 def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences):
     # Pooled, the devices' unlike speeds would hide the 20 % (Simpson).
-    book = Book(make_analysis(*on_three_devices([0.8] * 3)))
+    book = Book(make_analysis(*on_three_devices([0.8] * 3)), shows_all=True)
     assert "33 KB: Zenoh (" in book.answer.headline
     assert "1.25 times" in book.answer.headline
     sentences(book.answer.headline)
@@ -148,7 +148,7 @@ def test_conditions_follow_devices_and_link_in_every_report():
     alone = [Measured(SLOW), Measured(FAST, **ZENOH)]
     setting = "flows=2,link=wifi-54(loss_percent=1)"
     together = [Measured(SLOW, setting=setting), Measured(FAST, setting=setting, **ZENOH)]
-    book = Book(make_analysis(*alone, *together))
+    book = Book(make_analysis(*alone, *together), shows_all=True)
     conditions = "2 runs at once, emulated link wifi-54(loss_percent=1)"
     place = f"pi-one → pi-two, wired, {conditions}"
     assert [one.place for one in book.answer.verdicts] == ["pi-one → pi-two, wired", place]

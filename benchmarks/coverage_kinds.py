@@ -263,12 +263,13 @@ LATE, MESSAGES = 0.02, 300
 
 def late_table(samples: int) -> Table:
     """Count settings of which 2 % are late in the long run that are said to meet 99 %; the last row has no bar: no run shows what it lacks."""
-    counts, campaigns = (3, 5, 10, 20), 14 * samples
+    counts = (3, 5, 10, 20)
     table = Table("deadlines-kinds", ("levels of runs", *(f"runs: {runs}" for runs in counts)))
     for name, draw in LEVELS.items():
         generator = np.random.default_rng([SEED, 1])
         long_run = draw(generator, 200_000) + 0.2 * generator.standard_normal(200_000)
         deadline = 1e6 * math.exp(float(np.quantile(long_run, 1 - LATE)))
+        campaigns = 14 * samples if "skewed" in name else samples  # these are near the bar
         cells = []
         for runs in counts:
             generator = np.random.default_rng([SEED, runs])

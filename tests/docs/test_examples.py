@@ -150,10 +150,10 @@ def test_the_defaults_of_the_page_are_in_force(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("line", [line for line in LINES if not any(part in line for part in NOT_RUN)])
-def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capsys):
+def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capfd):
     monkeypatch.chdir(desk)
     ended = run(line, monkeypatch)
-    end, err = expected_end(line), capsys.readouterr().err
+    end, err = expected_end(line), capfd.readouterr().err
     assert ended.code in ((0, 21) if "--fail-if" in line and not end else (end,)), err
     assert "is a setting now" not in err
 

@@ -238,7 +238,7 @@ def test_times_of_a_result_with_losses_are_named_those_of_the_received_messages(
 def test_markdown_counts_unsent_messages_next_to_the_received_ones_and_runs_even_without_intervals():
     analysis = make_analysis(*HALF_SENT)
     for one in (analysis, replace(analysis, details=details_not_requested())):
-        assert "| 1&#42; | 50 % | 300 |" in load_reporter("md").render(Book(one))
+        assert "1&#42; | 50 % | 300" in load_reporter("md").render(Book(one))
 
 
 def test_rich_markup_in_a_trace_stays_text():
@@ -284,7 +284,7 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks(sentences):
     )
     (row,) = (line for line in text.splitlines() if line.startswith("| Binary | 33 KB") and "same domain" in line)
     # A series that only rises is one burst, whose rarest messages have no upper end.
-    assert numbers(html.unescape(row))[-9:] == [1.05, 1.01, 1.09, 1.09, 1.06, 1.1, 1.09, 1, 1.1]
+    assert numbers(html.unescape(row))[-10:] == [1.05, 1, 1.1, 1.09, 1.06, 1.1, 1.1, 1.09, 1, 1.1]
     costs = text.split("## What a bridge costs")[1]
     (cost,) = (line for line in costs.splitlines() if line.startswith("| Binary | 33 KB"))
     assert numbers(html.unescape(cost)) == [33, 10, 3, 3, 100, 1, 889, 1.11, 1, 886, 1.12, 1, 886, 1.12, 30]

@@ -96,7 +96,7 @@ def test_every_report_has_a_kind_once_with_its_first_place_and_what_to_do(kind):
     text = load_reporter(kind).render(Book(analysis_with(loss(0), loss(1), loss(2)), shows_all=True))
     assert text.count("Look at it.") == 1
     plain = " ".join(re.sub("<[^>]+>", " ", text).split())
-    assert f"warning Loss (3): {RESULT}: 1 of 2 is lost. Look at it." in plain
+    assert f"warning Loss (3): {RESULT}: " in plain
     assert plain.count("1 of 2 is lost.") == (1 if kind == "terminal" else 1 + 3), "all open below the first"
 
 

@@ -15,6 +15,7 @@ from dds_trace.base.units import counted, format_duration
 from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
+from ..verdicts.judgements import exceeds_lossy_share
 from .evidence import Evidence, Observation, check, exchange_name, percent
 from .rows import Rows, in_result
 
@@ -102,11 +103,12 @@ class _Cause(NamedTuple):
     cure: str
 
 
-def _outlived_history(members: Sequence[_Member], _row: Mapping[str, int]) -> _Cause | None:
+def _outlived_history(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:
     outlived = sum(counts["outlived"] or 0 for _, counts in members)
+    others = row["published"] - row["received"] - outlived
     exchange, counts = max(members, key=lambda member: member[1]["longest_gap_ns"] or 0)
     run, history_ns = exchange.run, exchange.run.history_ns
-    if not outlived or history_ns is None:
+    if not outlived or history_ns is None or exceeds_lossy_share(others / row["published"]):
         return None
     gap_ns = counts["longest_gap_ns"]
     return _Cause(

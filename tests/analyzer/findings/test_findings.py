@@ -79,6 +79,16 @@ def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):
     assert losses == [((1,), 0.9), ((2,), 0.5), ((0,), 0.2)]
 
 
+@pytest.mark.parametrize(("never_back", "cure"), [(0, "--depth 42"), (2, "--depth 42"), (3, "")])
+def test_a_deeper_history_is_a_cure_only_where_it_keeps_nearly_all_that_was_lost(tmp_path, never_back, cure):
+    """10 Hz and depth 10: a standstill of 2.1 s outlives the history; what is lost at the end may have any cause."""
+    lost = {*range(50, 70), *range(200 - never_back, 200)}
+    write_pair(tmp_path, [replace(m, t2=None, t3=None, t4=None) if m.sequence in lost else m for m in sound(200)])
+    (loss,) = (finding for finding in analyze(tmp_path).findings if finding.code == "loss")
+    assert cure in loss.cure
+    assert bool(loss.cure) == bool(cure)
+
+
 def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
     write_published(tmp_path, *(run(run_id=n, published=0, state="started") for n in range(1, 54)))
     unfinished = [f for f in analyze(tmp_path).findings if f.code == "unfinished_run"]

@@ -111,19 +111,17 @@ def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
 
 
 def _cost_words(rows: pl.DataFrame) -> str:
-    is_finite = pl.col("ratio").is_finite().fill_null(value=False)
-    parts, lost, others, compared = [], 0, 0, 0
+    parts = []
     for name, label in (("p50", "at the median"), ("p99", "at p99")):
-        costs = rows.filter(statistic=name)
-        slower = costs.filter((pl.col("verdict") == "worse") & is_finite)
+        costs = rows.filter(pl.col("ratio").is_not_nan(), statistic=name)  # null: too few messages
+        is_slower, is_lost = pl.col("verdict") == "worse", pl.col("ratio").is_infinite()
+        slower = costs.filter(is_slower & ~is_lost)
         if not slower.is_empty():
-            parts.append(f"{factor_words(slower['ratio'].to_list())} as long {label}")
-            lost = max(lost, costs.filter(~is_finite).height)
-            others = max(others, costs.filter((pl.col("verdict") != "worse") & is_finite).height)
-            compared = max(compared, costs.height)
-    counts = ((lost, "lost"), (others, "not clearly slower"))
-    noted = [f"{words} in {count}" for count, words in counts if count]
-    return ", ".join(parts) + (f" ({', '.join(noted)} of {counted(compared, 'comparison')})" if noted else "")
+            counts = ((costs.filter(is_lost), "lost"), (costs.filter(~is_slower & ~is_lost), "not clearly slower"))
+            noted = [f"{words} in {count.height}" for count, words in counts if not count.is_empty()]
+            of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""
+            parts.append(f"{factor_words(slower['ratio'].to_list())} as long {label}{of_all}")
+    return ", ".join(parts)
 
 
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:

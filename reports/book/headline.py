@@ -21,7 +21,7 @@ from dds_trace.tracefile.format.json_fields import object_of
 from .fastest import PERCENTILES
 from .groups import Groups, VendorLabels, factor_words, joined, some_of, way_words
 from .numbers import Values
-from .verdicts import conditions_label, setup_labels
+from .verdicts import link_label, setup_labels
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
@@ -130,8 +130,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         pair = device_pair(series.ping_device, series.relay_device)
         if series.relay_device == series.ping_device:
             pair = f"one machine ({pair})"
-        conditions = conditions_label(condition_of(series.setting))
-        link = printable(series.connectivity) + (f" with {conditions}" if conditions else "")
+        link = link_label(series.connectivity, condition_of(series.setting), " with ")
         links.setdefault(pair, {})[link] = None
     pairs_of: dict[tuple[str, ...], list[str]] = {}
     for pair, link_names in links.items():

@@ -14,6 +14,7 @@ from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
+from dds_trace.base.link_words import link_words
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
@@ -119,13 +120,21 @@ _CONDITION_WORDS = {
 
 
 def conditions_label(conditions: str) -> str:
-    words = (_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in parse_setting(conditions).items())
-    return printable(", ".join(words))
+    values = parse_setting(conditions)
+    if "link" in values:
+        values["link"] = link_words(values["link"])
+    return printable(", ".join(_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in values.items()))
+
+
+def link_label(connectivity: str, conditions: str, between: str = ", ") -> str:
+    """Name link and conditions; an emulated link by its condition alone."""
+    emulated = parse_setting(conditions).get("link", "").partition("(")[0]
+    way = "" if connectivity == f"emulated-{emulated}" else printable(connectivity)
+    return between.join(filter(None, (way, conditions_label(conditions))))
 
 
 def place_label(ping_device: str, relay_device: str | None, connectivity: str, conditions: str = "") -> str:
-    parts = (device_pair(ping_device, relay_device), printable(connectivity), conditions_label(conditions))
-    return ", ".join(part for part in parts if part)
+    return ", ".join(filter(None, (device_pair(ping_device, relay_device), link_label(connectivity, conditions))))
 
 
 def place_of(answer: CaseAnswer) -> str:

@@ -14,6 +14,7 @@ from typing import TypeAlias, TypedDict
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import read_settings
+from dds_trace.base.link_words import link_words
 from dds_trace.base.units import SECOND_NS, counted
 
 from .cells import plan_key
@@ -183,17 +184,7 @@ class Link:
         return f"{self.name}({values})"
 
     def __str__(self) -> str:
-        parts = [
-            f"{self.rate_mbit_s:g} Mbit/s{' in both directions together' * self.shared}" if self.rate_mbit_s else "",
-            f"delay {self.delay_ms:g} ms" if self.delay_ms else "",
-            f"jitter {self.jitter_ms:g} ms" if self.jitter_ms else "",
-            f"loss {self.loss_percent:g} %{f' in bursts of {self.loss_burst:g}' * bool(self.loss_burst)}"
-            if self.loss_percent
-            else "",
-            f"outage {self.outage_ms:g} ms every {self.outage_every_s:g} s" if self.outage_ms else "",
-            f"as {Path(self.file).name} says" if self.file else "",
-        ]
-        return f"{self.name} ({', '.join(part for part in parts if part) or 'nothing shaped'})"
+        return link_words(self.setting)
 
 
 class EndCounters(TypedDict):

@@ -27,6 +27,7 @@ from .groups import (
     format_count,
     format_ratio,
     group_labels,
+    in_domain,
     joined,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
@@ -225,7 +226,6 @@ _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[
 
 
 _MOST_WAYS = 3
-_IN_WAY = {"same domain": "in the same domain", "different domains": "across domains"}
 
 
 def _ways(vendor: str, groups: Groups, values: Values) -> str:
@@ -242,7 +242,7 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
     what = f"{vendor}: median {METRIC_LABELS[metric].lower()} of all {_messages(groups.groups, values)}"
     if len(spans) == 1:
         return f"{what} {next(iter(spans.values()))}."
-    return f"{what} {joined(f'{span} {_IN_WAY.get(way, way)}' for way, span in list(spans.items())[:_MOST_WAYS])}."
+    return f"{what} {joined(f'{span} {in_domain(way)}' for way, span in list(spans.items())[:_MOST_WAYS])}."
 
 
 def _median(time_ns: float) -> str:

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Any
 
 from dds_trace.analyzer.analysis import Analysis
@@ -210,7 +211,7 @@ def _setting_part(series: Sequence[Series]) -> Callable[[Series], str]:
 
 def setting_word(settings: Iterable[str]) -> Callable[[str], str]:
     """Return how one of some settings is named: by what varies, a file by its name where that is unique."""
-    parsed = {setting: parse_setting(setting) for setting in settings}
+    parsed = {setting: _named_once(parse_setting(setting)) for setting in settings}
     keys = sorted({key for setting in parsed.values() for key in setting})
     varying = [key for key in keys if len({setting.get(key) for setting in parsed.values()}) > 1]
     files = {(key, value) for setting in parsed.values() for key, value in setting.items() if _FILE.search(value)}
@@ -229,6 +230,12 @@ def setting_word(settings: Iterable[str]) -> Callable[[str], str]:
 
 _FILE = re.compile(r"#[0-9a-f]{8}\b")
 """The end of a configuration file's name, of its content."""
+
+
+def _named_once(setting: dict[str, str]) -> dict[str, str]:
+    """Leave out a sweep's word for its configuration where the file of that name is there."""
+    stems = {PurePath(_FILE.sub("", value)).stem for value in setting.values() if _FILE.search(value)}
+    return {key: value for key, value in setting.items() if key != "configuration" or value not in stems}
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
@@ -267,6 +274,11 @@ def domain_label(series: Series) -> str:
     if series.domain_mode == "same":
         return "same domain" if series.bridge == "none" else f"same domain {way_words(series.bridge)}"
     return way_words(series.bridge)
+
+
+def in_domain(label: str) -> str:
+    """Put a domain's label into a sentence."""
+    return {"same domain": "in the same domain", "different domains": "across domains"}.get(label, label)
 
 
 def way_words(bridge: str) -> str:

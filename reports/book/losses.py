@@ -21,6 +21,7 @@ from .groups import (
     format_count,
     format_ratio,
     group_labels,
+    in_domain,
     joined,
     size_span,
     some_of,
@@ -62,7 +63,7 @@ def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int
 def _scope(lossy: Sequence[Group], groups: Groups) -> str:
     sides: tuple[tuple[Callable[[Group], str], str], ...] = (
         (lambda group: groups.series_of(group).vendor_label, "by {}"),
-        (lambda group: domain_label(groups.series_of(group)), "{}"),
+        (lambda group: in_domain(domain_label(groups.series_of(group))), "{}"),
         (lambda group: printable(groups.series_of(group).connectivity), "over {}"),
     )
     ways, messages = ({part(group) for group in lossy} for part in (sides[1][0], lambda group: group.cell))

@@ -6,7 +6,7 @@ from wording import numbers
 
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.facets import facets_info
-from dds_trace.reports.book.groups import Cell, group_labels, groups_info
+from dds_trace.reports.book.groups import Cell, group_labels, groups_info, setting_word
 from dds_trace.reports.book.recording import OwnCost, own_costs
 from dds_trace.reports.html.page import filters_info
 from dds_trace.reports.html.styles import choice_styles
@@ -67,6 +67,13 @@ def test_series_and_cells_are_sorted_as_people_read():
         "Binary 4 MB at 10 Hz",
         "IMU 296 B at 10 Hz",
     ]
+
+
+def test_a_configuration_is_named_once():
+    plain = "link=x(y)"
+    files = [f"PROFILES={name}.xml#{number:08x},configuration={name},{plain}" for number, name in enumerate("ab")]
+    assert [*map(setting_word([plain, *files]), [plain, *files])] == ["", "a.xml", "b.xml"]
+    assert setting_word([plain, other := "configuration=c," + plain])(other) == "configuration=c"
 
 
 def styles_of(*measured):

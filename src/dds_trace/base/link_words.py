@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 
 _WRITTEN = re.compile(r"(?P<name>[^()]+)\((?P<values>[^()]*)\)")
 
 _WORDS = {
-    "rate_mbit_s": "{} Mbit/s",
+    "rate_mbit_s": "{rate_mbit_s} Mbit/s",
     "shared": "shared by both directions",
-    "delay_ms": "delay {} ms",
-    "jitter_ms": "jitter {} ms",
-    "loss_percent": "loss {} %",
-    "loss_burst": "in bursts of {}",
-    "outage_ms": "outage {} ms",
-    "outage_every_s": "every {} s",
-    "queue_ms": "queue {} ms",
-    "file": "as {} says",
+    "queue_ms": "queue {queue_ms} ms",
+    "delay_ms": "delay {delay_ms} ms",
+    "jitter_ms": "jitter {jitter_ms} ms",
+    "loss_percent": "loss {loss_percent} %",
+    "loss_burst": "in bursts of {loss_burst}",
+    "outage_ms": "outage {outage_ms} ms every {outage_every_s} s",
+    "outage_every_s": "",
+    "file": "as {file} says",
 }
 
 
@@ -25,8 +26,9 @@ def link_words(setting: str) -> str:
     written = _WRITTEN.fullmatch(setting)
     if written is None:
         return setting
-    values = dict(pair.partition("=")[::2] for pair in written["values"].split(",") if pair)
-    parts = [
-        _WORDS.get(key, f"{key} {{}}").format(values[key].partition("#")[0]) for key in _WORDS | values if key in values
-    ]
-    return f"{written['name']} ({', '.join(parts) or 'nothing shaped'})"
+    pairs = (pair.partition("#")[0].partition("=")[::2] for pair in written["values"].split(",") if pair)
+    values = defaultdict(lambda: "?", pairs)
+    if not {"rate_mbit_s", "file"} & values.keys():
+        values.pop("queue_ms", None)  # nothing waits
+    words = (_WORDS.get(key, f"{key} {values[key]}").format_map(values) for key in _WORDS | values if key in values)
+    return f"{written['name']} ({', '.join(filter(None, words)) or 'nothing shaped'})"

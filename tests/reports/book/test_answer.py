@@ -148,7 +148,7 @@ def test_conditions_follow_devices_and_link_in_every_report():
     setting = "flows=2,link=wifi-54(loss_percent=1)"
     together = [Measured(SLOW, setting=setting), Measured(FAST, setting=setting, **ZENOH)]
     book = Book(make_analysis(*alone, *together), shows_all=True)
-    conditions = "2 runs at once, emulated link wifi-54(loss_percent=1)"
+    conditions = "2 runs at once, emulated link wifi-54 (loss 1 %)"
     place = f"pi-one → pi-two, wired, {conditions}"
     assert [one.place for one in book.answer.verdicts] == ["pi-one → pi-two, wired", place]
     assert Fact("Conditions", conditions) in book.overview.facts

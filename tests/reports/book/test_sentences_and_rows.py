@@ -27,7 +27,7 @@ from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio
-from dds_trace.reports.book.verdicts import setup_labels
+from dds_trace.reports.book.verdicts import conditions_label, setup_labels
 from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.comparison.report import ComparisonReport
 from dds_trace.reports.comparison.words import change_words, gate_notes
@@ -64,6 +64,7 @@ def named(groups):
         yield format_size(group["payload_bytes"])
         yield format_rate(group["rate_hz"])
         yield from (token for value in group.values() if isinstance(value, str) for token in TOKEN.findall(value))
+        yield from TOKEN.findall(conditions_label(group["setting"]))
         yield str(group["depth"])
 
 

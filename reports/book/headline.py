@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from statistics import median
 
@@ -73,20 +73,22 @@ def interference_sentences(judged: pl.DataFrame, groups: Groups) -> list[str]:
     for row in judged.filter(pl.col("group").is_in(list(vendors)), claim=Claim.WITH.value).iter_rows(named=True):
         who = f"The flow {row['base']}" if row["base"] else "A message"
         factors = cases.setdefault(f"{who} with {row['subject']}", {})
-        if row["verdict"] == PROVEN and row["value"] is not None and math.isfinite(row["value"]):
+        if row["verdict"] == PROVEN and row["value"] is not None:
             factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["value"])
-    return [
-        printable(f"{case} takes {'; '.join(_as_long(*factor) for factor in factors.items()) or _NOT_LONGER}.")
-        for case, factors in cases.items()
-    ]
+    return [printable(f"{case} {_takes(factors)}.") for case, factors in cases.items()]
 
 
-_NOT_LONGER = "as long as without, as far as can be shown"
+def _takes(factors: Mapping[tuple[str, str], Sequence[float]]) -> str:
+    longer = "; ".join(_as_long(*factor) for factor in factors.items())
+    return f"takes {longer}" if longer else "is in no result shown to take longer than without"
 
 
 def _as_long(vendor_statistic: tuple[str, str], factors: Sequence[float]) -> str:
     vendor, statistic = vendor_statistic
-    return f"{factor_words(factors)} as long {dict(PERCENTILES)[statistic.removeprefix('latency_')]} ({vendor})"
+    finite = [factor for factor in factors if math.isfinite(factor)]
+    where = f"{dict(PERCENTILES)[statistic.removeprefix('latency_')]} ({vendor})"
+    lost = [f"longer {where}, as messages were lost"] * (len(finite) < len(factors))
+    return "; ".join([f"{factor_words(finite)} as long {where}"] * bool(finite) + lost)
 
 
 def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
@@ -113,8 +115,9 @@ def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
 def _cost_words(rows: pl.DataFrame) -> str:
     parts = []
     for name, label in (("p50", "at the median"), ("p99", "at p99")):
-        costs = rows.filter(pl.col("ratio").is_not_nan(), statistic=name)  # null: too few messages
-        is_slower, is_lost = pl.col("verdict") == "worse", pl.col("ratio").is_infinite()
+        is_slower, is_known = pl.col("verdict") == "worse", pl.col("ratio").is_not_null()
+        costs = rows.filter(is_slower | is_known, statistic=name)  # others have too few messages
+        is_lost = ~pl.col("ratio").is_finite().fill_null(value=False)
         slower = costs.filter(is_slower & ~is_lost)
         if not slower.is_empty():
             counts = ((costs.filter(is_lost), "lost"), (costs.filter(~is_slower & ~is_lost), "not clearly slower"))

@@ -124,11 +124,18 @@ def _machine() -> Iterator[Check]:
 
 def _permissions() -> Iterator[Check]:
     from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
+    from dds_trace.recorder.sweep.station.namespaces import NamespacePair
     from dds_trace.recorder.wire.ring import NO_CAPTURE, may_capture
 
     yield _permitted("-o realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
     yield _permitted("--wire", may_capture(), NO_CAPTURE)
-    yield _permitted("[network] and [link] of a plan", os.geteuid() == 0, "run `dds-trace sweep` as root")
+    refusal = ""
+    try:
+        with NamespacePair(None):
+            pass
+    except TraceError as err:
+        refusal = str(err)
+    yield _permitted("[network] and [link] of a plan", not refusal, refusal)
 
 
 def _permitted(name: str, is_permitted: bool, cure: str) -> Check:

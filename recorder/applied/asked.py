@@ -84,7 +84,10 @@ def asked_settings(
     if vendor == "fastdds" and requested.transport == "default":
         requested = _asked_by_environment(requested, environment or {})
     if buffer_bytes is not None:
-        requested = replace(requested, receive_buffer_bytes=buffer_bytes, buffer_is_exact=True)
+        sending_bytes = buffer_bytes if facts.tcp_has_both_buffers and transport != "udp" else 0
+        requested = replace(
+            requested, receive_buffer_bytes=buffer_bytes, send_buffer_bytes=sending_bytes, buffer_is_exact=True
+        )
     return requested
 
 

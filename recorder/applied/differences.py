@@ -87,7 +87,7 @@ def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
 
 def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None) -> str | None:
     memory, sockets = _memory_of(requested, applied), applied.latest.sockets
-    carrying = [*(sockets or ()), *(applied.begin.sockets or ())]  # a connection may end with the other side
+    carrying = _carrying(applied)
     has_memory = applied.latest.memory is not None
     if facts.shared_memory is False and memory:
         if traffic is not None and payload_path(applied, traffic) == SHARED_MEMORY:
@@ -105,7 +105,7 @@ def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, tr
 
 
 def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    sockets = _udp_sockets(applied)
+    sockets = _sized_sockets(requested, applied)
     ports = domain_port_range(requested.domain_id)
     kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
     in_domain = [read for read in sockets if read.local_port in ports and read.local_port < kernels_port]
@@ -138,7 +138,7 @@ def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Di
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
+    buffers = [read.send_buffer_bytes for read in _sized_sockets(requested, applied)]
     return _buffer("send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied)
 
 
@@ -242,8 +242,16 @@ def _memory_of(requested: Asked, applied: Applied) -> list[SharedMemory]:
     return [file for file in memory if file.middleware == requested.vendor and file.is_in_use]
 
 
-def _udp_sockets(applied: Applied) -> list[Socket]:
+def _sized_sockets(requested: Asked, applied: Applied) -> list[Socket]:
+    """Return the UDP sockets, or the TCP connections where both of their buffers were requested."""
+    if requested.buffer_is_exact and requested.send_buffer_bytes:
+        return [read for read in _carrying(applied) if read.tcp is not None]
     return [read for read in applied.latest.sockets or () if read.protocol == "udp"]
+
+
+def _carrying(applied: Applied) -> list[Socket]:
+    """Return those of the start, too: a connection may end with the other side."""
+    return [*(applied.latest.sockets or ()), *(applied.begin.sockets or ())]
 
 
 def _described(memory: list[SharedMemory]) -> str:

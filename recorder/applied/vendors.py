@@ -44,6 +44,7 @@ class VendorFacts:
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
         builtin_transports: (transport, tuned) of its RMW -> FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
+        tcp_has_both_buffers: whether `-o buffer` is of both directions of its TCP connections, which are read back then.
     """
 
     vendor: str
@@ -57,6 +58,7 @@ class VendorFacts:
     variables: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     builtin_transports: Mapping[tuple[str, bool], str | None] = field(default_factory=dict)
+    tcp_has_both_buffers: bool = False
 
 
 BUFFER_BYTES = 4_000_000
@@ -111,12 +113,14 @@ VENDORS: Mapping[str, VendorFacts] = {
             libraries={r"(lib)?zenohc?\.": "eclipse-zenoh", r"librmw_zenoh_cpp\.so": ""},
             # The other variables are the backend's own, and recorded as hashes.
             variables=("ZENOH_ROUTER_CHECK_ATTEMPTS",),
+            tcp_has_both_buffers=True,
         ),
         VendorFacts(
             "socket",
             transports={"default": TransportFacts("TCP", "tcp"), "udp": UDP},
-            # Only buffers of UDP sockets are compared; the kernel sizes TCP buffers itself.
+            # The kernel sizes buffers of TCP itself.
             tuned=TunedFacts(BUFFER_BYTES),
+            tcp_has_both_buffers=True,
         ),
     )
 }

@@ -41,8 +41,8 @@ SWITCH_INTERVAL_S = 0.0005
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 
 HOW_TO_BE_PERMITTED = (
-    "run as root, or add 'USER - rtprio 99' and 'USER - memlock unlimited' to "
-    "/etc/security/limits.conf and log in again, or leave -o realtime out"
+    "run as root (of a container: --cap-add SYS_NICE --ulimit rtprio=99 --ulimit memlock=-1), or add 'USER - rtprio 99' and "
+    "'USER - memlock unlimited' to /etc/security/limits.conf and log in again, or leave -o realtime out"
 )
 
 _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
@@ -124,7 +124,9 @@ def _thread_times_ns() -> dict[str, int]:
 
 
 def may_be_realtime() -> bool:
-    return os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0
+    """Return whether a process of its own gets it: root in a container may not."""
+    trial = f"from {__name__} import apply_privileges; apply_privileges(realtime_priority=1)"
+    return subprocess.run([sys.executable, "-c", trial], capture_output=True, check=False).returncode == 0
 
 
 def _threads() -> list[int]:

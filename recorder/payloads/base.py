@@ -104,6 +104,7 @@ class DataType:
     objects: Form[RosMessage, RosMessage] | None
     object_stamp: HeaderStampPlace | StringStampPlace
     make: Callable[[int | None, int, threading.Event | None], Payload]
+    flow: str = ""
 
     @property
     def relay_topic(self) -> str:
@@ -111,7 +112,7 @@ class DataType:
         return self.topic + RELAY_SUFFIX
 
     def in_flow(self, name: str) -> DataType:
-        return replace(self, topic=f"{self.topic}_{name}")
+        return replace(self, topic=f"{self.topic}_{name}", flow=name)
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
         """Return the form of message objects, if there is one."""

@@ -153,7 +153,8 @@ def _advice(
         return _advice_unheard(node, plan.payload.payload_bytes, causes)
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
-    further = "" if data_type.name in data_types() else f"--type {data_type.type_name} "
+    further = f"-o flow={data_type.flow} " if data_type.flow else ""
+    further += "" if data_type.name in data_types() else f"--type {data_type.type_name} "
     dds_backends = ", ".join(entry.name for entry in load_backends() if entry.speaks_dds)
     meeting = load_backend(backend).describe_meeting(domain_id, dds_backends)
     crossing = (

@@ -17,6 +17,7 @@ from __future__ import annotations
 import ctypes
 import os
 import tempfile
+import time
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from importlib import import_module
@@ -255,6 +256,23 @@ def send_unlocked() -> None:
     for kind, method, function in _SENDS:
         setattr(getattr(binding, kind), method, _sending(function))
     binding.Publisher.publish_raw = _publish_raw
+
+
+BLOCKED_S = 0.05
+"""Half of `max_blocking_time` of Fast DDS: a send that fails sooner has another cause than a full history."""
+
+
+def send_when_free(send: Callable[[], object]) -> None:
+    """Send until a writer with keep_all has room: rclpy raises when it has waited for `max_blocking_time`."""
+    while True:
+        start_s = time.monotonic()
+        try:
+            send()
+        except (RuntimeError, BackendUnavailableError) as err:
+            if time.monotonic() - start_s < BLOCKED_S:
+                raise BackendUnavailableError(f"ROS 2 cannot send a message: {str(err).splitlines()[0]}") from err
+        else:
+            return
 
 
 def _send(function: str, entity: Any, *arguments: Any) -> None:

@@ -22,7 +22,7 @@ from ...choices import ExecutorKind
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Publication, ThreadedNode, TopicView
 from ..other_side import NOT_TEXT
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, other_definitions, requested_durations
-from .fastdds_profile import send_unlocked, uses_tcp
+from .fastdds_profile import send_unlocked, send_when_free, uses_tcp
 from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
@@ -136,8 +136,8 @@ class Ros2Node(ThreadedNode):
         self.error = next((node.error for node in (self, *self._further) if node.error is not None), None)
         infos = self._infos("/parameter_events") or []
         own_gid = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
-        names = ((name, types) for name, types in self._names_and_types(matches.texts) if matches(name))
-        return [publication for name, types in names for publication in self._publications(name, types, own_gid)]
+        names = (named for named in self._names_and_types(matches.texts) if matches(named[0]))
+        return [publication for named in names for publication in self._publications(*named, own_gid)]
 
     def _names_and_types(self, names: Sequence[str]) -> list[tuple[str, list[str]]]:
         """Return the graph's topics; where a name is not text, which fails the list, the topics of ROS nodes and of `names`."""
@@ -158,8 +158,7 @@ class Ros2Node(ThreadedNode):
         return None
 
     def _publications(self, name: str, types: Sequence[str], own_gid: bytes) -> list[Publication]:
-        infos = self._infos(name)
-        if infos is None:  # who joins it gets rclpy's reason
+        if (infos := self._infos(name)) is None:  # who joins it gets rclpy's reason
             return [Publication(name, type_name) for type_name in types]
         return [
             Publication(
@@ -200,8 +199,7 @@ class Ros2Node(ThreadedNode):
         return None
 
     def members(self, type_name: str) -> Mapping[str, str] | None:
-        fields: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()
-        return fields
+        return cast("Mapping[str, str]", message_class(type_name).get_fields_and_field_types())
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
         self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)
@@ -284,7 +282,10 @@ class _ObjectPublisher:
         self.publisher = publisher
 
     def publish(self, message: RosMessage, /) -> None:
-        self.publisher.publish(message)
+        try:
+            self.publisher.publish(message)
+        except (RuntimeError, BackendUnavailableError):
+            send_when_free(partial(self.publisher.publish, message))
 
     def wait_until_acknowledged(self) -> None:
         duration = _rclpy().duration.Duration(seconds=LAST_ACKNOWLEDGEMENT_S)
@@ -301,13 +302,12 @@ class _RawPublisher(_ObjectPublisher):
         self._handle = publisher.handle
 
     def publish(self, message: RawMessage, /) -> None:
-        # Publisher.publish takes only `bytes`, a copy between T1 and the middleware; the binding below it also takes a
-        # bytearray, since pybind11 2.10.
+        # Publisher.publish takes a copy in `bytes`; the binding below it also a bytearray, since pybind11 2.10.
         try:
             with self._handle:
                 self._handle.publish_raw(message)
-        except TypeError:
-            self.publisher.publish(bytes(message))
+        except (TypeError, RuntimeError, BackendUnavailableError):
+            super().publish(bytes(message))
 
 
 @dataclass(slots=True)

@@ -1,4 +1,5 @@
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -236,6 +237,13 @@ def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tm
     costs = [check for check in json.loads(result.output) if check["part"] == "cost"]
     assert [check["works"] for check in costs] == [True] + [False] * (len(costs) - 1)
     sentences(costs[0]["detail"], costs[-1]["detail"])
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
+def test_doctor_permits_nothing_to_the_root_of_a_container():
+    ask = "from dds_trace.cli import doctor; print(*(check.works for check in doctor._permissions()))"
+    withheld = ["setpriv", "--bounding-set=-all", "prlimit", "--rtprio=0", sys.executable, "-c", ask]
+    assert subprocess.run(withheld, check=True, capture_output=True, text=True).stdout.split() == ["False"] * 3
 
 
 @pytest.mark.middleware

@@ -60,6 +60,10 @@ def test_a_profile_of_our_own_is_read_as_what_it_was_written_from():
     ) == ProfileRequest(("udp",), 4_000_000, replaces_builtin=True)
 
 
+SIZED = {"receive_buffer_bytes": 5000, "buffer_is_exact": True}
+OVER_TCP = ("socket", "zenoh")
+
+
 @pytest.mark.parametrize(
     ("vendor", "options", "expected"),
     [
@@ -74,6 +78,8 @@ def test_a_profile_of_our_own_is_read_as_what_it_was_written_from():
             {"transport": "udp", "tuned": True, "discovery": "localhost"},
             Asked("socket", 5, "udp", True, "localhost", 4_000_000),
         ),
+        ("socket", {"transport": "udp", "buffer_bytes": 5000}, Asked("socket", 5, "udp", **SIZED)),
+        *((vendor, {"buffer_bytes": 5000}, Asked(vendor, 5, **SIZED, send_buffer_bytes=5000)) for vendor in OVER_TCP),
     ],
 )
 def test_options_by_vendor(vendor, options, expected):

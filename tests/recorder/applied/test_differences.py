@@ -35,6 +35,8 @@ UNSERVED = applied(sockets=(udp(7411),), memory=(segment(), port(), port(7413, i
 UDP, PROFILE = Asked("fastdds", transport="udp"), Asked("fastdds", transport="udp", profile="mine.xml")
 SHM, LARGE_DATA = Asked("fastdds", transport="shm"), Asked("fastdds", transport="large-data")
 ETH1 = Asked("cyclonedds", interface="eth1")
+SIZED = Asked("zenoh", receive_buffer_bytes=50 * MB, send_buffer_bytes=50 * MB, buffer_is_exact=True)
+GRANTED = (replace(tcp(), receive_buffer_bytes=8_388_608, send_buffer_bytes=8_388_608), udp(7446))
 BBR = Asked("socket", domain_id=14, congestion_control="bbr")
 # Domain 115 has the ports from 36150 on, which the kernel gives to anybody.
 IN_115, SOCKETS_OF_115 = replace(TUNED, domain_id=115), (udp(36_160, 8_000_000), replace(SENDING, local_port=36_342))
@@ -61,6 +63,10 @@ def carried(lo, eth1, **more):
             *(TUNED, applied(sockets=(udp(7411, 425_984, 425_984),), limits=LIMITS_CUT), None),
             *("kernel_limit kernel_limit",),
             id="kernel's limit",
+        ),
+        pytest.param(
+            *(SIZED, applied(begin_sockets=GRANTED, limits=LIMITS, end={}), TRAFFIC, "kernel_limit kernel_limit"),
+            id="kernel's limit of a connection that ended",
         ),
         pytest.param(
             TUNED, applied(sockets=(SENDING, LARGE, udp(7411)), limits=LIMITS), None, "tuned", id="one small buffer"
@@ -117,6 +123,14 @@ def test_what_is_not_applied_is_named(asked, read_back, traffic, settings, sente
         pytest.param(Asked("fastdds"), UNSERVED, None, id="nothing was sent to the unserved port"),
         pytest.param(Asked("fastdds"), UNSERVED, Traffic(20, 1, 100_000), id="a reply came all the same"),
         pytest.param(Asked("socket"), applied(sockets=(tcp(),)), None, id="default of sockets is tcp"),
+        pytest.param(
+            *(
+                replace(SIZED, receive_buffer_bytes=4_194_304, send_buffer_bytes=4_194_304),
+                applied(sockets=GRANTED),
+                None,
+            ),
+            id="buffers of a connection",
+        ),
         pytest.param(SHM, applied(memory=None), None, id="memory unknown"),
         pytest.param(MEMORY_ON, applied(memory=None), None, id="zenoh's memory unknown"),
         pytest.param(TUNED, applied(sockets=None), None, id="sockets unknown"),

@@ -1,4 +1,5 @@
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import pytest
 from applied_pair import needs_large_buffers, run_pair
 from middlewares import needs
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import fastdds_profile
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
@@ -15,10 +16,12 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     localhost_profile,
     profile_environment,
     requested_profile,
+    send_when_free,
     written_profile,
 )
 from dds_trace.recorder.choices import Discovery, Transport
 
+TIMES_S = [0.0, 0.1, 0.1, 0.2, 0.2, 0.2]
 GOLDEN = Path(__file__).parents[2] / "data" / "fastdds_profiles"
 ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}
 
@@ -35,6 +38,20 @@ ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}
 )
 def test_the_text_by_transport(name, transport, tuned):
     assert requested_profile(transport, tuned=tuned) == (GOLDEN / f"{name}.xml").read_text()
+
+
+@pytest.mark.parametrize(("full", "fails"), [(2, False), (3, True)], ids=["twice full", "then broken"])
+def test_a_writer_without_room_waits_and_a_broken_one_fails_in_one_line(monkeypatch, full, fails):
+    monkeypatch.setattr(fastdds_profile.time, "monotonic", iter(TIMES_S).__next__)
+    refusals = [RuntimeError("cannot publish data\nat rmw_publish.cpp")] * full
+
+    def send():
+        if refusals:
+            raise refusals.pop()
+
+    with pytest.raises(BackendUnavailableError, match=r"cannot publish data$") if fails else nullcontext():
+        send_when_free(send)
+    assert not refusals
 
 
 def test_the_default_needs_no_profile():

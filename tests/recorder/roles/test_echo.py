@@ -151,10 +151,10 @@ def test_another_type_on_the_topic_is_named_by_a_backend_that_cannot_count(node,
     assert "an unknown number of other nodes" in text
 
 
-def test_a_type_that_the_relay_needs_as_an_option_is_named(node):
+def test_a_type_and_a_flow_that_the_relay_needs_as_options_are_named(node):
     payload = Payload(header_data_type("sensor_msgs/msg/PointCloud2"), (Message(bytearray(200), 136),), 136)
-    text = explain_silence(node, RunPlan(payload, 10.0, 5, relay_domain_id=5), 20)
-    assert "--discovery localhost --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text
+    text = explain_silence(node, RunPlan(payload.in_flow("left"), 10.0, 5, relay_domain_id=5), 20)
+    assert "--discovery localhost -o flow=left --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text
 
 
 def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan, sentences):

@@ -17,7 +17,7 @@ from ..model.setting import parse_setting
 from ..statistics.percentiles import summarize_values
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from ..pairing.exchanges import Exchange
     from ..pairing.rows import RowStore
@@ -63,13 +63,16 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
         for together, crowded in sorted(runs.items()):
             frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
             own_rows = frame.filter(pl.col("run_id").is_in([exchange_runs[0].run.run_id for exchange_runs in crowded]))
-            relays = _by_relay(together[0], crowded, own_rows) if max(map(len, crowded)) > 1 else []
+            several = max(map(len, crowded)) > 1
+            if several and own_rows.select(_MESSAGE).is_unique().all():  # a relay that was restarted
+                continue
+            relays = _by_relay(together[0], crowded, own_rows) if several else []
             rows_of["fan_out"].append(
                 {
                     "group": together[0],
                     "groups": " ".join(map(str, together)),
                     **_times(own_rows, relays),
-                    **_costs(crowded, host_samples),
+                    **_costs(crowded, host_samples, _joined_late(own_rows)),
                 }
             )
             rows_of["fan_out_positions"] += relays
@@ -80,6 +83,13 @@ def _is_crowded(exchanges: Sequence[Exchange]) -> bool:
     return exchanges[0].relays > 1 or not {"pings", "topics"}.isdisjoint(
         parse_setting(exchanges[0].parameters().setting)
     )
+
+
+def _joined_late(rows: pl.DataFrame) -> dict[int, int]:
+    """Return the number of relays of each run that began within it, so that no earlier message could meet them."""
+    first = rows.group_by("run_id", "relay_id").agg(pl.col("sequence").min())
+    late = first.filter(pl.col("sequence") > pl.col("sequence").min().over("run_id"))
+    return dict(late.group_by("run_id").len().iter_rows())
 
 
 def _complete(rows: pl.DataFrame) -> pl.DataFrame:
@@ -124,7 +134,7 @@ def _times(rows: pl.DataFrame, relays: Sequence[dict[str, object]]) -> dict[str,
     }
 
 
-def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[str, object]:
+def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame, late: Mapping[int, int]) -> dict[str, object]:
     values: dict[str, list[float]] = defaultdict(list)
     recorders = []
     for exchanges in runs:
@@ -142,8 +152,9 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[st
         )
         values["wire"] += [sent / run.published / len(exchanges)] if classes and run.published else []
         met = object_of(run.extra.get("discovery"))
-        values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))) else []
-        values["missed"] += [sum(_numbers(met.get("missed")))] if times else []
+        there = len(exchanges) - late.get(run.run_id, 0)
+        values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))[:there]) else []
+        values["missed"] += [sum(_numbers(met.get("missed"))[:there])] if times else []
         values["discovery"] += filter(None, _numbers([met.get("bytes")]))
         ping_machine = machine_of(ping)
         recorders.append(exchanges[0].flows + sum(machine_of(relay) == ping_machine for relay in relays.values()))

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from itertools import pairwise
+
+import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from dds_trace.base.units import SECOND_NS
 
+from ..clocks.boots import machine_of
 from ..model.metrics import frame_schema
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome
 from ..pairing.roundtrips import RoundTrips
@@ -115,9 +121,11 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     if deadline_ns is not None:
         in_time = value + bound <= deadline_ns
         missed = pl.col("code").is_in(never) | (value - bound > deadline_ns).fill_null(False)
-    return roundtrips.measured.with_columns(
-        pl.Series("exchange", roundtrips.exchange_of_row()), pl.Series("code", roundtrips.outcome)
-    ).select(
+    exchange, first_of = roundtrips.exchange_of_row(), _first_of_restarted(batch, roundtrips)
+    rows = roundtrips.measured.with_columns(
+        pl.Series("exchange", first_of[exchange]), pl.Series("code", roundtrips.outcome)
+    )
+    return (rows if np.array_equal(first_of[exchange], exchange) else rows.sort("exchange", "sequence")).select(
         "exchange",
         "sequence",
         "receive_ns",
@@ -129,6 +137,24 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         missed=missed,
         in_time=in_time.fill_null(False),
     )
+
+
+def _first_of_restarted(batch: Batch, roundtrips: RoundTrips) -> NDArray[np.uint32]:
+    """Return for each exchange the one that it goes on with: of a relay that was restarted within the run, the first."""
+    sequence, bounds = roundtrips.measured["sequence"], roundtrips.bounds.tolist()
+    spans = [
+        (sequence[first], sequence[end - 1], at) for at, (first, end) in enumerate(pairwise(bounds)) if first < end
+    ]
+    first_of = np.arange(len(batch.exchanges), dtype=np.uint32)
+    latest: dict[Hashable, tuple[int, int]] = {}
+    for first_sequence, last_sequence, at in sorted(spans):
+        exchange = batch.exchanges[at]
+        if exchange.relay is not None and exchange.relays > 1:
+            key = batch.group_of_exchange[at], exchange.run.run_id, machine_of(exchange.relay)
+            relay, ended = latest.get(key, (at, -1))
+            first_of[at] = relay if ended < first_sequence else at
+            latest[key] = int(first_of[at]), last_sequence
+    return first_of
 
 
 def runs_of(rows: pl.DataFrame, happened: pl.Expr) -> pl.LazyFrame:

@@ -87,11 +87,21 @@ def test_a_restarted_relay_is_not_a_suspend(tmp_path, sentences):
     sentences(restarted)
 
 
-def write_restarted_relay(folder, first, second):
+def test_messages_lost_while_a_relay_restarts_are_one_outage_that_ends_and_no_fan_out(tmp_path):
+    sent = [replace(m, t2=None, t3=None, t4=None) if 90 <= m.sequence < 110 else m for m in drawn()]
+    write_restarted_relay(tmp_path, sent[:110], sent[110:], monotonic_anchor_ns=sent[110].t1)
+    details = analyze(tmp_path).details
+    assert details.outages.select("first_sequence", "messages").rows() == [(90, 20)]
+    assert details.outages["end_ns"].to_list() == [sent[110].t2]
+    assert details.freshness["messages"].to_list() == [200]
+    assert details.fan_out.is_empty()
+
+
+def write_restarted_relay(folder, first, second, **session):
     ping = merged_events([ping_events(first), ping_events(second, relay_id=2)])
     write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
     write_trace(folder / "one.mcap", relay_session(), (), relay_events(first))
-    restarted = relay_session(session_id=9, relay_id=2)
+    restarted = relay_session(session_id=9, relay_id=2, **session)
     write_trace(folder / "two.mcap", restarted, (), relay_events(second, relay_id=2))
 
 

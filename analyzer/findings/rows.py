@@ -88,13 +88,10 @@ def sentence(template: str, row: Row) -> str:
 def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
     ids = ("run_id", "session_id", "relay_id")
     for row in rows:
-        row.update({name: _encodable(value) for name, value in row.items() if isinstance(value, str)})
+        texts = {name: value for name, value in row.items() if isinstance(value, str) and not value.isascii()}
+        row.update({name: text.encode("utf-8", "backslashreplace").decode() for name, text in texts.items()})
     overrides = dict.fromkeys([name for name in ids if rows and name in rows[0]], pl.UInt64)
     return pl.DataFrame(rows, schema_overrides=overrides, infer_schema_length=None)
-
-
-def _encodable(text: str) -> str:
-    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def named(_evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:

@@ -53,7 +53,8 @@ def write_setting(values: Mapping[str, str]) -> str:
 
 
 def parse_setting(text: str) -> dict[str, str]:
-    pairs = (part.partition("=") for part in _split(text))
+    parts = re.findall(rf"(?:^|(?<=,))({_PART.pattern})(?=,|$)", text)
+    pairs = (part.partition("=") for part in parts if part)
     return {unquote(key): unquote(value) for key, _, value in pairs}
 
 
@@ -137,7 +138,3 @@ def _quoted(text: str, further: str = "") -> str:
     """Escape `%`, and what would end a key or value, as URLs do."""
     special = "%" + further + ("" if _PART.fullmatch(text) else ",()")
     return "".join(f"%{ord(c):02X}" if c in special else c for c in text)
-
-
-def _split(text: str) -> list[str]:
-    return [part for part in re.findall(rf"(?:^|(?<=,))({_PART.pattern})(?=,|$)", text) if part]

@@ -223,7 +223,8 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     )
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
     flows = count_flows(exchange.span() for exchange in placed)
-    placed = sorted((replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed), key=_start)
+    placed = [replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed]
+    placed.sort(key=lambda exchange: (exchange.start_ns, exchange.run.run_id, exchange.relay_id))
     return Exchanges(tuple(placed), tuple(unplaced), tuple(doubts), tuple(copies))
 
 
@@ -267,10 +268,6 @@ def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts]) 
     events = sum(len(merge_parts(parts)[0]) for parts in parts_of_stages)
     traces = sorted({part.trace for parts in parts_of_stages for part in parts})
     return Unplaced(reason, run_id, relay_id, events, tuple(traces))
-
-
-def _start(exchange: Exchange) -> tuple[int, int, int]:
-    return exchange.start_ns, exchange.run.run_id, exchange.relay_id
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:

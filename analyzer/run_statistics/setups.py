@@ -181,11 +181,8 @@ def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -
         tiers = [tier for tier in unique if not any(tier < larger for larger in unique)]
     index = {name: number for number, name in enumerate(names)}
     tiers.sort(key=lambda tier: sorted(index[name] for name in tier))
-    return {name: "".join(_letter(number) for number, tier in enumerate(tiers) if name in tier) for name in names}
-
-
-def _letter(number: int) -> str:
-    return ascii_letters[number] if number < len(ascii_letters) else chr(0x100 + number)
+    letters = [*ascii_letters, *(chr(0x100 + number) for number in range(len(ascii_letters), len(tiers)))]
+    return {name: "".join(letters[number] for number, tier in enumerate(tiers) if name in tier) for name in names}
 
 
 def overlap_in_time(first: Sequence[int], other: Sequence[int]) -> bool:

@@ -110,7 +110,7 @@ def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> A
             transport=request.transport,
             receive_buffer_bytes=request.receive_buffer_bytes,
             send_buffer_bytes=request.send_buffer_bytes,
-            interface=_interface_at(request.interfaces[0]) if len(request.interfaces) == 1 else "",
+            interface=_interface_at(*request.interfaces) if len(request.interfaces) == 1 else "",
             profile=Path(path).name,
         )
     name, _, options = environment.get("FASTDDS_BUILTIN_TRANSPORTS", "").partition("?")

@@ -11,8 +11,7 @@ from coverage_campaigns import SPREAD, kinds_of
 from simulated import LOSSES, SEED, Table, estimate_of, percent
 
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates, least_variances
-from dds_trace.analyzer.run_statistics.late_share import late_share
-from dds_trace.analyzer.run_statistics.received import loss_excesses
+from dds_trace.analyzer.run_statistics.received import late_share, loss_excesses
 from dds_trace.analyzer.run_statistics.runs import Run, Runs
 from dds_trace.analyzer.run_statistics.setups import DEPENDENT_UP_TO
 from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import polars as pl
 
 from dds_trace.analyzer.model.setting import LOAD, parse_setting
-from dds_trace.analyzer.run_statistics.late_share import late_share
+from dds_trace.analyzer.run_statistics.received import late_share
 from dds_trace.analyzer.verdicts.matching import SetupRuns
 from dds_trace.base.units import format_duration, format_rate, format_size
 

@@ -25,7 +25,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .lines import DRIFT, OffsetIntervals
+from .lines import DRIFT, Float64, Int64, OffsetIntervals
 from .windows import Windows, fit_windows
 
 _BLOCKS = (1 << 12, 1 << 17)
@@ -111,8 +111,6 @@ def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:
     return start + int(foreign[-1]) + 1 if len(foreign) else step
 
 
-Int64 = NDArray[np.int64]
-Float64 = NDArray[np.float64]
 T = TypeVar("T", int, NDArray[np.int64])
 
 

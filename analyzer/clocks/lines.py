@@ -85,6 +85,7 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
 
 
 Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
 Intp = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 

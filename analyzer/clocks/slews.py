@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .lines import Int64
 from .windows import WINDOW_NS
-
-Int64 = NDArray[np.int64]
-
 
 CRYSTAL_PPB = 100_000
 """Largest drift of a crystal, 100 ppm; a larger one is a slew or a fault."""

@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..statistics.percentiles import minimum_messages
-from .bursts import Cells, cells_of, mean_distance, positions_of
+from .bursts import Cells, Float64, Indices, Int64, cells_of, mean_distance, positions_of
 
 Values = NDArray[Any]  # int64 or float64
-Int64 = NDArray[np.int64]
-Float64 = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 class Run:

@@ -18,13 +18,12 @@ from itertools import combinations
 from string import ascii_letters
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..statistics.distributions import special, student_cdf
 from ..statistics.intervals import MIN_RUNS
+from .bursts import Float64
 from .two_samples import StudentTest, welch
 
-Float64 = NDArray[np.float64]
 Key = tuple[Hashable, str]
 """Kind of message and setup."""
 

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..statistics.distributions import student_cdf, student_quantile
+from .bursts import Float64
 
-Float64 = NDArray[np.float64]
 Ends = tuple[float, float, float]
 """An estimate, its lower and its upper end."""
 

@@ -16,7 +16,7 @@ from dds_trace.tracefile.format.descriptions import Run
 from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS, ParameterValue
 from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.late_share import LateShare, late_share
+from ..run_statistics.received import LateShare, late_share
 from ..run_statistics.runs import Statistic
 from ..run_statistics.spread import runs_to_settle_value
 from ..statistics.intervals import MIN_RUNS, Basis, Interval, Range, ranges_overlap

@@ -33,7 +33,6 @@ from .emulation import (
 if TYPE_CHECKING:
     import subprocess
     from collections.abc import Iterable
-    from types import TracebackType
 
     from typing_extensions import Self
 
@@ -101,9 +100,7 @@ class NamespacePair:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._remove()
 
     def report(self) -> LinkReport:

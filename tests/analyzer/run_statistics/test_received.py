@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.bursts import COSINES, share_inflation
 from dds_trace.analyzer.run_statistics.change import Verdict
-from dds_trace.analyzer.run_statistics.late_share import late_share
 from dds_trace.analyzer.run_statistics.received import (
     DeliveryChange,
     change_of_received,
+    late_share,
     received_interval,
     wilson_ends,
 )

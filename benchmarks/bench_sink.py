@@ -23,14 +23,14 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from dds_trace.recorder.host.recorder_cost import (
+from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP
+from dds_trace.recorder.roles.floor import (
     PACE_NS,
     measure_timer_ns,
     measuring_session,
     time_paced_events,
     worst_stall_ns,
 )
-from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP
 from dds_trace.tracefile.format.encoding import CDR_HEADER
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage
 from dds_trace.tracefile.writing.destination import TraceDestination

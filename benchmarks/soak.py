@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.host.recorder_cost import measuring_session
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads import open_payload
+from dds_trace.recorder.roles.floor import measuring_session
 from dds_trace.recorder.roles.ping import open_ping
 from dds_trace.recorder.roles.plan import plan_run
 from dds_trace.tracefile.format.descriptions import Qos

@@ -143,7 +143,7 @@ def _permitted(name: str, is_permitted: bool, cure: str) -> Check:
 
 
 def _costs(out: Path | None) -> Iterator[Check]:
-    from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
+    from dds_trace.recorder.roles.floor import measure_recorder_cost
 
     # The nearest existing folder is on the same disk.
     folder = None if out is None else next(folder for folder in out.absolute().parents if folder.is_dir())

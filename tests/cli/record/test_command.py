@@ -21,11 +21,11 @@ from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
 from dds_trace.recorder.errors import BridgeError, LossesError, StoppedError
-from dds_trace.recorder.host.recorder_cost import RecorderCost
 from dds_trace.recorder.option import parse_percentage
 from dds_trace.recorder.option_table import OPTIONS, help_of
 from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
 from dds_trace.recorder.recording import Recorded
+from dds_trace.recorder.roles.floor import RecorderCost
 from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
@@ -224,8 +224,7 @@ def test_a_whole_trace_has_nothing_to_recover_and_one_that_was_cut_off_is_closed
 def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path, sentences):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
-        "dds_trace.recorder.host.recorder_cost.measure_recorder_cost",
-        lambda folder: cost if folder == tmp_path else None,
+        "dds_trace.recorder.roles.floor.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
     )
 
     def without_middleware(*_):

@@ -12,8 +12,8 @@ from waiting import PATIENCE_S
 
 from dds_trace.base.errors import OutputError
 from dds_trace.recorder.host import sampling
-from dds_trace.recorder.host.recorder_cost import measure_recorder_cost, worst_stall_ns
 from dds_trace.recorder.host.sampling import HostSampler
+from dds_trace.recorder.roles.floor import measure_recorder_cost, worst_stall_ns
 
 
 def test_samples_of_host_and_own_process_arrive_until_stopped():
@@ -85,6 +85,6 @@ def test_the_clock_that_is_taken_off_is_the_cold_one(monkeypatch, tmp_path):
     assert cost.cold_timer_ns > 0
     gross = np.array([9_000.0, 7_000.0, 400.0] * 50)
     measured = (gross, np.full(100, 850.0))
-    monkeypatch.setattr("dds_trace.recorder.host.recorder_cost.time_paced_events", lambda *_: measured)
+    monkeypatch.setattr("dds_trace.recorder.roles.floor.time_paced_events", lambda *_: measured)
     assert measure_recorder_cost(tmp_path, seconds=0.1).record_median_ns == 7_000 - 850
     assert measure_recorder_cost(tmp_path, seconds=0.1).record_max_ns == 9_000 - 850

@@ -56,7 +56,6 @@ _SPUN = (
     "there; repeat it without -o realtime, or on another transport"
 )
 LOOK_S = 0.5
-"""Period of checks of a running role."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,14 +16,12 @@ PRESENTER_MODULE = "dds_trace.reports.notebook"
 class Presenter(Protocol):
     """Functions of `PRESENTER_MODULE`."""
 
-    def first_screen(self, analysis: Any) -> str:
-        """Return the first screen as HTML."""
+    def first_screen(self, analysis: Any) -> str: ...
 
     def comparison_screen(self, comparison: Any) -> str:
         """Return the answer of a comparison and its results as HTML."""
 
-    def plot(self, analysis: Any, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure:
-        """Return a figure."""
+    def plot(self, analysis: Any, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure: ...
 
     def show(self, analysis: Any, folder: Path | None) -> Path:
         """Write the report and open it."""

@@ -48,8 +48,7 @@ class RowStore(ABC):
         """Absolute path of the file of the rows, if there is one."""
 
     @abstractmethod
-    def moved_to(self, path: Path) -> None:
-        """Take note of the new path of their file."""
+    def moved_to(self, path: Path) -> None: ...
 
     @abstractmethod
     def load(self) -> pl.DataFrame:

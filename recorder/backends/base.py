@@ -27,9 +27,7 @@ class Meeting(Enum):
     """How the nodes of a ping and a relay meet."""
 
     DISCOVERY = "discovery"
-    """They discover each other."""
     DISCOVERY_OR_PEERS = "discovery or peers"
-    """They discover each other, or use given addresses."""
     PEERS = "peers"
     """The ping connects to the relay's address, the relay listens."""
 
@@ -38,7 +36,6 @@ DDS_MEETING = (
     "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
     "multicast through"
 )
-"""Start of `meeting_needs` of backends that speak DDS."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

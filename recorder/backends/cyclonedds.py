@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 MAX_ENDPOINTS = 10_000
 MAX_TRIGGERS = 256  # most readers that one wait reports
 TYPE_WAIT_NS = SECOND_NS
-"""Longest wait for the definition of a publisher's type."""
 TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 

@@ -33,6 +33,8 @@ RawMessage: TypeAlias = "bytes | bytearray"
 
 RosMessage: TypeAlias = Any  # of a class that ROS 2 generates
 
+RELAY_SUFFIX = "_relay"  # of the topic of a way back
+
 MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 
 
@@ -349,12 +351,10 @@ class Node(ABC):
             self._leave()
 
     @abstractmethod
-    def _stop_receiving(self, timeout_s: float | None) -> None:
-        """End the threads of the subscriptions."""
+    def _stop_receiving(self, timeout_s: float | None) -> None: ...
 
     @abstractmethod
-    def _leave(self) -> None:
-        """Send what is queued and leave the domain."""
+    def _leave(self) -> None: ...
 
     def __enter__(self) -> Self:
         return self
@@ -420,3 +420,34 @@ class ObjectNode(Protocol):
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
         """Serialize a message object."""
+
+
+@dataclass(slots=True)
+class CallMessage:
+    """A request or response of a typed call; `data` is what a request carries, serialized, and empty in what is received."""
+
+    stamp: str
+    data: RawMessage = b""
+    payload_bytes: int = 0
+    built: Any = None
+
+
+@runtime_checkable
+class CallNode(Protocol):
+    """A node with calls of typed messages as topics: a publisher calls, a subscription serves, and a relay's publisher responds."""
+
+    def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
+        """Create a client, or the responding end of a relay."""
+
+    def create_server(self, topic: str, receive: Receive[CallMessage], qos: Qos) -> Subscription:
+        """Serve requests, or take the responses of the clients."""
+
+
+@runtime_checkable
+class Caller(Protocol):
+    """A publisher that calls."""
+
+    def is_matched(self) -> bool: ...
+
+    def describe(self) -> dict[str, int]:
+        """Return times of its calls in ns, at the end of a run."""

@@ -73,7 +73,7 @@ def name_of_participant(name: str, security: Security) -> str:
 def unlike_participant(names: Iterable[str], security: Security, network: Iterable[str]) -> str:
     """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`.
 
-    `place` is the node's backend, domain and discovery range.
+    `network` is the node's backend, domain and discovery range.
     """
     secured = security is not Security.OFF
     for name in sorted(_names_without_security(*network) if secured else names):

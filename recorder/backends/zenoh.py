@@ -23,9 +23,8 @@ from ..choices import Call, Discovery, Reliability, Security, Transport, WhenFul
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
-from .call_node import RELAY_SUFFIX
 from .dds_types import DDS_TYPES
-from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
+from .node import RELAY_SUFFIX, Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
 from .qos import refuse_policies
 from .zenoh_ros import GRAPH_KEY, data_key, origin_of, parse_token
 

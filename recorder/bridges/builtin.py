@@ -25,8 +25,7 @@ from .base import Bridge, BridgedTopic, BridgeOptions, BridgeSide, Half
 INSTALL_ROS2 = (
     "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]' (in a clone '.[ros2]'), or source /opt/ros/DISTRO/setup.bash"
 )
-UP_LINE = "bridging"
-"""First word of the log line when the bridge is up."""
+UP_LINE = "bridging"  # as its log starts
 
 CHECK_PERIOD_S = 0.5
 

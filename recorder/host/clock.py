@@ -33,8 +33,7 @@ class ClockAnchor:
 class Clock(Protocol):
     """A clock and the waits on it; tests have their own."""
 
-    def monotonic_ns(self) -> int:
-        """Read CLOCK_MONOTONIC, in ns."""
+    def monotonic_ns(self) -> int: ...
 
     def anchor(self) -> ClockAnchor:
         """Read the monotonic and the wall clock at one instant."""

@@ -12,8 +12,7 @@ from typing import Generic, Protocol, TypeVar
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
-from ..backends.call_node import RELAY_SUFFIX
-from ..backends.node import Node, RawMessage, RosMessage
+from ..backends.node import RELAY_SUFFIX, Node, RawMessage, RosMessage
 from ..errors import StoppedError
 from .stamp import HeaderStampPlace, SentT, StampPlace, StringStampPlace
 

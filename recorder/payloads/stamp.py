@@ -7,8 +7,7 @@ from binascii import unhexlify
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from ..backends.call_node import CallMessage
-    from ..backends.node import RawMessage, RosMessage
+    from ..backends.node import CallMessage, RawMessage, RosMessage
 
 STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"

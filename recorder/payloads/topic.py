@@ -15,8 +15,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS, counted
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..backends.call_node import RELAY_SUFFIX
-from ..backends.node import Endpoint, Node, ObjectNode, RosMessage
+from ..backends.node import RELAY_SUFFIX, Endpoint, Node, ObjectNode, RosMessage
 from ..choices import Durability, History, Reliability
 from .base import DataType, Message, Payload, PayloadContext, Source
 from .header import recognize_data_type

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
 
-from ..backends.call_node import Caller, CallMessage, CallNode
-from ..backends.node import ObjectNode
+from ..backends.node import Caller, CallMessage, CallNode, ObjectNode
 from ..choices import Serialization
 from ..payloads.base import Form
 from ..payloads.stamp import CALL_STAMP, SentT

@@ -16,8 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ...choices import Call, ExecutorKind
-from ..call_node import RELAY_SUFFIX, CallMessage
-from ..node import Endpoint, NodeSubscription, TopicView
+from ..node import RELAY_SUFFIX, CallMessage, Endpoint, NodeSubscription, TopicView
 from .fastdds_profile import uses_tcp
 from .installation import message_class
 from .node import Ros2Node, qos_profile

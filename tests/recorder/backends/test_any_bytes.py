@@ -11,8 +11,7 @@ from middlewares import skip_without
 from processes import relay, running
 
 from dds_trace.recorder.backends import load_backend, open_node
-from dds_trace.recorder.backends.call_node import RELAY_SUFFIX
-from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.backends.node import RELAY_SUFFIX, NodeOptions
 from dds_trace.recorder.choices import Call, Discovery, Transport
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.roles.relay import UNSTAMPED

@@ -157,19 +157,14 @@ class NodeOptions:
 
 @dataclass(frozen=True, slots=True)
 class Middleware:
-    """The software that carries the messages, as it reports itself.
-
-    Attributes:
-        rmw: None outside ROS.
-        vendor_label: name for people, empty for the backend's label.
-    """
+    """The software that carries the messages, as it reports itself."""
 
     backend: str
     vendor: str
-    rmw: str | None
+    rmw: str | None  # None outside ROS
     versions: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, str] = field(default_factory=dict)
-    vendor_label: str = ""
+    vendor_label: str = ""  # for people; empty: the backend's
 
 
 @dataclass(frozen=True, slots=True)

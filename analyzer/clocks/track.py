@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fit import ClockOffsets, Float64, Int64, RelayedMessages, windows_of
+from .fit import ClockOffsets, RelayedMessages, windows_of
+from .lines import Float64, Int64
 from .windows import WINDOW_NS
 
 REACH_NS = 600_000_000_000

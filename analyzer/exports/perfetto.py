@@ -20,7 +20,7 @@ from dds_trace.base.units import counted
 
 from ..analysis import Analysis
 from ..clocks.boots import ping_wall_offsets
-from ..clocks.fit import Int64
+from ..clocks.lines import Int64
 from ..recordings.topics import TopicReport
 
 MOST_SLICES = 100_000

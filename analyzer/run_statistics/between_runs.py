@@ -19,8 +19,8 @@ import numpy as np
 from ..statistics.distributions import student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance, tail_share, without_open_end
 from ..statistics.percentiles import order_statistic_ranks
-from .bursts import COSINES, long_run_variance
-from .runs import Float64, Run, Runs, Statistic, joined_runs, quantile_at
+from .bursts import COSINES, Float64, long_run_variance
+from .runs import Run, Runs, Statistic, joined_runs, quantile_at
 from .tails import Tail, episodes_of, tails_of
 
 

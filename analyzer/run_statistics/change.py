@@ -13,7 +13,8 @@ from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
 from .between_runs import Estimate, Scale, Units, scale_of
-from .runs import Float64, Values
+from .bursts import Float64
+from .runs import Values
 from .setups import ENOUGH_RUNS, campaign_variance, spreads_are_alike
 from .two_samples import Ends, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
 

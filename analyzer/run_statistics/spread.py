@@ -11,9 +11,9 @@ import numpy as np
 from ..statistics.intervals import Interval, mean_and_variance
 from ..statistics.power import runs_to_decide
 from .between_runs import Scale, scale_of
-from .bursts import COSINES, long_run_variance
+from .bursts import COSINES, Float64, long_run_variance
 from .change import Change
-from .runs import Float64, Run, Runs, Statistic, quantiles_at
+from .runs import Run, Runs, Statistic, quantiles_at
 from .tails import inflations_of
 
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .runs import Float64, Indices, Int64, Runs, Values
+    from .bursts import Float64, Indices, Int64
+    from .runs import Runs, Values
 
     Streaks = tuple[Float64, Float64, Indices]
     """Positions of the first and of the last message of each streak, and its messages."""

@@ -18,7 +18,8 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import Stage
 
 from ..clocks.boots import boot_id_of, session_of_run
-from ..clocks.fit import Int64, RelayedMessages
+from ..clocks.fit import RelayedMessages
+from ..clocks.lines import Int64
 from ..clocks.track import UNKNOWN_NS, ClockTrack, track_clock
 from ..loading.campaign import Campaign
 from ..loading.event_index import EventPart

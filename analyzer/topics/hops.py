@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..clocks.fit import Int64
+from ..clocks.lines import Int64
 from ..model.metrics import frame_schema
 from .device_clocks import Machine
 from .join import Delivery

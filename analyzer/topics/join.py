@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..clocks.fit import Int64
+from ..clocks.lines import Int64
 from ..clocks.track import UNKNOWN_NS
 from ..recordings.clocks import DAY_NS
 from .device_clocks import DeviceClocks, Machine

@@ -82,6 +82,7 @@ def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[
             print("\n".join(_listed(rows, words, role)))
             sys.exit()
         if key not in rows:
+            refuse_other_role(role, {f"-o {key}": row for row in OPTIONS.values() if key_of(row) == key})
             raise OptionError(f"-o {key}: no such setting; {nearest(key, rows)}")
         row = rows[key]
         if not equals:
@@ -93,6 +94,16 @@ def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[
         elif value == flag_of(row):
             options.append(row.name)
     return options
+
+
+def refuse_other_role(role: Role | None, rows: Mapping[str, Option]) -> None:
+    foreign = {name: row for name, row in rows.items() if role not in (row.roles or Role)}
+    if role is not None and foreign:
+        others = dict.fromkeys(other.value for row in foreign.values() for other in row.roles)
+        raise OptionError(
+            f"{', '.join(foreign)} cannot be given to a {role.value}, only to a {' or '.join(others)}; remove "
+            f"{'it' if len(foreign) == 1 else 'them'}"
+        )
 
 
 def _fault(row: Option, value: str) -> str:

@@ -22,12 +22,13 @@ from ..table_options import (
     given_values,
     overridden,
     read_record,
+    refuse_other_role,
     settings_as_options,
     with_options,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from dds_trace.recorder.options import RecordOptions
 
@@ -118,7 +119,7 @@ def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
     if command.role is None or command.out is None:
         role = "" if command.role else "--role ping, relay, tap or beacon, and "
         raise OptionError(f"give {role}--out PATH for its trace (see --help)")
-    _refuse_other_role(command.role, chosen)
+    refuse_other_role(command.role, {OPTIONS[name].name: OPTIONS[name] for name in chosen})
     options = _record_options(command, chosen)
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # a sweep checks all recordings before the first
@@ -137,17 +138,6 @@ def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
             gates = read_limits(command.limits_path, of_recording=True)
         record_until_stopped(
             options, role=command.role, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates
-        )
-
-
-def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:
-
-    rows = [OPTIONS[name] for name in chosen if OPTIONS[name].roles and role not in OPTIONS[name].roles]
-    if rows:
-        others = dict.fromkeys(other.value for row in rows for other in row.roles)
-        raise OptionError(
-            f"{', '.join(row.name for row in rows)} cannot be given to a {role.value}, only to a {' or '.join(others)}; remove "
-            f"{'it' if len(rows) == 1 else 'them'}"
         )
 
 

@@ -66,7 +66,7 @@ _FRAGMENTS = (
     "<CycloneDDS><Domain><General><MaxMessageSize>{packet}B</MaxMessageSize><FragmentSize>{fragment}B</FragmentSize></General>"
     "</Domain></CycloneDDS>"
 )
-_BUFFER = '<CycloneDDS><Domain><Internal><SocketReceiveBufferSize min="{bytes}B" max="{bytes}B"/></Internal></Domain></CycloneDDS>'
+_BUFFER = '<CycloneDDS><Domain><Internal><SocketReceiveBufferSize min="default" max="{bytes}B"/></Internal></Domain></CycloneDDS>'
 _HEADERS_BYTES = 256
 """Room of RTPS headers next to a fragment."""
 

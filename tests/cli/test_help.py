@@ -204,6 +204,7 @@ def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
     assert (taken[1].node.buffer_bytes, taken[1].destination.fsync) == (2_000_000, True)
     for words, said in (
         (("-o", "bufer=1MB"), "did you mean 'buffer'"),
+        (("-o", "relay_id=5"), "-o relay_id cannot be given to a ping, only to a relay; remove it"),
         (("-o", "own_cost=no"), "one of true, false"),
         (("-o", "buffer=x"), "-o buffer='x' is not"),
         (("-o", "executor=sngle"), "-o executor='sngle': did you mean 'single'"),

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import inspect
 import os
-import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import fields
 from enum import Enum
 from typing import Annotated, Any, TypeVar
@@ -88,7 +86,7 @@ def settings_as_options(words: Sequence[str], role: Role | None = None) -> list[
         if not equals:
             raise OptionError(f"-o {key}: write {key}={row.metavar or flag_of(row)}")
         if fault := _fault(row, value):
-            raise OptionError(f"-o {key}={shown(value)}: {fault}")
+            raise OptionError(f"-o {key} {shown(value)}: {fault}")
         if row.metavar:
             options += [row.name, value]
         elif value == flag_of(row):
@@ -106,36 +104,18 @@ def refuse_other_role(role: Role | None, rows: Mapping[str, Option]) -> None:
         )
 
 
-def _fault(row: Option, value: str) -> str:
+def _fault(row: Option, text: str) -> str | None:
     choices = choices_of(row) if row.metavar else ["true", "false"]
     if issubclass(row.kind, Enum) or not row.metavar:
-        return "" if value in choices else nearest(value, choices)
+        return None if text in choices else nearest(text, choices)
     kind: Any = row.kind
-    with suppress(ValueError):
-        kind(value)
-        return ""
-    return "write a number"
-
-
-_OPTION = re.compile(r"(?P<name>--[a-z][a-z-]+)(?: (?P<value>'[^']*'|[^\s:]+)(?=: | is not ))?")
-
-
-def as_typed(text: str, role: Role) -> str:
-    """Return a sentence with each setting of the role as `-o KEY=VALUE`."""
-    rows = {
-        row.name: row
-        for row in OPTIONS.values()
-        if is_setting(row, role if role in (row.roles or Role) else row.roles[0])
-    }
-
-    def typed(match: re.Match[str]) -> str:
-        row = rows.get(match["name"])
-        if row is None:
-            return match[0]
-        value = match["value"] if row.metavar else flag_of(row)
-        return f"-o {key_of(row)}={value}" if value else f"-o {key_of(row)}"
-
-    return _OPTION.sub(typed, text)
+    try:
+        given = kind(text)
+    except ValueError:
+        return "write a number"
+    value = row.read([given] if row.is_repeatable else given)
+    parts = value if isinstance(value, tuple) else (value,)
+    return next(filter(None, map(row.limit.fault, parts)), None) if row.limit else None
 
 
 def _listed(rows: Mapping[str, Option], words: Sequence[str], role: Role | None) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -54,8 +55,8 @@ def report_topics(
     contents = BagReport(report, judged)
     print_report(contents)
     for source in report.sources:
-        if source.status != "read" or source.detail:
-            say(f"{source.path}: {source.status}: {source.detail}")
+        if source.status == "skipped":
+            say(f"{source.path}: skipped: {source.detail}")
     written = [
         write_text_file(folder / f"{contents.name}.{kind}", load_reporter(kind).render(contents))
         for kind in dict.fromkeys(kinds)
@@ -99,9 +100,8 @@ def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gat
             raise OptionError(
                 f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, {*topics['topic']})}"
             )
-        if not rows and not gate.unless:  # a file of limits names what there has to be
-            topic = f"{gate.results[0][1]}: no recording has this topic"
-            yield JudgedTopic(gate, "", topic, GateOutcome.REGRESSED)
+        if not fnmatch.filter(topics["topic"], gate.topics or "*"):  # a file of limits names what there has to be
+            yield JudgedTopic(gate, "", f"{gate.topics}: no recording has this topic", GateOutcome.REGRESSED)
         for row in rows:
             low, high = _ends(row, holes, gate.name)
             yield JudgedTopic(gate, row["recording"], row["topic"], gate.judge(low, low, high))

@@ -175,7 +175,7 @@ def parse_rate_or_max(text: str) -> float:
 
 
 def parse_rates(texts: Iterable[str]) -> dict[str, float]:
-    pairs = parse_pairs("--expect", texts, "/camera/image=30")
+    pairs = parse_pairs("-o expect", texts, "/camera/image=30")
     return {name: parse_rate(text, f"-o expect={name}") for name, text in pairs.items()}
 
 
@@ -194,7 +194,7 @@ class Rotation:
             if unit in AGE_UNITS_S and age_s is None:
                 age_s = value * AGE_UNITS_S[unit]
             elif unit.endswith("b") and file_bytes is None:
-                file_bytes = parse_size(part.strip(), "--rotate")
+                file_bytes = parse_size(part.strip(), "-o rotate")
             else:
                 raise OptionError(
                     f"-o rotate={shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
@@ -202,9 +202,9 @@ class Rotation:
         return cls(file_bytes, age_s)
 
     def check(self, destination: TraceDestination) -> None:
-        limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
-        limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
-        limits.check(limits.RETAINED_FILES, self.keep, "--keep")
+        limits.check(limits.FILE_BYTES, self.file_bytes, "-o rotate")
+        limits.check(limits.FILE_AGE_S, self.age_s, "-o rotate")
+        limits.check(limits.RETAINED_FILES, self.keep, "-o keep")
         if destination.is_bag:
             raise OptionError(
                 "-o rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
@@ -223,8 +223,8 @@ class KeepFree:
     @classmethod
     def parse(cls, text: str) -> KeepFree:
         if text.strip().endswith("%"):
-            return cls(parse_percentage("--keep-free", text), None)
-        return cls(1.0, parse_size(text, "--keep-free"))
+            return cls(parse_percentage("-o keep_free", text), None)
+        return cls(1.0, parse_size(text, "-o keep_free"))
 
     def floor_bytes(self, disk_bytes: int) -> int:
         share_bytes = int(self.share * disk_bytes)

@@ -79,14 +79,14 @@ class CommandOptions:
         None,
         "--deadline TIME",
         "Maximum period between two messages, e.g. 20ms.",
-        parse=lambda text: parse_duration(text, "--deadline"),
+        parse=lambda text: parse_duration(text, "-o deadline"),
         roles=_SENDERS,
     )
     lifespan: int | None = option(
         None,
         "--lifespan TIME",
         "Maximum age of a message at delivery, e.g. 1.5s.",
-        parse=lambda text: parse_duration(text, "--lifespan"),
+        parse=lambda text: parse_duration(text, "-o lifespan"),
         roles=_SENDERS,
     )
     limits_path: Path | None = option(

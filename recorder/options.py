@@ -157,19 +157,19 @@ class PingOptions:
         {},
         "--label KEY=VALUE",
         "A note on the run; repeatable.",
-        parse=lambda texts: parse_pairs("--label", texts, "site=lab"),
+        parse=lambda texts: parse_pairs("-o label", texts, "site=lab"),
     )
     settings: Mapping[str, str] = option(
         {},
         "--setting KEY=VALUE",
         "What you set around the run, such as a load or a link; results with different settings are not mixed; repeatable.",
-        parse=lambda texts: parse_pairs("--setting", texts, "cpu_load=50%"),
+        parse=lambda texts: parse_pairs("-o setting", texts, "cpu_load=50%"),
     )
 
     def check(self) -> None:
         check_fields(self)
         check_data(self.data)
-        for name, pairs in (("--label", self.labels), ("--setting", self.settings)):
+        for name, pairs in (("-o label", self.labels), ("-o setting", self.settings)):
             for key, value in pairs.items():
                 limits.check(limits.LABEL_KEY, key, name)
                 limits.check(limits.TEXT, value, f"{name} {key}")

@@ -23,7 +23,7 @@ from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
 from .beacon.recording import BeaconRecording
 from .bridges.process.running import check_requested_bridge, open_bridge
-from .choices import Call, Load
+from .choices import Call, Discovery, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
 from .host.environment import kept_stdout
@@ -130,8 +130,9 @@ class RelayRecording(BaseRecording):
         self.wire.begin()
         self.node.start()
         if not self.rehearses:
-            domain_id = self.options.node.domain_id
-            self.watch.note(f"relay {self.relay_id:08x} {SERVING} {domain_id} until it is stopped")
+            node = self.options.node
+            where = ", on this device only," if node.discovery is Discovery.LOCALHOST else ""
+            self.watch.note(f"relay {self.relay_id:08x} {SERVING} {node.domain_id}{where} until it is stopped")
 
     def _on_probe(self) -> None:
         self.load.begin()

@@ -112,7 +112,7 @@ def comparison_screen(comparison: Comparison) -> str:
         top = f"<p>{escape(info.said[: MOST_CHARACTERS // 8])} ...</p>"
     if not info.groups:
         return f"<div>{top}</div>"
-    table = result_table(info, len(info.groups))
+    table = result_table(info, None, None)
     return f"<div>{top}{_table(table, MOST_CHARACTERS - len(top) - _BELOW, ('more result', 'more results'))}</div>"
 
 

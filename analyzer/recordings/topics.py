@@ -129,9 +129,11 @@ def analyze_topics(
             detail += f"; and {len(text) - _MOST_NOTES} more"
         sources.append(Source(str(recording), status, detail, sum(map(len, columns.values()))))
     if not any(source.status != "skipped" for source in sources):
-        reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
+        names = [f"{source.path}: " if len(sources) > 1 else "" for source in sources[:3]]
+        reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
-            f"{', '.join(map(str, parts))}: no recording that can be read; give a .mcap, .bag or .db3 file, or a rosbag2 folder{': ' * bool(reasons)}{reasons}"
+            f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "
+            ".db3 file, or a rosbag2 folder"
         )
     frame = pl.DataFrame(rows, schema=TOPIC_SCHEMA)
     return TopicReport(frame, tuple(sources), pl.DataFrame(holes, schema=HOLE_SCHEMA), tuple(health), tuple(strips))

@@ -103,6 +103,12 @@ class Gate:
         """Return whether the result with these columns is judged."""
         return (not self.topic or is_topic(row["data_type"])) and self.is_about(row)
 
+    @property
+    def topics(self) -> str:
+        """The pattern of the topics that it names; empty if it names none."""
+        named = self.topic or dict(self.results).get("data_type", "")
+        return named if is_topic(named) else ""
+
     def is_about(self, row: Mapping[str, object]) -> bool:
         """Return whether a topic of a recording, its `data_type`, is judged."""
         is_named = fnmatchcase(str(row["data_type"]), self.topic or "*")

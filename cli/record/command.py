@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer  # noqa: TC002 - it reads the annotation
 
-from dds_trace.base.errors import OptionError, TraceError
+from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
@@ -16,7 +16,6 @@ from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is
 from ..program import Version, ask_about_folder, command, make_app, run_command
 from ..table_options import (
     SettingsOption,
-    as_typed,
     default_discovery,
     default_domain,
     given_values,
@@ -96,15 +95,6 @@ ping, relay, tap, beacon = (
 
 
 def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
-    try:
-        _record_role(context, chosen)
-    except TraceError as err:
-        if chosen.get("role"):
-            err.args = (as_typed(str(err), Role(chosen["role"])),)
-        raise
-
-
-def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
     from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
     from dds_trace.recorder.recording import rehearse
@@ -136,9 +126,7 @@ def _record_role(context: typer.Context, chosen: dict[str, Any]) -> None:
             from ..limits_file import read_limits
 
             gates = read_limits(command.limits_path, of_recording=True)
-        record_until_stopped(
-            options, role=command.role, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates
-        )
+        record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates)
 
 
 def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:

@@ -28,14 +28,12 @@ from dds_trace.recorder.roles.live import Health, LiveRow
 from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
 from ..program import print_error
-from ..table_options import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import NoReturn
 
     from dds_trace.analyzer.verdicts.gate import Gate
-    from dds_trace.recorder.choices import Role
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -118,7 +116,7 @@ LEAVE_S = 10.0
 
 
 def record_until_stopped(
-    options: RecordOptions, *, role: Role, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
+    options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
 ) -> NoReturn:
     stop = stop_at_signals()
     codes: list[int] = []
@@ -140,7 +138,7 @@ def record_until_stopped(
                     error = found
                 sys.stdout.flush()
             if isinstance(error, TraceError):
-                print_error(f": {as_typed(str(error), role)}")
+                print_error(f": {error}")
             codes.append(judged_code if error is None else error.exit_code if isinstance(error, TraceError) else 1)
             for number in STOP_SIGNALS:  # also while Python ends, when its own handlers are gone
                 signal.signal(number, signal.SIG_IGN)

@@ -107,8 +107,12 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
     return [(plan, folder / side, command) for side, plan, command in sides]
 
 
+def _can_analyze() -> bool:
+    return find_spec("polars") is not None
+
+
 def busier(base: Path, new: Path) -> list[tuple[str, int]]:
-    if find_spec("polars") is None:  # recording needs no analyzer
+    if not _can_analyze():
         return []
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.sides import busier_repeats, run_loads
@@ -144,7 +148,8 @@ def run_sides(
         if judged is None or judged.outcome.value != "inconclusive":
             break
     missing = {side: outcome.missing for side, outcome in sides.items()}
-    alarms = _false_alarms(sides_outcome) if other.is_same and is_recorded else None
+    is_counted = other.is_same and is_recorded
+    alarms = _false_alarms(sides_outcome) if is_counted and _can_analyze() else None
     if as_json:
         result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
         result |= {"cells": sides_outcome.base.cells + sides_outcome.new.cells, "missing": missing}
@@ -155,6 +160,8 @@ def run_sides(
         _print_sides(sides_outcome, alarms, judged)
     for side, reasons in missing.items():
         say_missing(reasons, f"{side} ")
+    if is_counted and alarms is None:
+        say("verdicts are counted where the extra analyze is: copy the folder there, and give the same command")
     if judged is not None:
         return judged.end(strict=strict)
     return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0

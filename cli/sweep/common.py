@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,7 +45,9 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
     return read_plan(path, installed_middlewares, by_hand=by_hand)
 
 
-def run_until_interrupted(run: Callable[[], int]) -> NoReturn:
+def run_until_interrupted(run: Callable[[], int], *, analyzes: bool = False) -> NoReturn:
+    if analyzes:
+        import_module("polars")  # the extra is named before hours are recorded
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, signal.default_int_handler)

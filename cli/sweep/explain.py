@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,7 @@ from ..program import argument, command, make_app
 from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from dds_trace.analyzer.verdicts.explain import Answer, Effect
     from dds_trace.recorder.sweep.explain import ExplainedSetup, Explanation
@@ -60,8 +61,9 @@ def _explain(explanation: Explanation, out: Path, *, dry_run: bool, as_json: boo
     from .dry_run import dry_run as dry_run_of
 
     if dry_run:
+        print(_not_varied(explanation.left_out), end="", file=sys.stderr)
         raise typer.Exit(dry_run_of(explanation.plan, out, None, None, as_json=as_json))
-    run_until_interrupted(lambda: run_explanation(explanation, out, as_json=as_json))
+    run_until_interrupted(lambda: run_explanation(explanation, out, as_json=as_json), analyzes=True)
 
 
 def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:
@@ -81,9 +83,13 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
         print(f"Wrote {outcome.folder}")
         for setup in explanation.setups:
             print("\n".join(answer_lines(explanation, setup, answers.get(setup.name))))
-        print("".join(f"not varied: {_WORDS.get(name, name)}: {reason}\n" for name, reason in left_out.items()), end="")
+        print(_not_varied(left_out), end="")
     say_missing(outcome.missing)
     return INCOMPLETE_EXIT_CODE if outcome.missing else 0
+
+
+def _not_varied(left_out: Mapping[str, str]) -> str:
+    return "".join(f"not varied: {_WORDS.get(name, name)}: {reason}\n" for name, reason in left_out.items())
 
 
 def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | None], dict[str, str]]:

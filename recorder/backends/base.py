@@ -12,7 +12,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.files import read_regular
 
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
-from ..domains import check_domain_id, first_port
+from ..domains import check_domain_id, domain_port_range, first_port
 from ..host.environment import MiddlewareEnvironment, watched_configuration
 from ..security.keys import LAST_SECURED_DOMAIN
 
@@ -33,8 +33,8 @@ class Meeting(Enum):
 
 
 DDS_MEETING = (
-    "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
-    "multicast through"
+    "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), a firewall lets UDP "
+    "ports {ports} through, and the network multicast"
 )
 
 
@@ -46,7 +46,7 @@ class Backend:
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
         find_installed: returns the ROS middlewares here, `[None]` for a backend without, empty if it cannot run.
         install: how to install the middleware, for the end of a message.
-        meeting_needs: what ping and relay need to meet, with `{port}` of the relay and `{dds_backends}` that speak DDS.
+        meeting_needs: what ping and relay need to meet, with `{port}` of the relay, `{ports}` of the domain and `{dds_backends}`.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
         relay_port: the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
         make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
@@ -175,7 +175,8 @@ class Backend:
 
     def describe_meeting(self, domain_id: int, dds_backends: str) -> str:
         port = "" if self.relay_port is None else self.port_of(domain_id)
-        return self.meeting_needs.format(port=port, dds_backends=dds_backends)
+        ports = domain_port_range(domain_id)
+        return self.meeting_needs.format(port=port, ports=f"{ports[0]} to {ports[-1]}", dds_backends=dds_backends)
 
     def peer_addresses(self, options: NodeOptions) -> tuple[tuple[str, int], ...]:
         """Return host and port of each relay that a ping connects to; an `OptionError` for a wrong or missing one."""

@@ -24,11 +24,10 @@ VENDORS_SIZES = Sizes()
 
 
 def size_option(name: str, text: str, limit: Whole) -> int | None:
-    flag = f"--{name}"
-    parse = partial(parse_size, what=flag)
+    parse = partial(parse_size, what=f"-o {name}")
     help_text = f"{text} ({', '.join(_WITH_SIZES[name])}). Default: the vendor's"
     axis = Axis(kind=int, unit="bytes", meaning=f'{text[0].lower()}{text[1:]}, as a number or a text such as `"4MB"`')
-    return option(None, f"{flag} SIZE", help_text, limit=limit, parse=parse, axis=axis)
+    return option(None, f"--{name} SIZE", help_text, limit=limit, parse=parse, axis=axis)
 
 
 def call_option() -> Call:
@@ -37,10 +36,11 @@ def call_option() -> Call:
 
 
 def response_size_option(limit: Whole) -> int | None:
-    flag = "--response-size"
     help_text = "Size of the response to a call, for both sides. Default: as the request; of an action 33KB"
-    axis, parse = Axis(kind=int, unit="bytes"), partial(parse_size, what=flag)
-    return option(None, f"{flag} SIZE", help_text, roles=(Role.PING, Role.RELAY), limit=limit, parse=parse, axis=axis)
+    axis, parse = Axis(kind=int, unit="bytes"), partial(parse_size, what="-o response_size")
+    return option(
+        None, "--response-size SIZE", help_text, roles=(Role.PING, Role.RELAY), limit=limit, parse=parse, axis=axis
+    )
 
 
 _WITH_SIZES = {

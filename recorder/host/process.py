@@ -68,7 +68,7 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
 
 
 def parse_cpus(text: str) -> list[int]:
-    limits.check(limits.CPUS, text, "--cpu-affinity")
+    limits.check(limits.CPUS, text, "-o cpu_affinity")
     cpus: set[int] = set()
     for part in text.split(","):
         first, _, last = part.partition("-")
@@ -96,7 +96,7 @@ def pin_cpus(text: str) -> list[int]:
 
 def set_realtime(priority: int) -> None:
     """Run this thread and its later children under SCHED_FIFO; one that spins for `SPIN_S` gets SIGXCPU, then SIGKILL."""
-    limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
+    limits.check(limits.REALTIME_PRIORITY, priority, "-o realtime")
     most_us = round(SPIN_S * 1e6)
     before = resource.getrlimit(resource.RLIMIT_RTTIME)
     if before[1] == resource.RLIM_INFINITY or before[1] > 2 * most_us:

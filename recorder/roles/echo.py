@@ -14,7 +14,7 @@ from ..applied.differences import Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
 from ..backends.qos import requested_durations
-from ..choices import Call, Security, Transport
+from ..choices import Call, Discovery, Security, Transport
 from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
@@ -113,7 +113,8 @@ def explain_silence(
     return (
         f"no echo within {waited_s:g} s\n"
         f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
-        f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
+        f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}"
+        f"{' (this device only)' if options.discovery is Discovery.LOCALHOST else ''}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
         f"  try: {_SAME_SECURITY if unlike else _advice(view, node, plan, not_applied, causes)}"
         + ("\n  not applied: " + "; ".join(difference.words for difference in not_applied) if not_applied else "")

@@ -107,25 +107,28 @@ def _native(cell: Cell) -> Cell | None:
 def explain_size(plan: Plan, text: str) -> Explanation:
     """Return the sweep of each setup of a plan around a size (`SIZE`, or `LOW..HIGH`), each factor varied by itself.
 
-    An `OptionError` for a wrong size, and for data without a size to choose.
+    An `OptionError` for a wrong size, and for a plan without data that has a size to choose.
     """
     sizes = [parse_size(part, "SIZE") for part in text.split("..", 1)]
     low, high = sizes if len(sizes) > 1 else (round(share * sizes[0]) for share in AROUND)
     limits.check(limits.SIZE_BYTES, high, "SIZE")
     if low >= high:
         raise OptionError(f"SIZE {limits.shown(text)}: the first size must be below the second")
-    if any(cell.data not in ("binary", "string") for cell in plan.cells):
-        raise OptionError("explain size: the plan's data must have a size to choose: binary or string")
-    left_out: dict[str, str] = {}
+    sized = [cell for cell in plan.cells if cell.data in ("binary", "string")]
+    if not sized:
+        raise OptionError("explain size: the plan has no data with a size to choose; give it binary or string")
+    fixed = {cell.data for cell in plan.cells} - {cell.data for cell in sized}
+    left_out = dict.fromkeys(sorted(fixed), "it has no size to choose")
     setups = []
-    for small in dict.fromkeys(replace(cell, size=low) for cell in plan.cells):
+    for small in dict.fromkeys(replace(cell, size=low) for cell in sized):
         name = f"{_name(small)} {small.rate:g} Hz"
         pairs = {AS_IS: (small, replace(small, size=high))}
         for factor, axes in _factors(plan, small, high).items():
             if axes:
                 pairs[factor] = replace(small, **axes), replace(small, size=high, **axes)
             else:
-                left_out[factor] = f"{name} has none to choose"
+                is_queue = factor == "queue"
+                left_out[factor] = "the plan has no [link] with a rate" if is_queue else f"{name} has none to choose"
         setups.append(ExplainedSetup(name, pairs))
     return _explanation(plan, setups, left_out, is_of_rates=False)
 

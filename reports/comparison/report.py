@@ -6,7 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
+from operator import or_
 from typing import Any
 
 from markupsafe import Markup
@@ -19,7 +20,7 @@ from dds_trace.base.units import counted, format_duration
 
 from .. import blocks
 from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
-from ..book.groups import format_ratio, joined, time_words
+from ..book.groups import joined, time_words
 from ..book.verdicts import VERDICTS, received_words, runs_words
 from . import words
 from .document import comparison_document
@@ -27,9 +28,6 @@ from .info import ComparedGroup, ComparisonInfo, mean_change
 
 SIGNATURE = "<!-- dds-trace compare -->"
 """By which CI finds the comment that it updates."""
-COLUMN_WIDTHS = 23, 17, 9, 18
-JUDGED = ("worse", "better", "same")
-NOT_PROVEN = "In parentheses: no proven change. Intervals: --report md."
 HOW_TO_READ_STRIPS = (
     "A bar spans the middle half of the messages, its line 1 to 99 of 100, the gap in it is the median; both sides share "
     "the scale below."
@@ -101,14 +99,13 @@ class ComparisonReport(blocks.Report):
     def _results(self) -> Iterator[Block]:
         info, most = self.info, self.most
         yield Heading("Results, worst first", media=PAGE)
-        yield _terminal_table(info, info.groups[:most])
+        yield Sentence(HOW_TO_READ_STRIPS, "how", media=PAGE)
+        yield blocks.Key([("base", "base"), ("new", "new side")], media=PAGE)
+        yield result_table(info, most, self._in_markdown)
         others = info.groups[most:] if most else ()
         verdicts = Counter(group.verdict for group in others)
         listed = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
         yield from _more(f"and {counted(len(others), 'result')} more ({listed})", len(others))
-        yield Sentence(HOW_TO_READ_STRIPS, "how", media=PAGE)
-        yield blocks.Key([("base", "base"), ("new", "new side")], media=PAGE)
-        yield result_table(info, self._in_markdown)
         if self.shows_all:
             statistics = [_statistics(info.groups, "Every statistic"), Sentence(HOW_TO_READ_STATISTICS)]
             yield blocks.Fold("Every statistic", statistics, media=MARKDOWN)
@@ -134,7 +131,7 @@ class ComparisonReport(blocks.Report):
             yield Points(info.notes, bullet="", media=TERMINAL | PAGE)
             yield Points(info.notes[:most], media=MARKDOWN)
         if info.groups:
-            yield Sentence(" ".join([NOT_PROVEN, *info.rules]), "soft", media=TERMINAL)
+            yield Sentence(" ".join(info.rules), "soft", media=TERMINAL)
         if most:
             only = len(info.only_base[most:]) + len(info.only_new[most:])
             hidden = {
@@ -146,51 +143,26 @@ class ComparisonReport(blocks.Report):
                 yield Sentence([Span(more, "raw")], media=MARKDOWN)
 
 
-def result_table(info: ComparisonInfo, in_markdown: int) -> Table:
-    labels = [f"{info.metric} {words.statistic_words(row['statistic'])}" for row in info.groups[0].shown()]
+def result_table(info: ComparisonInfo, in_terminal: int | None, in_markdown: int | None) -> Table:
+    names = [row["statistic"] for row in info.groups[0].shown()]
     columns = [Column("Result"), Column(f"{info.metric}, base and new", media=PAGE)]
-    columns += [*map(Column, (*labels, "Received", "Verdict"))]
-    media = [MARKDOWN | PAGE if index < in_markdown else PAGE for index in range(len(info.groups))]
-    rows = [*map(_row, info.groups, media)]
-    opens = "Distributions and every statistic"
-    return Table(columns, rows, label="Table of the results", opens=opens, media=MARKDOWN | PAGE)
+    columns += [Column(f"{info.metric} {words.statistic_words(name)}") for name in names]
+    columns += [Column("Received"), Column("Verdict")]
+    shown = {TERMINAL: in_terminal, MARKDOWN: in_markdown}
+    rows = []
+    for index, group in enumerate(info.groups):
+        media = (medium for medium, most in shown.items() if most is None or index < most)
+        rows.append(_row(group, reduce(or_, media, PAGE)))
+    if len(info.groups) > 1:
+        means = [words.change_words(mean_change(info.groups, name)) for name in names]
+        label = f"Geometric mean of {len(info.groups)} results"
+        rows.append(Row([label, "", *means, "", ""], media=TERMINAL))
+    return Table(columns, rows, label="Table of the results", opens="Distributions and every statistic")
 
 
 def _more(text: str, count: int) -> Iterator[Block]:
     if count:
         yield Sentence(f"{text}: --all", "soft", media=TERMINAL)
-
-
-def _terminal_table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
-    statistics = [row["statistic"] for row in groups[0].shown()]
-    first, *others = map(words.statistic_words, statistics)
-    message, times, change, verdict = COLUMN_WIDTHS
-    columns = [Column(info.metric, width=message), Column(first, width=times)]
-    columns += [Column(name, right=True, width=change) for name in ("change", *others)]
-    columns.append(Column("verdict", width=verdict))
-    setups = list(dict.fromkeys(group.setup for group in groups))
-    by_setup = sorted(groups, key=lambda group: setups.index(group.setup))
-    rows = [Row([group.message, *_cells(group)], part=group.setup) for group in by_setup]
-    if len(info.groups) > 1:
-        means = [[Span(_change(mean_change(info.groups, name)))] for name in statistics]
-        rows.append(Row([[Span("Geometric mean")], f"of {len(info.groups)} results", *means, ""]))
-    return Table(columns, rows, media=TERMINAL)
-
-
-def _cells(group: ComparedGroup) -> list[blocks.Words]:
-    rows = group.shown()
-    changes = [_change(row["ratio"], is_judged=row["verdict"] in JUDGED) for row in rows]
-    verdict = [Span(group.verdict, words.tone_of(group.verdict))]
-    if group.verdict.startswith("loses"):
-        verdict.append(Span(f" {format_ratio(abs(group.delivery['difference'] or 0.0))}", ""))
-    elif group.where and len(f"{group.verdict}, {group.where}") <= COLUMN_WIDTHS[3]:
-        verdict.append(Span(f", {group.where}", "soft"))
-    return [words.both_words(rows[0]), *changes, verdict]
-
-
-def _change(ratio: float | None, *, is_judged: bool = True) -> str:
-    shown = words.change_words(ratio).replace(" times", "x")
-    return shown if is_judged or ratio is None else f"({shown})"
 
 
 def _row(group: ComparedGroup, media: blocks.Medium) -> Row:

@@ -89,11 +89,8 @@ class BagReport(blocks.Report):
         judged = [[Span(outcome.line, f"outcome {outcome.outcome.value}")] for outcome in self.judged]
         limits = [Section([Heading("Limits"), Points(judged)], "gates", media=PAGE)] if judged else []
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
-        last = [
-            Points(judged, bullet="", media=TERMINAL | MARKDOWN),
-            *([Sentence(HOW_TO_READ, "soft")] if parts else []),
-        ]
-        return [title, *limits, *parts, Section(last)]
+        lines = Section([Points(judged, bullet="", media=TERMINAL | MARKDOWN)])
+        return [title, *limits, *parts, lines, *([Section([Sentence(HOW_TO_READ, "soft")])] if parts else [])]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
         topics = topics_of(self.report, health.path)
@@ -101,8 +98,7 @@ class BagReport(blocks.Report):
         yield Heading(printable(health.path))
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
         yield Sentence(facts_words(health, len(rows)), "facts")
-        yield Points([printable(line) for line in (*pause_lines(health), *health.damages)])
-        yield Points([*map(printable, health.notes)], media=MARKDOWN | PAGE)
+        yield Points([printable(line) for line in (*pause_lines(health), *health.damages, *health.notes)])
         topic, *numbers = COLUMNS
         least = min(_LONGEST_NAME, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]

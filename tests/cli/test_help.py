@@ -206,9 +206,9 @@ def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
         (("-o", "bufer=1MB"), "did you mean 'buffer'"),
         (("-o", "relay_id=5"), "-o relay_id cannot be given to a ping, only to a relay; remove it"),
         (("-o", "own_cost=no"), "one of true, false"),
-        (("-o", "buffer=x"), "-o buffer='x' is not"),
-        (("-o", "executor=sngle"), "-o executor='sngle': did you mean 'single'"),
-        (("-o", "wake=soon"), "-o wake='soon': write a number"),
+        (("-o", "buffer=x"), "-o buffer 'x' is not"),
+        (("-o", "executor=sngle"), "-o executor 'sngle': did you mean 'single'"),
+        (("-o", "wake=soon"), "-o wake 'soon': write a number"),
     ):
         code, _, err = ends("ping", *words)
         assert (code, said in err) == (2, True), err

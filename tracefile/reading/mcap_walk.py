@@ -307,7 +307,7 @@ class McapWalk:
         resumed_at = self._resume(self._file, at)
         self._is_in_damage = True
         if resumed_at is not None:
-            self.damages.append(f"at byte {at} {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
+            self.damages.append(f"at byte {at}: {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
         elif self._is_trace:
             self.torn = self._torn_at(at) or TornRecordError(at, "no record")
         elif self._file.size > at:

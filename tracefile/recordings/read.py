@@ -53,7 +53,7 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
                     unpacked = budget.unpacked(data) if topic.encoding == "cdr" else data
                     yield RawMessage(topic, log_within_ns, publish_within_ns, sequence, unpacked)
             except UnreadableError as err:
-                raise TraceFormatError(name, f"the recording cannot be read on: {err}") from err
+                raise TraceFormatError(name, f"the recording cannot be read further: {err}") from err
             finally:
                 where = f"{name.name}: " if len(recording.files) > 1 else ""
                 condition.damages += [f"{where}{damage}" for damage in about_file.damages]

@@ -96,7 +96,7 @@ def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
 
 
 def recorded_together(cells: Sequence[Cell]) -> list[list[Cell]]:
-    groups: dict[Cell, list[Cell]] = {}
-    for cell in cells:
-        groups.setdefault(cell.together, []).append(cell)
+    groups: dict[object, list[Cell]] = {}
+    for index, cell in enumerate(cells):
+        groups.setdefault(cell.together if cell.senders > 1 else index, []).append(cell)
     return list(groups.values())

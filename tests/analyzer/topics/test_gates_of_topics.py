@@ -109,12 +109,16 @@ def test_the_bound_of_the_clocks_is_part_of_the_interval(one_recording):
     assert gate.high - gate.low >= 2 * row["bound_ns"]
 
 
-def test_a_topic_that_no_tap_heard_is_not_passed(one_recording):
+def test_a_topic_that_no_tap_heard_is_not_passed(one_recording, tmp_path):
     analysis = analyze(one_recording)
-    gates = [parse_gate("age_p99(/lidar) > 50ms")]
-    (result,) = judge_gates(compare(analysis, analysis, options_for(gates, CompareOptions())), gates)
-    assert result.outcome is GateOutcome.INCONCLUSIVE
-    assert "/camera/image" in result.reason
+    path = tmp_path / "limits.toml"
+    path.write_text("".join(f'[thresholds."{topic}"]\nage_p99 = "< 50 ms"\n' for topic in ("/lidar", "/camera/*")))
+    named = [parse_gate("age_p99(/lidar) > 50ms")], GateOutcome.INCONCLUSIVE
+    for gates, outcome in (named, (read_limits(path), GateOutcome.REGRESSED)):
+        result, *_ = judge_gates(compare(analysis, analysis, options_for(gates, CompareOptions())), gates)
+        assert (result.subject, result.outcome) == ("/lidar", outcome)
+        assert "/camera/image" in result.reason
+    assert judge_tap(one_recording / "robot0.mcap", read_limits(path, of_recording=True)) == 20
 
 
 def test_changes_between_recordings(tmp_path):

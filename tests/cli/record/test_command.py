@@ -143,12 +143,12 @@ def test_values_of_rarer_options_are_read(parsed):
     ("arguments", "role", "message"),
     [
         (["--size", "3KQ"], "ping", "size '3KQ' is not understood"),
-        (["--label", "novalue"], "ping", "-o label='novalue': write KEY=VALUE"),
-        (["--relay-id", "5"], "ping", "-o relay_id cannot be given to a ping"),
+        (["--label", "novalue"], "ping", "-o label 'novalue': write KEY=VALUE"),
+        (["--relay-id", "5"], "ping", "--relay-id cannot be given to a ping"),
         (["--type", "a/msg/B"], "ping", "--type cannot be given to a ping"),
-        (["--bridge-running"], "relay", "-o bridge_running=true cannot be given to a relay"),
-        (["--deadline", "20"], "ping", "-o deadline='20' is not understood"),
-        (["--lifespan", "0ms"], "relay", "-o lifespan='0ms' is not understood"),
+        (["--bridge-running"], "relay", "--bridge-running cannot be given to a relay"),
+        (["--deadline", "20"], "ping", "-o deadline '20' is not understood"),
+        (["--lifespan", "0ms"], "relay", "-o lifespan '0ms' is not understood"),
         (["--rate", "5", "--size", "1"], "relay", "--size, --rate cannot be given to a relay"),
     ],
 )

@@ -54,13 +54,13 @@ def test_each_backend_says_what_lets_its_sides_meet(node, backend):
     node.middleware = Middleware(backend, "vendor", None)
     node.options = replace(node.options, peers=("pi4", "pi5"))
     text = explain_silence(node, RunPlan(BINARY.make(4, 1), 10.0, 5), 20)
-    assert "discovery range localhost, at pi4, pi5" in text
+    assert "discovery range localhost (this device only), at pi4, pi5" in text
     advice = text.splitlines()[-1]
     assert f"record relay --backend {backend} --domain 5 " in advice
     assert "bridge" not in advice
     # Ports 8 and 9 of the 250 of domain 5, which begin at 8650, and whoever looks for others needs no address.
     expected = {
-        "ros2": ("multicast", "ROS_STATIC_PEERS"),
+        "ros2": ("multicast", "8650 to 8899", "ROS_STATIC_PEERS"),
         "cyclonedds": ("multicast", "CYCLONEDDS_URI"),
         "connext": ("multicast", "--peer"),
         "zenoh": ("--backend zenoh", "--peer", "TCP port 8659"),

@@ -65,12 +65,13 @@ def test_the_vendor_without_the_client_library_is_measured_where_it_is_installed
 
 def test_a_size_is_measured_on_both_sides_with_one_factor_varied():
     link = "[link]\nrate_mbit_s = 100\nqueue_ms = 5\n[run]\nrepeats = 3\n"
-    made = explain_size(plan('backend = "cyclonedds"\nsize = "1KB"\nrate = 20', link), "400KB")
+    messages = '[[matrix]]\nsize = "1KB"\nrate = 20\n[[matrix]]\ndata = "imu"\nrate = 20'
+    made = explain_size(plan(f'backend = "cyclonedds"\n{messages}', link), "400KB")
     (setup,) = made.setups
     small, large = setup.pairs["as is"]
     assert (small.size, large.size) == (300_000, 500_000)
     assert setup.pairs.keys() == {"as is", "buffer", "fragment", "history", "queue"}
-    assert made.left_out.keys() == {"segment"}
+    assert made.left_out.keys() == {"imu", "segment"}
     for key, axis, value in (("fragment", "fragment", 60_000), ("history", "depth", 1), ("queue", "queue", 200)):
         assert [getattr(cell, axis) for cell in setup.pairs[key]] == [value, value]
         assert [cell.size for cell in setup.pairs[key]] == [300_000, 500_000]
@@ -94,7 +95,7 @@ def test_each_transport_has_its_factors():
         (lambda: explain_rates(plan('rate = [10, 20]\nload = "cpu"')), "varies"),
         (lambda: explain_size(plan("rate = 10"), "9KB..3KB"), "below"),
         (lambda: explain_size(plan("rate = 10"), "large"), "SIZE"),
-        (lambda: explain_size(plan('data = "imu"'), "9KB"), "size"),
+        (lambda: explain_size(plan('data = "imu"'), "9KB"), "binary or string"),
         (lambda: explain_size(plan("outage = 2", "[network]\nnamespaces = true"), "9KB"), "outages"),
     ],
 )

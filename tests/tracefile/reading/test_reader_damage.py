@@ -166,7 +166,7 @@ class TestDamaged:
         data[start] = 0
         path.write_bytes(data)
         trace = read_trace(path)
-        assert trace.notes[0].startswith(f"at byte {start} ")
+        assert trace.notes[0].startswith(f"at byte {start}: ")
         assert 24 - 5 <= trace.event_count < 24
 
     @pytest.mark.parametrize("compression", ["zstd", "none"])

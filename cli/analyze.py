@@ -166,7 +166,11 @@ def analyze_command(
         shows_all=shows_all,
     )
     if gates:
-        _judge_topics(analysis, gates)
+        from .compare import ReportKind, judge_sides
+
+        judged = judge_sides(analysis, None, gates)
+        judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
+        raise typer.Exit(judged.end(strict=True))
 
 
 @command(choose, "choose", often=("size", "rate", "deadline", "reliability", "data", "report", "out", "open_it"))
@@ -279,22 +283,6 @@ def _parse_limits(texts: list[str]) -> list[Gate]:
             "dds-trace compare RUNS --fail-if 'latency_p99 > 20ms'"
         )
     return gates
-
-
-def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.gate import GateOutcome
-    from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
-    from dds_trace.reports.comparison.info import comparison_info
-
-    comparison = compare(analysis, analysis, options_for(gates, CompareOptions()))
-    results = judge_gates(comparison, gates)
-    for gated in comparison_info(comparison, results).gates:
-        print(gated.line)
-    outcome = overall_outcome(result.outcome for result in results)
-    print(f"dds-trace analyze: {outcome.value}", file=sys.stderr)
-    if outcome is not GateOutcome.PASSED:
-        raise typer.Exit(outcome.exit_code)
 
 
 def show_page(pages: list[Path], *, open_it: bool) -> None:

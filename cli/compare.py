@@ -16,6 +16,7 @@ from .program import argument, command, make_app, option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gate import Gate, GateOutcome
     from dds_trace.reports.comparison.info import ComparisonInfo
@@ -169,12 +170,12 @@ class JudgedSides(NamedTuple):
         is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
         if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
             warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-            print(f"dds-trace compare: {self.outcome.value}{warning}", file=sys.stderr)
+            print(f"dds-trace: {self.outcome.value}{warning}", file=sys.stderr)
         return 0 if is_let_pass else self.outcome.exit_code
 
 
 def judge_sides(
-    base: Path,
+    base: "Path | Analysis",
     new: Path | None,
     gates: "Sequence[Gate]",
     *,
@@ -190,13 +191,13 @@ def judge_sides(
     from dds_trace.base.units import counted
     from dds_trace.reports.comparison.info import comparison_info
 
-    before = analyze(base, details=False)
+    before = analyze(base, details=False) if isinstance(base, Path) else base
     after = before if new is None else analyze(new, details=False)
     at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
     comparison = compare(before, after, options_for(gates, at_each))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
-    for folder, side in ((base, before), *([] if new is None else [(new, after)])):
-        for finding in side.findings:
+    for folder, side in ((base, before), (new, after)):
+        for finding in side.findings if isinstance(folder, Path) else ():
             if finding.code == "not_applied":
                 say(f"{folder}: {finding.where}: {finding.what}")
     if comparison.delivery.is_empty():

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from typer.models import ArgumentInfo, OptionInfo
 
 SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
-SHORT_COLUMNS = 46  # of what an option means in `-h`
+SHORT_COLUMNS = 73  # of an option's name and what it means in a line of `-h`
 
 
 def option(name: str, help: str, *, show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
@@ -112,7 +112,10 @@ def _short_help(often: Collection[str]) -> Callable[[typer.Context, bool], None]
         for parameter in parameters:
             is_rare = often and parameter.param_type_name == "option" and parameter.name not in often
             parameter.hidden = parameter.hidden or is_rare
-            parameter.help = textwrap.shorten(parameter.help or "", SHORT_COLUMNS, placeholder=" ...")
+        shown = [parameter for parameter in parameters if not getattr(parameter, "hidden", False)]
+        longest = max(len(f"{max(row.opts, key=len)} {row.metavar or ''}") for row in shown)
+        for parameter in shown:
+            parameter.help = textwrap.shorten(parameter.help or "", SHORT_COLUMNS - longest, placeholder=" ...")
         print(context.get_help())
         raise typer.Exit
 

@@ -161,7 +161,9 @@ def run_sides(
     for side, reasons in missing.items():
         say_missing(reasons, f"{side} ")
     if is_counted and alarms is None:
-        say("verdicts are counted where the extra analyze is: copy the folder there, and give the same command")
+        say(
+            "its verdicts are counted where the extra analyze is installed: copy the folder there, and give the same command"
+        )
     if judged is not None:
         return judged.end(strict=strict)
     return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0

@@ -129,7 +129,9 @@ def sweep_command(
     else:
         _refuse_crowded(requested, "--against")
         check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
-        gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
+        gates = []
+        if other.plan.thresholds or fail_if or limits_file:  # without them no analyzer is needed
+            gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
         other = replace(other, looks=looks)
         if looks > 1 and not gates:
             raise OptionError("--looks end where gates decide; add --fail-if, --limits or [thresholds]")

@@ -140,11 +140,6 @@ class Gated:
     where: str
     result: GateResult
 
-    @property
-    def line(self) -> str:
-        why = why_words(self.result)
-        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (f": {why}" if why else "")
-
 
 MARKS = {GateOutcome.PASSED: "✓", GateOutcome.REGRESSED: "✗", GateOutcome.INCONCLUSIVE: "?"}
 GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Found (80 %) from", "Result")

@@ -61,7 +61,7 @@ def folders(tmp_path_factory):
 def test_every_outcome_has_its_exit_code(folders, capsys, new, gate, status, said):
     given = "compare", folders / "base", folders / new, "--fail-if", gate
     assert run_main(*given, "--strict") == status
-    assert capsys.readouterr().err == f"dds-trace compare: {said}\n"
+    assert capsys.readouterr().err == f"dds-trace: {said}\n"
     assert run_main(*given) == (0 if status == 21 else status)
     assert ("warning" in capsys.readouterr().err) == (status == 21)
 
@@ -120,7 +120,7 @@ def test_a_dead_group_regresses_unless_that_is_allowed(folders, capsys):
     shown = capsys.readouterr()
     assert "no reply was received" in " ".join(shown.out.split())
     assert "100 % → 0 %" in shown.out
-    assert shown.err == "dds-trace compare: regressed\n"
+    assert shown.err == "dds-trace: regressed\n"
 
 
 @pytest.mark.parametrize("side", ["base", "new"])

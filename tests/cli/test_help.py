@@ -276,7 +276,10 @@ def test_python_m_is_the_one_program_and_a_usage_error_loads_no_heavy_library():
     ran = subprocess.run([sys.executable, "-m", "dds_trace", "compair"], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr.split()[:2]) == (2, ["Usage:", "dds-trace"])
     assert called("dds_trace.cli.trace", "sweep", "--unknown")[1:] == (2, set())
-    assert "polars" not in called("dds_trace.cli.trace", "sweep", ROOT / "plans/quick.toml", "--dry-run")[2]
+    for against in ((), ("--against", "SAME")):
+        assert (
+            "polars" not in called("dds_trace.cli.trace", "sweep", ROOT / "plans/quick.toml", "--dry-run", *against)[2]
+        )
 
 
 def test_a_table_of_a_small_folder_loads_neither_figures_nor_middleware_nor_cluster(tmp_path):

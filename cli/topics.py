@@ -13,12 +13,13 @@ from dds_trace.analyzer.exports.perfetto import topic_slices, write_slices
 from dds_trace.analyzer.recordings.card import DAMAGED, HOLES, OTHER_CLOCK_NS
 from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.analyzer.verdicts.gates import overall_outcome
+from dds_trace.analyzer.verdicts.gates import overall_outcome, result_of
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.card import topics_card, write_picture
+from dds_trace.reports.comparison.words import gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
 from dds_trace.reports.topics.report import BagReport
@@ -51,7 +52,7 @@ def report_topics(
     if others := sorted({*exports} - {*_EXPORTS}):
         raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
-    judged = list(_judge(report.topics, report.holes, gates))
+    judged = sorted(_judge(report.topics, report.holes, gates), key=lambda one: one.where)
     contents = BagReport(report, judged)
     print_report(contents)
     for source in report.sources:
@@ -75,7 +76,7 @@ def report_topics(
     if report.verdict == DAMAGED:
         return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
-        return overall_outcome(gated.outcome for gated in judged).exit_code, written
+        return overall_outcome(gated.result.outcome for gated in judged).exit_code, written
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
 
 
@@ -88,9 +89,9 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
         *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
     )
     judged = list(_judge(topics, None, gates))
-    for gated in judged:
-        say(gated.line)
-    return overall_outcome(gated.outcome for gated in judged).exit_code
+    for _, cells in gate_rows(judged, shows_all=True):
+        say("  ".join(filter(None, cells)))
+    return overall_outcome(gated.result.outcome for gated in judged).exit_code
 
 
 def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:
@@ -101,27 +102,29 @@ def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gat
                 f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, {*topics['topic']})}"
             )
         if not fnmatch.filter(topics["topic"], gate.topics or "*"):  # a file of limits names what there has to be
-            yield JudgedTopic(gate, "", f"{gate.topics}: no recording has this topic", GateOutcome.REGRESSED)
+            missing = result_of(gate, gate.topics, GateOutcome.REGRESSED, reason="no recording has this topic")
+            yield JudgedTopic(gate.topics, missing, "")
         for row in rows:
-            low, high = _ends(row, holes, gate.name)
-            yield JudgedTopic(gate, row["recording"], row["topic"], gate.judge(low, low, high))
+            value, low, high = _measured(row, holes, gate.name)
+            outcome, ends = gate.judge(low, low, high), () if low == high else (low, high)
+            where = f"{row['topic']} in {row['recording']}" if topics["recording"].n_unique() > 1 else row["topic"]
+            yield JudgedTopic(where, result_of(gate, row["topic"], outcome, value, *ends), row["recording"])
 
 
-def _ends(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> tuple[float | None, float | None]:
+def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> Sequence[float | None]:
+    """Return a value and the ends that it is certain within."""
     if metric in ("jitter", "rate"):
-        value = row["jitter_ns" if metric == "jitter" else "rate_hz"]
-        return value, value
+        return [row["jitter_ns" if metric == "jitter" else "rate_hz"]] * 3
     if metric.startswith("age"):
         value, bound = row[f"{metric}_ns"], row["age_bound_ns"] or 0
         is_known = value is not None and 0 <= value < OTHER_CLOCK_NS
-        return (value - bound, value + bound) if is_known else (None, None)
-    if row["missing"] is None:
-        return None, None
+        return [value, value - bound, value + bound] if is_known else [None] * 3
+    if row["missing"] is None or (metric == "hole" and holes is None):
+        return [None] * 3
     if metric in ("missing", "received_ratio"):
-        low, high = (row[end] / max(row["messages"] + row[end], 1) for end in ("missing_low", "missing_high"))
-        return (low, high) if metric == "missing" else (1 - high, 1 - low)
-    if holes is None:
-        return None, None
+        counts = [row[name] for name in ("missing", "missing_low", "missing_high")]
+        share, low, high = (count / max(row["messages"] + count, 1) for count in counts)
+        return [share, low, high] if metric == "missing" else [1 - share, 1 - high, 1 - low]
+    assert holes is not None
     topic_holes = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
-    longest_ns = max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9
-    return longest_ns, longest_ns
+    return [max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9] * 3

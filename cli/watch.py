@@ -1,10 +1,6 @@
 """`dds-trace watch FOLDER`: the HTML report on a local address, updated whenever a trace changes."""
 
-import signal
-import time
-from contextlib import suppress
 from pathlib import Path
-from types import FrameType, TracebackType
 from typing import Annotated
 
 from dds_trace.base import limits
@@ -42,48 +38,17 @@ def watch_command(
 
         dds-trace watch runs/
     """
+    from dds_trace.recorder.host.process import stop_at_signals
     from dds_trace.reports.html.live import Watcher, WatchOptions
 
     limits.check(limits.HOST, host, "--host")
     limits.check(limits.LOOK_S, every, "--every")
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     watcher = Watcher(WatchOptions(folder, out), host, port)
-    with _CtrlC() as ctrl_c, watcher.serving():
+    stop = stop_at_signals()
+    with watcher.serving():
         print(f"Serving {watcher.address}", flush=True)
-        while not ctrl_c.pressed:
+        while not stop.is_set():
             watcher.refresh()
-            ctrl_c.wait(every)
+            stop.wait(every)
     print("Stopped")
-
-
-class _CtrlC:
-    """Ctrl-C ends a wait at once, and an analysis after its end or if pressed twice."""
-
-    def __init__(self) -> None:
-        self.pressed = False
-        self._waiting = False
-
-    def __enter__(self) -> "_CtrlC":  # noqa: PYI034 - `Self` is Python 3.11's
-        self._before = signal.signal(signal.SIGINT, self._note)
-        return self
-
-    def wait(self, seconds: float) -> None:
-        with suppress(KeyboardInterrupt):
-            try:
-                self._waiting = True
-                if not self.pressed:
-                    time.sleep(seconds)
-            finally:
-                self._waiting = False
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        if self.pressed and not self._waiting:
-            signal.default_int_handler(number, frame)
-        self.pressed = True
-        if self._waiting:
-            raise KeyboardInterrupt
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        signal.signal(signal.SIGINT, self._before)

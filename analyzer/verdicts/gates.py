@@ -59,7 +59,7 @@ class GateResult(Judgement):
         return GateOutcome(self.verdict)
 
 
-def _result(
+def result_of(
     gate: Gate,
     where: str,
     outcome: GateOutcome,
@@ -68,6 +68,7 @@ def _result(
     high: float | None = None,
     **more: Any,
 ) -> GateResult:
+    """Return the row of the frame that has what a gate makes of a result or a topic."""
     row = Claim.KEEPS, where, gate.name, gate.text, value, low, high
     return GateResult(*row, verdict=outcome.value, gate=gate, **more)
 
@@ -160,11 +161,11 @@ def overall_outcome(outcomes: Iterable[GateOutcome]) -> GateOutcome:
 def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResult]:
     for row in comparison.only_base.iter_rows(named=True):
         where = group_words(row, comparison.options.match)
-        yield _result(ALL_GROUPS, where, GateOutcome.REGRESSED, reason="missing on the new side")
+        yield result_of(ALL_GROUPS, where, GateOutcome.REGRESSED, reason="missing on the new side")
     for number, (row, change) in enumerate(comparison.changes_of(RECEIVED_RATIO)):
         if row["is_dead"]:
             measured = group_words(row, names), GateOutcome.REGRESSED, change.new.value, *change.new.range
-            yield _result(ALL_GROUPS, *measured, reason="no reply was received on the new side", group=number)
+            yield result_of(ALL_GROUPS, *measured, reason="no reply was received on the new side", group=number)
 
 
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
@@ -175,7 +176,7 @@ def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str])
         if gate.topics and not fnmatch.filter(topics, gate.topics):
             reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
             outcome = GateOutcome.INCONCLUSIVE if gate.topic else GateOutcome.REGRESSED
-            yield _result(gate, gate.topics, outcome, reason=reason)
+            yield result_of(gate, gate.topics, outcome, reason=reason)
     beyond = [
         index
         for index, group in enumerate(groups)
@@ -241,7 +242,7 @@ def _measured(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
         value, low, high = (row[columns.format(end)] for end in ("", "_low", "_high"))
         sides = [change.new] if is_of_new else [change.base, change.new]
         units = change.new.units if gate.statistic else change.new.runs
-        result = _result(
+        result = result_of(
             *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
             basis=(change.new.basis if is_of_new else change.basis).value,
             group=keys.index(key),

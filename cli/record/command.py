@@ -11,7 +11,7 @@ import typer  # noqa: TC002 - it reads the annotation
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
-from dds_trace.recorder.option_table import OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
+from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
 
 from ..program import Version, ask_about_folder, command, make_app, run_command
 from ..table_options import (
@@ -34,27 +34,12 @@ if TYPE_CHECKING:
 BRIDGED_PING_DOMAIN = 5
 
 _DEFAULTS = {name: row.field_default for name, row in OPTIONS.items() if row.metavar and not row.default}
-_OFTEN = (
-    *(
-        "out",
-        "data",
-        "size_bytes",
-        "rate_hz",
-        "messages",
-        "duration_s",
-        "backend",
-        "rmw",
-        "bridge",
-        "domain_id",
-        "peers",
-    ),
-    *("discovery", "topics", "live", "rotation", "force", "as_json", "settings_given"),
-)
+_OFTEN = ("role", *(name for name, row in OPTIONS.items() if row.name[2:] in OFTEN[Role.PING]))
 
 app = make_app(completes=True)
 
 
-@command(app, "record", table="record", often=("role", *_OFTEN), overridden=overridden, defaults=_DEFAULTS)
+@command(app, "record", table="record", often=_OFTEN, overridden=overridden, defaults=_DEFAULTS)
 @with_options(OPTIONS, is_setting)
 def record_command(
     context: typer.Context,
@@ -82,7 +67,7 @@ def role_app(role: Role, names: Iterable[str]) -> typer.Typer:
 
     record_role.__doc__ = _HELP[role]
     keys = [row.name.lstrip("-") for row in OPTIONS.values()]
-    settings: Any = {"table": "record", "ignored": keys, "often": _OFTEN, "defaults": _DEFAULTS}
+    settings: Any = {"table": "record", "ignored": keys, "defaults": _DEFAULTS}
     declare = command(app, role.value, overridden=lambda values: overridden({"role": role, **values}), **settings)
     declare(with_options(names, lambda row: is_setting(row, role))(record_role))
     return app

@@ -82,25 +82,20 @@ def _proofs(plan: Plan) -> int:
 
 def _bundles_by_vendor(plan: Plan) -> dict[str, tuple[list[Cell], dict[str, str], str]]:
     """Return cells, bundles by name, and why none is recorded."""
+    from dds_trace.recorder.backends.ros2 import vendor_of
     from dds_trace.recorder.sweep.advice import bundles
 
+    cells_of: dict[str, list[Cell]] = defaultdict(list)
+    for cell in plan.cells:
+        cells_of[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
     by_vendor = {}
-    for vendor, cells in _cells_by_vendor(plan).items():
+    for vendor, cells in cells_of.items():
         texts = bundles(vendor, plan)
         reason = "" if texts else "no settings of it are known here"
         if vendor == "fastdds" and plan.discovery == "localhost":
             reason = "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
         by_vendor[vendor] = cells, texts, reason
     return by_vendor
-
-
-def _cells_by_vendor(plan: Plan) -> dict[str, list[Cell]]:
-    from dds_trace.recorder.backends.ros2 import vendor_of
-
-    cells: dict[str, list[Cell]] = defaultdict(list)
-    for cell in plan.cells:
-        cells[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
-    return cells
 
 
 def check_advisable(plan: Plan) -> None:

@@ -19,7 +19,21 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
 from .. import blocks
-from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
+from ..blocks import (
+    MARKDOWN,
+    PAGE,
+    TERMINAL,
+    Block,
+    Column,
+    Heading,
+    Medium,
+    Points,
+    Row,
+    Section,
+    Sentence,
+    Span,
+    Table,
+)
 from ..book.groups import joined, time_words
 from ..book.verdicts import VERDICTS, received_words, runs_words
 from . import words
@@ -62,7 +76,8 @@ class ComparisonReport(blocks.Report):
     def sections(self) -> Sequence[Section]:
         info = self.info
         parts: list[tuple[str, Iterator[Block]]] = [("answer", self._answer())]
-        parts += [("gates", self._gates())] if info.gates else []
+        gates = [Heading("Gates", media=PAGE), *gate_blocks(info.gates, self.most)]
+        parts += [("gates", iter(gates))] if info.gates else []
         parts += [("groups", self._results())] if info.groups else []
         for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
             parts += [("", self._named(title, names))] if names else []
@@ -80,21 +95,6 @@ class ComparisonReport(blocks.Report):
             yield Sentence(info.seen, "seen", media=PAGE if info.gates else PAGE | TERMINAL | MARKDOWN)
         if outcome:
             yield Sentence(outcome.value.capitalize(), f"outcome {outcome.value}", media=PAGE)
-
-    def _gates(self) -> Iterator[Block]:
-        yield Heading("Gates", media=PAGE)
-        notes = words.gate_notes(self.info.gates)
-        *names, where = words.GATE_COLUMNS
-        columns = [*map(Column, names), Column(where, media=MARKDOWN | PAGE)]
-        for media, most in ((TERMINAL | MARKDOWN, self.most), (PAGE, None)):
-            rows = [
-                Row([[Span(mark, _TONES.get(outcome, "open"))], *cells], part=cells[-1])
-                for outcome, (mark, *cells) in words.gate_rows(self.info.gates, shows_all=most is None)
-            ]
-            yield Table(columns, rows[:most], label="Table of the gates", gap=2, media=media)
-            yield Points(notes[:most], bullet="", media=media)
-            hidden = len(rows[most:]) + len(notes[most:]) if most else 0
-            yield from _more(f"and {hidden} more", hidden)
 
     def _results(self) -> Iterator[Block]:
         info, most = self.info, self.most
@@ -141,6 +141,23 @@ class ComparisonReport(blocks.Report):
             if counts := [counted(count, noun) for noun, count in hidden.items() if count]:
                 more = f"And {joined(counts)} more: `dds-trace compare` with `--all` or `--report html`."
                 yield Sentence([Span(more, "raw")], media=MARKDOWN)
+
+
+def gate_blocks(gates: Sequence[words.Gated], most: int | None) -> Iterator[Block]:
+    notes = words.gate_notes(gates)
+    for media, shown in ((TERMINAL | MARKDOWN, most), (PAGE, None)):
+        rows = [
+            Row([[Span(mark, _TONES.get(outcome, "open"))], *cells], part=cells[-1])
+            for outcome, (mark, *cells) in words.gate_rows(gates, shows_all=shown is None)
+        ]
+        is_found = any(row.cells[3] for row in rows)
+        mark, gate, measured, found, where = words.GATE_COLUMNS
+        columns = [*map(Column, (mark, gate, measured)), Column(found, media=media if is_found else Medium(0))]
+        columns.append(Column(where, media=MARKDOWN | PAGE))
+        yield Table(columns, rows[:shown], label="Table of the gates", gap=2, media=media)
+        yield Points(notes[:shown], bullet="", media=media)
+        hidden = len(rows[shown:]) + len(notes[shown:]) if shown else 0
+        yield from _more(f"and {hidden} more", hidden)
 
 
 def result_table(info: ComparisonInfo, in_terminal: int | None, in_markdown: int | None) -> Table:

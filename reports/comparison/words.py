@@ -12,7 +12,7 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome
 from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_number, three_digits
+from dds_trace.base.units import MISSING, counted, format_duration, format_number, format_rate, three_digits
 
 from ..book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, format_ratio, joined, time_words
 from ..book.verdicts import episodes_words
@@ -100,9 +100,11 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
 def measured_words(result: GateResult, value: float | None) -> str:
     if value is None:
         return "unknown"
+    if result.gate.metric == "rate":
+        return format_rate(value)
     if result.gate.against is Against.RATIO:
         return change_words(value)
-    if result.gate.statistic:
+    if result.gate.statistic or result.gate.metric in ("jitter", "hole"):
         return time_words(value)
     if result.gate.against is Against.DIFFERENCE:
         return f"{'+' if value > 0 else ''}{three_digits(100 * value)} points"

@@ -15,6 +15,7 @@ from dds_trace.base.units import clock_words
 
 from .. import blocks
 from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
+from ..comparison.report import gate_blocks
 from .words import (
     COLUMNS,
     HOW_TO_READ,
@@ -72,12 +73,12 @@ class BagReport(blocks.Report):
             ],
             "gates": [
                 {
-                    "gate": outcome.gate.text,
-                    "recording": outcome.recording,
-                    "topic": outcome.topic,
-                    "outcome": outcome.outcome.value,
+                    "gate": gated.result.gate.text,
+                    "recording": gated.recording,
+                    "topic": gated.result.subject,
+                    "outcome": gated.result.outcome.value,
                 }
-                for outcome in self.judged
+                for gated in self.judged
             ],
             "sources": report.sources,
         }
@@ -86,11 +87,11 @@ class BagReport(blocks.Report):
     def sections(self) -> Sequence[Section]:
         recordings = enumerate(self.report.recordings, 1)
         parts = [Section([*self._recording(health)], f"recording-{number}") for number, health in recordings]
-        judged = [[Span(outcome.line, f"outcome {outcome.outcome.value}")] for outcome in self.judged]
-        limits = [Section([Heading("Limits"), Points(judged)], "gates", media=PAGE)] if judged else []
+        gates = [*gate_blocks(self.judged, None)] if self.judged else []
+        limits = Section([Heading("Limits"), *gates] if gates else [], "gates", media=PAGE)
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
-        lines = Section([Points(judged, bullet="", media=TERMINAL | MARKDOWN)])
-        return [title, *limits, *parts, lines, *([Section([Sentence(HOW_TO_READ, "soft")])] if parts else [])]
+        how = Section([Sentence(HOW_TO_READ, "soft")] if parts else [])
+        return [title, limits, *parts, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
         topics = topics_of(self.report, health.path)

@@ -8,11 +8,11 @@ from typing import Any
 
 from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
-from dds_trace.analyzer.verdicts.gate import Gate, GateOutcome
 from dds_trace.base.printable import printable
 from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
 
 from ..book.overview import utc_words
+from ..comparison.words import Gated
 
 TopicRow = Mapping[str, Any]
 
@@ -39,15 +39,8 @@ _EVIDENCE = {
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedTopic:
-    gate: Gate
+class JudgedTopic(Gated):
     recording: str
-    topic: str
-    outcome: GateOutcome
-
-    @property
-    def line(self) -> str:
-        return printable(f"{self.outcome.value}: {self.gate.text}, {self.topic}")
 
 
 def seconds_words(seconds: float) -> str:

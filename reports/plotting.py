@@ -13,8 +13,9 @@ from dds_trace.base.units import format_duration, format_rate, format_size
 
 from .book.book import Book
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
-from .figures import FIGURES, distribution
-from .figures.figure import Faceted, LeftOut, Line, LineFigure, panel_keys
+from .figures import FIGURES
+from .figures.distribution import RUN_SPREAD, run_reaches
+from .figures.figure import Faceted, Line, LineFigure, facet_panels, panel_keys, plane_facet
 from .html.styles import Style, line_styles
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
@@ -31,22 +32,20 @@ class Shown:
     is_log: bool = True
 
 
-LINE_FIGURES = {figure.name: figure for figure in FIGURES if isinstance(figure, LineFigure)}
-RUN_SPREAD = "run_spread"
-NAMES = (*LINE_FIGURES, RUN_SPREAD)
+LINE_FIGURES = {row.name: row for row in FIGURES if isinstance(row, LineFigure)}
+NAMES = (*LINE_FIGURES, RUN_SPREAD.name)
 
 
-def _shown(book: Book, value: str, metric: str, statistic: str) -> Shown:
-    if value == "statistic":
+def _shown(book: Book, figure: LineFigure, metric: str, statistic: str) -> Shown:
+    if figure.value == "statistic":
         title = f"{METRIC_LABELS[metric]}, {STATISTIC_LABELS[statistic]} of all messages (ms)"
         times = book.values.times_ns[metric][statistic]
         return Shown(title, _positive(times, _MS), lambda ms: format_duration(ms * _MS))
-    if value == "transfer":
+    if figure.value == "transfer":
         rates = book.values.plain["transfer_rate_bytes_per_s"]
-        return Shown("Transfer rate (MB/s)", _positive(rates, _MB), lambda rate: f"{rate:.3g} MB/s")
-    if value == "sustained":
-        return _percent("Replies of the rate (%)", book.values.plain["sustained"].__getitem__)
-    return _percent("Received (%)", book.values.plain["received_ratio"].__getitem__)
+        return Shown(f"{figure.label} (MB/s)", _positive(rates, _MB), lambda rate: f"{rate:.3g} MB/s")
+    column = {"received": "received_ratio"}.get(figure.value, figure.value)
+    return _percent(f"{figure.label} (%)", book.values.plain[column].__getitem__)
 
 
 def _positive(values: Sequence[float | None], unit: float) -> Callable[[int], float | None]:
@@ -109,28 +108,28 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
     _check("statistic", statistic, STATISTIC_LABELS)
     by = PANELS_BY[panels] if panels else ""
     lines = {"vendor": "way", "way": "vendor"}.get(by, "choice")  # what separates panels cannot separate lines
-    info, left_out, shown = _drawn(book, name, (by, lines), metric, statistic)
-    if isinstance(left_out, LeftOut):
-        raise OptionError(f"{name}: {left_out.reason}")
+    info, shown = _drawn(book, name, (by, lines), metric, statistic)
+    if not info.panels:
+        raise OptionError(f"{name}: {LINE_FIGURES.get(name, RUN_SPREAD).nothing}")
     with_values = _with_values(info, shown)
     if not with_values.panels:
         raise OptionError(f"{name}: no result has a value of {shown.title}")
     return _figure(book, with_values, shown)
 
 
-def _drawn(
-    book: Book, name: str, spread: tuple[str, str], metric: str, statistic: str
-) -> tuple[Faceted, object, Shown]:
+def _drawn(book: Book, name: str, spread: tuple[str, str], metric: str, statistic: str) -> tuple[Faceted, Shown]:
     panels, lines = spread
-    if name == RUN_SPREAD:
-        runs = distribution.run_spread_info(book, panels or "way", lines)
-        percentile = statistic if statistic in runs.reaches else "p50"
+    if name == RUN_SPREAD.name:
+        reaches = run_reaches(book)
+        percentile = statistic if statistic in reaches else "p50"
         title = f"± of a typical run's {STATISTIC_LABELS[percentile]} (%)"
-        return runs, distribution.run_spread_figure(runs), _percent(title, runs.reaches[percentile].get)
+        facet = plane_facet(book, panels or "way", lines)
+        drawn = {group for by_group in reaches.values() for group in by_group}
+        runs = Faceted(facet, facet_panels(book, facet, drawn.__contains__))
+        return runs, _percent(title, reaches[percentile].get)
     figure = LINE_FIGURES[name]
-    info = figure.info(book, panels, lines)
     metric = str(figure.settings.get("metric", metric))
-    return info, figure.figure(info), _shown(book, figure.value, metric, statistic)
+    return figure.info(book, panels, lines), _shown(book, figure, metric, statistic)
 
 
 def _check(what: str, value: str, values: Mapping[str, object] | Sequence[str]) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 LOSSY_SHARE = 0.01
 """Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
+LOST_MUCH = f"lost more than {100 * LOSSY_SHARE:g} % of the messages planned"
 
 
 class Claim(str, Enum):

@@ -188,8 +188,11 @@ def few_words(fewest_runs: float) -> str:
 
 
 def received_words(row: Mapping[str, Any]) -> str:
-    shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
-    return " → ".join(dict.fromkeys(shares))
+    return share_words(row["base_received_ratio"], row["new_received_ratio"])
+
+
+def share_words(base: float | None, new: float | None) -> str:
+    return " → ".join(dict.fromkeys(map(format_ratio, (base, new))))
 
 
 def episodes_words(row: Mapping[str, Any], side: str) -> str:

@@ -1,4 +1,4 @@
-"""Figures of a report, in the order in which it shows them; each `*_info` then `*_figure`."""
+"""Figures of a report, in the order in which it shows them; a row each."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from ..book.book import Book
 from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline, wire
-from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
+from .figure import Figure, FigureRow, LeftOut, Scope, is_few
 
-FIGURES: list[FigureMaker | LineFigure] = [
+FIGURES: list[FigureRow] = [
     costs.DOTS,
     lines.LATENCY_BY_RATE,
     lines.LATENCY_BY_SIZE,
@@ -40,7 +40,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
 ]
 
 
-def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:
+def drawn_figures(book: Book) -> list[tuple[FigureRow, Figure | LeftOut]]:
     few = is_few(book)
     figures = []
     for maker in FIGURES:
@@ -56,7 +56,7 @@ def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | L
 MOST_OPENED_PANELS = 9
 
 
-def opened_figures(book: Book, drawn: Sequence[tuple[FigureMaker | LineFigure, Figure]]) -> frozenset[str]:
+def opened_figures(book: Book, drawn: Sequence[tuple[FigureRow, Figure]]) -> frozenset[str]:
     """Return the names of the figures that the page opens: the lines over what the campaign varies most, in few panels.
 
     On one device pair also those that are `opened`; on several these have a panel for each.
@@ -71,5 +71,5 @@ def opened_figures(book: Book, drawn: Sequence[tuple[FigureMaker | LineFigure, F
     return frozenset(
         figure.name
         for maker, figure in drawn
-        if maker is best or (isinstance(maker, FigureMaker) and maker.opened and (whole or maker.scope is Scope.CELL))
+        if maker is best or (maker.opened and (whole or maker.scope is Scope.CELL))
     )

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..book.book import Book
 from ..book.numbers import whole_ns
-from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
+from .figure import FigureMaker, Plan, plane_facet, spread_plan
 
 PART_LABELS = {
     "waiting_ns": "Late send (T0 to T1)",
@@ -29,37 +28,27 @@ class MeanPart:
     bound_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Breakdown(Faceted):
-    """Group -> its parts in the order of time; `bound_ns` is the error with which the clock fit divides the two ways."""
-
-    parts: Mapping[int, tuple[MeanPart, ...]]
-
-
-def breakdown_info(book: Book) -> Breakdown:
+def breakdown_plan(book: Book) -> Plan | None:
+    """`bound_ns` is the error with which the clock fit divides the two ways."""
     parts: dict[int, list[MeanPart]] = {}
     columns = ("group", "part", "mean_ns", "bound_ns")
     rows = book.analysis.details.breakdown.sort("group", "order").select(columns)
     for group, part, mean_ns, bound_ns in rows.iter_rows():
         parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), whole_ns(bound_ns)))
-    facet = plane_facet(book)
-    panels = facet_panels(book, facet, parts.__contains__)
-    return Breakdown(facet, panels, {group: tuple(values) for group, values in parts.items()})
+    used = {part.name for own in parts.values() for part in own}
+    names = {name: label for name, label in PART_LABELS.items() if name in used}
+    return spread_plan(book, plane_facet(book), parts.__contains__, names=names, order=[*names], parts=parts)
 
 
-def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
-    name, title = "breakdown", "Where the time goes, on average"
-    how_to_read = (
+FIGURE = FigureMaker(
+    name="breakdown",
+    title="Where the time goes, on average",
+    how_to_read=(
         "A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "
         "they add up and percentiles do not."
-    )
-    if not info.panels:
-        reason = "no message has a schedule and all four time stamps (a relay's trace is missing)."
-        return LeftOut(name, title, reason)
-    used = {part.name for parts in info.parts.values() for part in parts}
-    names = {name: label for name, label in PART_LABELS.items() if name in used}
-    plan = facet_plan(info.facet, info.panels, names=names, order=list(names), parts=info.parts)
-    return Figure(name, title, how_to_read, "breakdown", plan)
-
-
-FIGURE = FigureMaker(breakdown_info, breakdown_figure, opened=False)
+    ),
+    nothing="no message has a schedule and all four time stamps (a relay's trace is missing).",
+    kind="breakdown",
+    make=breakdown_plan,
+    opened=False,
+)

@@ -11,7 +11,7 @@ from dds_trace.base.printable import printable
 from ..book.book import Book
 from ..book.groups import STATISTIC_LABELS, drift_words
 from ..book.numbers import whole_ns
-from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
+from .figure import FigureMaker, Plan, plane_facet, spread_plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +23,7 @@ class Way:
     bound_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class OneWay(Faceted):
-    ways: Mapping[int, Way]
-
-
-def one_way_info(book: Book) -> OneWay:
+def one_way_plan(book: Book) -> Plan | None:
     rows: dict[int, dict[str, Mapping[str, Any]]] = {}
     for row in book.analysis.details.one_way.iter_rows(named=True):
         rows.setdefault(row["group"], {})[row["metric"]] = row
@@ -37,26 +32,25 @@ def one_way_info(book: Book) -> OneWay:
         for group, pair in rows.items()
         if pair.keys() == {"outbound", "return"}
     }
-    facet = plane_facet(book)
-    return OneWay(facet, facet_panels(book, facet, ways.__contains__), ways)
+    return spread_plan(book, plane_facet(book), ways.__contains__, ways=ways)
 
 
 def _times(row: Mapping[str, Any]) -> dict[str, int | None]:
     return {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
 
 
-def one_way_figure(info: OneWay) -> Figure | LeftOut:
-    name, title = "one_way", "The way out against the way back"
-    how_to_read = (
+ONE_WAY = FigureMaker(
+    name="one_way",
+    title="The way out against the way back",
+    how_to_read=(
         "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
         "inside it cannot be seen."
-    )
-    if not info.panels:
-        return LeftOut(name, title, "no message has all four time stamps (a relay's trace is missing).")
-    return Figure(name, title, how_to_read, "one_way", facet_plan(info.facet, info.panels, ways=info.ways))
-
-
-ONE_WAY = FigureMaker(one_way_info, one_way_figure, opened=False)
+    ),
+    nothing="no message has all four time stamps (a relay's trace is missing).",
+    kind="one_way",
+    make=one_way_plan,
+    opened=False,
+)
 
 
 KNOTS_IN_PAGE = 4000
@@ -75,14 +69,7 @@ class ClockPair:
     group: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Clock:
-    pairs: tuple[ClockPair, ...]
-    decimated: bool
-    one_clock: bool
-
-
-def clock_info(book: Book) -> Clock:
+def clock_plan(book: Book) -> Plan | None:
     fits, knots = book.analysis.details.clock_fits, book.analysis.details.clock_knots
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))
@@ -110,19 +97,18 @@ def clock_info(book: Book) -> Clock:
                 tuple(points["group"].to_list()),
             )
         )
-    return Clock(tuple(pairs), decimated=step > 1 and bool(pairs), one_clock=bool(fits["same_clock"].any()))
+    return {"pairs": pairs, "decimated": step > 1} if pairs else None
 
 
-def clock_figure(info: Clock) -> Figure | LeftOut:
-    name, title = "clock", "Clock offset and drift"
-    how_to_read = (
+CLOCK = FigureMaker(
+    name="clock",
+    title="Clock offset and drift",
+    how_to_read=(
         "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a "
         "clock that was set, and one-way times are only as good as the bound."
-    )
-    if not info.pairs:
-        one_clock = "ping and relay ran on one device, so there is one clock."
-        return LeftOut(name, title, one_clock if info.one_clock else "no relay's clock was measured.")
-    return Figure(name, title, how_to_read, "clock", {"pairs": info.pairs, "decimated": info.decimated})
-
-
-CLOCK = FigureMaker(clock_info, clock_figure, opened=False)
+    ),
+    nothing="ping and relay ran on one device, so there is one clock, or no relay's clock was measured.",
+    kind="clock",
+    make=clock_plan,
+    opened=False,
+)

@@ -1,14 +1,15 @@
-"""How a figure is made: numbers from the book, then the plan that the page draws.
+"""How a figure is made: its plan from the book, which the page draws.
 
 A plan has groups in place of values: the page looks them up, as metric, statistic and filters are the reader's.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TypeAlias
 
 from ..book.book import Book
 from ..book.facets import MADE_OF
@@ -17,6 +18,8 @@ from ..book.groups import Group
 Test = Callable[[int], bool]
 """Whether a group has what a figure draws."""
 
+Plan: TypeAlias = "Mapping[str, object]"
+
 
 @dataclass(frozen=True, slots=True)
 class Figure:
@@ -24,7 +27,7 @@ class Figure:
     title: str
     how_to_read: str
     kind: str
-    plan: Mapping[str, object]
+    plan: Plan
     follows: bool = False
 
 
@@ -43,16 +46,40 @@ class Scope(Enum):
     """The groups of one message, which the reader selects."""
 
 
-@dataclass(frozen=True, slots=True)
-class FigureMaker:
-    info: Callable[[Book], Any]
-    figure: Callable[[Any], Figure | LeftOut]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureRow(ABC):
+    """A row of the table of figures: what every figure says of itself, and how the page draws its plan."""
+
+    name: str
+    title: str
+    how_to_read: str
+    nothing: str
+    kind: str = "lines"
     scope: Scope = Scope.CAMPAIGN
+    opened: bool = False
+    few: bool = False
+    follows: bool = False
+
+    @abstractmethod
+    def plan(self, book: Book) -> Plan | None: ...
+
+    def draw(self, book: Book) -> Figure | LeftOut:
+        plan = self.plan(book)
+        if plan is None:
+            return LeftOut(self.name, self.title, self.nothing)
+        return Figure(self.name, self.title, self.how_to_read, self.kind, plan, self.follows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureMaker(FigureRow):
+    """A figure of its own: `make` returns its plan, None where there is `nothing` to draw."""
+
+    make: Callable[[Book], Plan | None]
     opened: bool = True
     few: bool = True
 
-    def draw(self, book: Book) -> Figure | LeftOut:
-        return self.figure(self.info(book))
+    def plan(self, book: Book) -> Plan | None:
+        return self.make(book)
 
 
 FEW_GROUPS = 12
@@ -62,6 +89,8 @@ FEW_GROUPS = 12
 def is_few(book: Book) -> bool:
     return 0 < len(book.groups.groups) <= FEW_GROUPS
 
+
+AXIS_TITLES = {"size": "Message size", "rate": "Rate (Hz)", "load": "Offered load"}
 
 MOST_LINES = 7
 """Most lines of one panel; one with more becomes several."""
@@ -164,29 +193,24 @@ def _position(book: Book, x: str, group: Group) -> float:
     return positions[x] if x in positions else float(book.facets.option(x, group.index))
 
 
-def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
-    groups = sorted(group for panel in panels for line in panel.lines for group in line.groups)
-    return {"facet": facet, "groups": groups, **settings}
+def spread_plan(book: Book, facet: Facet, drawn: Test, **settings: object) -> Plan | None:
+    """Return the plan of the groups that have what is drawn, None without any."""
+    groups = [group.index for group in book.groups.groups if drawn(group.index)]
+    return {"facet": facet, "groups": groups, **settings} if groups else None
 
 
-@dataclass(frozen=True, slots=True)
-class LineFigure:
-    """A row of the table of figures whose marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineFigure(FigureRow):
+    """Marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
 
-    name: str
-    title: str
-    how_to_read: str
-    nothing: str
     x: str
     panels: str
     value: str
+    label: str = ""
     drawn: Callable[[Book], Test]
     shows: Callable[[Book], Test] = lambda _: lambda _: True
     least: int = 1
     settings: Mapping[str, object] = field(default_factory=dict)
-    follows: bool = False
-    few: bool = False
-    scope: Scope = Scope.CAMPAIGN
 
     def info(self, book: Book, panels: str = "", lines: str = "choice") -> Faceted:
         facet = Facet(self.x, panels or self.panels, lines)
@@ -198,11 +222,7 @@ class LineFigure:
         )
         return Faceted(facet, tuple(shown))
 
-    def figure(self, info: Faceted) -> Figure | LeftOut:
-        if not info.panels:
-            return LeftOut(self.name, self.title, self.nothing)
-        plan = facet_plan(info.facet, info.panels, value=self.value, **self.settings)
-        return Figure(self.name, self.title, self.how_to_read, "lines", plan, self.follows)
-
-    def draw(self, book: Book) -> Figure | LeftOut:
-        return self.figure(self.info(book))
+    def plan(self, book: Book) -> Plan | None:
+        info = self.info(book)
+        groups = {group for panel in info.panels for line in panel.lines for group in line.groups}
+        return spread_plan(book, info.facet, groups.__contains__, value=self.value, label=self.label, **self.settings)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import polars as pl
 
 from ..book.book import Book
-from .figure import Figure, FigureMaker, LeftOut, Scope
+from .figure import FigureMaker, Plan, Scope
 
 SAMPLES_IN_PAGE = 30_000
 """Most samples in a page (about 300 KB of JSON); of more, every n-th is drawn."""
@@ -25,15 +25,9 @@ class DeviceLoad:
     rate_mbit_s: tuple[float | None, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class HostLoad:
-    groups: dict[int, tuple[DeviceLoad, ...]]
-    decimated: bool
-
-
-def host_load_info(book: Book) -> HostLoad:
+def host_load_plan(book: Book) -> Plan | None:
     if not book.analysis.details.host_samples.height:
-        return HostLoad({}, decimated=False)
+        return None
     samples = book.analysis.details.host_samples.filter(
         pl.any_horizontal(pl.col("cpu_busiest_percent", "wifi_signal_dbm", "link_delay_ms").is_not_null())
     ).sort("wall_ns")
@@ -44,21 +38,21 @@ def host_load_info(book: Book) -> HostLoad:
         drawn = rows.gather_every(step)
         load = DeviceLoad(role, *(tuple(drawn[column.name].to_list()) for column in fields(DeviceLoad)[1:]))
         loads_of_group[group] = (*loads_of_group.get(group, ()), load)
-    return HostLoad(loads_of_group, decimated=step > 1)
+    return {"groups": loads_of_group, "decimated": step > 1} if loads_of_group else None
 
 
-def host_load_figure(info: HostLoad) -> Figure | LeftOut:
-    name, title = "host_load", "Processor load, Wi-Fi signal and replayed link against latency"
-    how_to_read = (
+FIGURE = FigureMaker(
+    name="host_load",
+    title="Processor load, Wi-Fi signal and replayed link against latency",
+    how_to_read=(
         "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "
         "shown is the busiest processor's, and a link that replays a file has a step for each of its rows."
-    )
-    if not info.groups:
-        return LeftOut(name, title, "no device sampled its load during a run.")
-    return Figure(name, title, how_to_read, "host_load", {"groups": info.groups, "decimated": info.decimated})
-
-
-FIGURE = FigureMaker(host_load_info, host_load_figure, Scope.CELL)
+    ),
+    nothing="no device sampled its load during a run.",
+    kind="host_load",
+    make=host_load_plan,
+    scope=Scope.CELL,
+)
 
 
 def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:

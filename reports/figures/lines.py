@@ -9,6 +9,7 @@ from .figure import LineFigure
 
 KEPT_UP = 0.99
 """Replies per second as a share of the requested rate that counts as kept up."""
+_TRANSFER_RATE = "Transfer rate"
 
 
 def _timed(book: Book) -> Callable[[int], bool]:
@@ -36,7 +37,6 @@ LATENCY_BY_RATE = LineFigure(
     value="statistic",
     drawn=_timed,
     least=2,
-    settings={"x_title": "Rate (Hz)"},
     follows=True,
 )
 
@@ -53,7 +53,6 @@ LATENCY_BY_SIZE = LineFigure(
     value="statistic",
     drawn=_timed,
     least=2,
-    settings={"x_title": "Message size"},
     follows=True,
 )
 
@@ -70,7 +69,7 @@ RELAY_TIME = LineFigure(
     value="statistic",
     drawn=lambda book: lambda group: book.values.times_ns["intermediate"]["p50"][group] is not None,
     least=2,
-    settings={"metric": "intermediate", "x_title": "Message size"},
+    settings={"metric": "intermediate"},
 )
 
 VENDOR_COMPARISON = LineFigure(
@@ -115,6 +114,7 @@ RECEIVED = LineFigure(
     x="plane",
     panels="way",
     value="received",
+    label="Received",
     drawn=_has("received_ratio"),
     shows=_below("received_ratio", 1),
 )
@@ -130,6 +130,7 @@ SUSTAINABLE = LineFigure(
     x="rate",
     panels="size",
     value="sustained",
+    label="Replies of the rate",
     drawn=_has("sustained"),
     shows=_below("sustained", KEPT_UP),
     least=2,
@@ -147,8 +148,8 @@ TRANSFER_RATE = LineFigure(
     x="load",
     panels="way",
     value="transfer",
+    label=_TRANSFER_RATE,
     drawn=_has("transfer_rate_bytes_per_s"),
-    settings={"x_title": "Offered load"},
 )
 
 TRANSFER_BY_SIZE = LineFigure(
@@ -162,9 +163,9 @@ TRANSFER_BY_SIZE = LineFigure(
     x="size",
     panels="rate",
     value="transfer",
+    label=_TRANSFER_RATE,
     drawn=_has("transfer_rate_bytes_per_s"),
     least=2,
-    settings={"x_title": "Message size"},
 )
 
 TRANSFER_BY_RATE = LineFigure(
@@ -177,7 +178,7 @@ TRANSFER_BY_RATE = LineFigure(
     x="rate",
     panels="size",
     value="transfer",
+    label=_TRANSFER_RATE,
     drawn=_has("transfer_rate_bytes_per_s"),
     least=2,
-    settings={"x_title": "Rate (Hz)"},
 )

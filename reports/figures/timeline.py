@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from ..book.book import Book
-from .figure import Figure, FigureMaker, LeftOut, Scope
+from .figure import FigureMaker, Plan, Scope
 
 Float64 = NDArray[np.float64]
 
@@ -33,52 +32,41 @@ class GroupTimeline:
     lost_count: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Timeline:
-    groups: tuple[GroupTimeline, ...]
-    decimated: bool
-    outages: Mapping[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
-
-
-def timeline_info(book: Book) -> Timeline:
+def timeline_plan(book: Book) -> Plan | None:
     frame = book.analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
     share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, book.analysis.summary.height))
     is_back = pl.col("outcome") == "completed"
     back, lost = frame.filter(is_back), frame.filter(~is_back).partition_by("group", as_dict=True)
     thinned = _thinned(back, share)
     drawn = thinned.partition_by("group", as_dict=True)
-    groups = []
+    groups = {}
     for (group,) in frame.select("group").unique(maintain_order=True).iter_rows():
         rows = drawn.get((group,), frame.clear())
         lost_at, lost_count = _crosses(lost.get((group,), frame.clear())["elapsed_s"].to_numpy(), share)
-        groups.append(
-            GroupTimeline(
-                group,
-                tuple(round(value, 4) for value in rows["elapsed_s"].to_list()),
-                tuple(rows["latency_ns"].to_list()),
-                tuple(rows["rtt_ns"].to_list()),
-                lost_at,
-                lost_count,
-            )
+        groups[group] = GroupTimeline(
+            group,
+            tuple(round(value, 4) for value in rows["elapsed_s"].to_list()),
+            tuple(rows["latency_ns"].to_list()),
+            tuple(rows["rtt_ns"].to_list()),
+            lost_at,
+            lost_count,
         )
     decimated = book.analysis.timeline_decimated or thinned.height < back.height
-    return Timeline(tuple(groups), decimated, _outages(book))
+    return {"groups": groups, "decimated": decimated, "outages": _outages(book)} if groups else None
 
 
-def timeline_figure(info: Timeline) -> Figure | LeftOut:
-    name, title = "timeline", "Latency over time"
-    how_to_read = (
+FIGURE = FigureMaker(
+    name="timeline",
+    title="Latency over time",
+    how_to_read=(
         "Each dot is a received message; crosses on the line at the top are lost messages at the time they were due, so a row of crosses is "
         "an outage, and outages are shaded."
-    )
-    if not info.groups:
-        return LeftOut(name, title, "no message was published.")
-    groups = {row.group: row for row in info.groups}
-    plan = {"groups": groups, "decimated": info.decimated, "outages": info.outages}
-    return Figure(name, title, how_to_read, "timeline", plan)
-
-
-FIGURE = FigureMaker(timeline_info, timeline_figure, Scope.CELL)
+    ),
+    nothing="no message was published.",
+    kind="timeline",
+    make=timeline_plan,
+    scope=Scope.CELL,
+)
 
 
 def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dds_trace.tracefile.format.wire import AGAIN_CLASSES, DISCOVERY_CLASSES
 
 from ..book.book import Book
 from ..book.numbers import whole_ns
-from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
+from .figure import FigureMaker, Plan, Scope, plane_facet, spread_plan
 
 PART_LABELS = {
     "data": "Data, first time",
@@ -39,13 +38,7 @@ class WirePart:
     share: float
 
 
-@dataclass(frozen=True, slots=True)
-class WireCost(Faceted):
-    parts: Mapping[int, tuple[WirePart, ...]]
-    incomplete: tuple[int, ...]
-
-
-def wire_cost_info(book: Book) -> WireCost:
+def wire_cost_plan(book: Book) -> Plan | None:
     details = book.analysis.details
     ratios = dict(details.wire.select("group", "bytes_per_payload_byte").drop_nulls().iter_rows())
     shares: dict[int, dict[str, float]] = {}
@@ -57,31 +50,28 @@ def wire_cost_info(book: Book) -> WireCost:
         group: tuple(WirePart(name, share * ratios[group], share) for name, share in parts.items() if share)
         for group, parts in shares.items()
     }
-    facet = plane_facet(book)
-    incomplete = details.wire.filter(~details.wire["complete"])["group"].to_list()
-    return WireCost(facet, facet_panels(book, facet, shares.__contains__), parts, tuple(incomplete))
+    used = {part.name for own in parts.values() for part in own}
+    return spread_plan(
+        book,
+        plane_facet(book),
+        parts.__contains__,
+        names={name: label for name, label in PART_LABELS.items() if name in used},
+        parts=parts,
+        incomplete=details.wire.filter(~details.wire["complete"])["group"].to_list(),
+    )
 
 
-def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
-    name, title = "wire_cost", "What a message costs"
-    how_to_read = (
+WIRE_COST = FigureMaker(
+    name="wire_cost",
+    title="What a message costs",
+    how_to_read=(
         "A whole bar is the bytes on the wire for each byte of payload, both ways, with all headers; what is above 1 is the price of the "
         "middleware, by what it was spent on."
-    )
-    if not info.panels:
-        return LeftOut(name, title, "no run was recorded with --wire.")
-    used = {part.name for parts in info.parts.values() for part in parts}
-    plan = facet_plan(
-        info.facet,
-        info.panels,
-        names={name: label for name, label in PART_LABELS.items() if name in used},
-        parts=info.parts,
-        incomplete=info.incomplete,
-    )
-    return Figure(name, title, how_to_read, "wire_cost", plan)
-
-
-WIRE_COST = FigureMaker(wire_cost_info, wire_cost_figure)
+    ),
+    nothing="no run was recorded with --wire.",
+    kind="wire_cost",
+    make=wire_cost_plan,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +82,8 @@ class Repeats:
     max_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class SentAgain:
+def sent_again_plan(book: Book) -> Plan | None:
     """Groups that sent a message again -> their messages by how often, ascending; `metric` is `rtt` without a relay's trace."""
-
-    groups: Mapping[int, tuple[Repeats, ...]]
-    metric: str
-
-
-def sent_again_info(book: Book) -> SentAgain:
     frame = book.analysis.details.wire_repeats
     metric = "latency" if frame["latency_p50_ns"].count() == frame["rtt_p50_ns"].count() else "rtt"
     columns = ("group", "repeats", "messages", f"{metric}_p50_ns", f"{metric}_max_ns")
@@ -108,18 +91,18 @@ def sent_again_info(book: Book) -> SentAgain:
     for group, repeats, messages, p50_ns, max_ns in frame.select(columns).iter_rows():
         groups.setdefault(group, []).append(Repeats(repeats, messages, whole_ns(p50_ns), whole_ns(max_ns)))
     again = {group: tuple(rows) for group, rows in groups.items() if any(row.repeats for row in rows)}
-    return SentAgain(again, metric)
+    return {"groups": again, "metric": metric} if again else None
 
 
-def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
-    name, title = "sent_again", "Sent again"
-    how_to_read = (
+SENT_AGAIN = FigureMaker(
+    name="sent_again",
+    title="Sent again",
+    how_to_read=(
         "Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "
         "the price of one loss, and where it is a heartbeat's period, recovery waits for heartbeats."
-    )
-    if not info.groups:
-        return LeftOut(name, title, "no message was sent again, or no run was recorded with --wire.")
-    return Figure(name, title, how_to_read, "sent_again", {"groups": info.groups, "metric": info.metric})
-
-
-SENT_AGAIN = FigureMaker(sent_again_info, sent_again_figure, Scope.CELL)
+    ),
+    nothing="no message was sent again, or no run was recorded with --wire.",
+    kind="sent_again",
+    make=sent_again_plan,
+    scope=Scope.CELL,
+)

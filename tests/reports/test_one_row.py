@@ -10,7 +10,7 @@ from campaigns import write_runs
 from dds_trace.cli.analyze import main
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES
-from dds_trace.reports.figures.figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
+from dds_trace.reports.figures.figure import Facet, FigureMaker, spread_plan
 from dds_trace.reports.html.page import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 
@@ -19,17 +19,15 @@ from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 def toy_figure():
     """Worst latency against size: what a newcomer would write, with the page's own kind of lines."""
 
-    def worst_info(book):
-        facet = Facet("size", "rate")
-        return Faceted(facet, facet_panels(book, facet))
-
-    def worst_figure(info):
-        if not info.panels:
-            return LeftOut("toy", "A toy figure", "nothing was measured.")
-        plan = facet_plan(info.facet, info.panels, x_title="Size")
-        return Figure("toy", "A toy figure", "Read it from left to right.", "lines", plan)
-
-    FIGURES.append(FigureMaker(worst_info, worst_figure))
+    FIGURES.append(
+        FigureMaker(
+            name="toy",
+            title="A toy figure",
+            how_to_read="Read it from left to right.",
+            nothing="nothing was measured.",
+            make=lambda book: spread_plan(book, Facet("size", "rate"), lambda _: True, x_title="Size"),
+        )
+    )
     yield
     FIGURES.pop()
 

@@ -1,20 +1,6 @@
 "use strict";
-// Numbers for people, by the same rules as reports/book/groups.py (a test compares the two).
-const MISSING = "-";
-const TIME_UNITS = [
-  [86400e9, "d"],
-  [3600e9, "h"],
-  [1e9, "s"],
-  [1e6, "ms"],
-  [1e3, "µs"],
-  [1, "ns"],
-];
-const BYTE_UNITS = [
-  [1e9, "GB"],
-  [1e6, "MB"],
-  [1e3, "KB"],
-  [1, "B"],
-];
+// Numbers for people, in the units and by the rules of base/units.py and reports/book/groups.py (a test compares them).
+const { missing: MISSING, time: TIME_UNITS, bytes: BYTE_UNITS } = DATA.units;
 
 function digits(value) {
   if (value === 0) return "0";

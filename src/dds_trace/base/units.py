@@ -24,10 +24,10 @@ INFINITE_NS = (2**31 - 1) * SECOND_NS
 UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
 
 _READ_NS = UNIT_NS | {"µs": 1_000}
-_SHOWN_NS = {"d": 86_400 * SECOND_NS, "h": 3_600 * SECOND_NS, "s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
-_DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
+SHOWN_NS = {"d": 86_400 * SECOND_NS, "h": 3_600 * SECOND_NS, "s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
+DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
 _BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
-UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}
+UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (DECIMAL_BYTES | _BINARY_BYTES).items()}
 """A number without unit is bytes."""
 
 _QUANTITY = re.compile(r"\s*(\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})\s*([a-zµ%]*)\s*", re.IGNORECASE | re.ASCII)
@@ -90,7 +90,7 @@ def parse_duration(text: str, what: str = "duration") -> int:
 
 
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
-    return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit.replace("us", "µs"): UNIT_NS[unit]})
+    return format_quantity(value_ns, SHOWN_NS if unit is None else {unit.replace("us", "µs"): UNIT_NS[unit]})
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:
@@ -134,7 +134,7 @@ def parse_size(text: str, what: str = "size") -> int:
 
 
 def format_size(size_bytes: int) -> str:
-    for unit, factor in _DECIMAL_BYTES.items():
+    for unit, factor in DECIMAL_BYTES.items():
         if size_bytes >= factor > 1 and size_bytes % (factor / 10) == 0:
             return f"{size_bytes / factor:.15g} {unit}"
     for unit, factor in _BINARY_BYTES.items():
@@ -144,9 +144,9 @@ def format_size(size_bytes: int) -> str:
 
 
 def spell_size(size_bytes: int) -> str:
-    whole = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
+    whole = (unit for unit, size in DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(whole, "B")
-    return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"
+    return f"{size_bytes // DECIMAL_BYTES[unit]}{unit}"
 
 
 def clock_words(seconds: float) -> str:

@@ -10,19 +10,12 @@ from dds_trace.analyzer.groups.fan_out import FAN_OUT_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures import FIGURES, drawn_figures
-from dds_trace.reports.figures.breakdown import MeanPart, breakdown_info
-from dds_trace.reports.figures.clocks import ClockPair, clock_info, one_way_info
-from dds_trace.reports.figures.costs import bridge_cost_info, domain_difference_info, dots_info
-from dds_trace.reports.figures.distribution import (
-    DistributionCurves,
-    Heatmap,
-    HeatmapPanel,
-    distribution_info,
-    heatmap_info,
-    run_spread_info,
-)
-from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Figure, LeftOut, Line, Panel
-from dds_trace.reports.figures.host_load import DeviceLoad, host_load_info
+from dds_trace.reports.figures.breakdown import MeanPart, breakdown_plan
+from dds_trace.reports.figures.clocks import ClockPair, clock_plan, one_way_plan
+from dds_trace.reports.figures.costs import bridge_cost_plan, domain_difference_plan, dots_plan
+from dds_trace.reports.figures.distribution import HeatmapPanel, distribution_plan, heatmap_plan, run_spread_plan
+from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Figure, LeftOut, Line, Panel, facet_panels
+from dds_trace.reports.figures.host_load import DeviceLoad, host_load_plan
 from dds_trace.reports.figures.lines import (
     BY_DEVICE,
     LATENCY_BY_RATE,
@@ -35,8 +28,8 @@ from dds_trace.reports.figures.lines import (
     TRANSFER_RATE,
     VENDOR_COMPARISON,
 )
-from dds_trace.reports.figures.own_times import Receivers, fan_out_figure, fan_out_info
-from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
+from dds_trace.reports.figures.own_times import Receivers, fan_out_plan
+from dds_trace.reports.figures.timeline import GroupTimeline, timeline_plan
 from dds_trace.reports.html.page import json_island
 
 
@@ -137,17 +130,16 @@ def test_transfer_rate_stands_over_size_times_rate(campaign):
 
 
 def test_domain_difference_pairs_equal_groups(campaign):
-    info = domain_difference_info(Book(campaign))
-    assert info.pairs == ((1, 0),)
-    assert info.panels == (Panel("10 Hz", (Line(0, (33_000.0,), (1,)), Line(1, (33_000.0,), (0,)))),)
+    plan = domain_difference_plan(Book(campaign))
+    assert (plan["pairs"], plan["groups"]) == ([(1, 0)], [0, 1])
 
 
 def test_bars_are_of_the_messages_planned():
     """Of ten planned: 4 ms is the median of all if one is lost, and the median is lost if six are."""
     ramp = [n * MS for n in range(1, 10)]
     some, most = Measured([*ramp, "lost_return"]), Measured([*ramp[:4], *["lost_return"] * 6], **BRIDGED)
-    info = domain_difference_info(Book(make_analysis(some, most)))
-    bridged, home = info.planned[0]["latency"], info.planned[1]["latency"]
+    planned = domain_difference_plan(Book(make_analysis(some, most)))["planned"]
+    bridged, home = planned[0]["latency"], planned[1]["latency"]
     assert (home["p50"], home["max"]) == (pytest.approx(5 * MS, rel=2e-3), None)
     assert (bridged["p50"], bridged["min"]) == (None, pytest.approx(MS, rel=2e-3))
     assert "p99" not in home, "ten messages have no p99"
@@ -155,8 +147,7 @@ def test_bars_are_of_the_messages_planned():
 
 def test_domain_difference_pairs_no_unlike_groups():
     unlike = make_analysis(Measured([MS]), Measured([MS], reliability="best_effort", **BRIDGED))
-    info = domain_difference_info(Book(unlike))
-    assert (info.panels, info.pairs) == ((), ())
+    assert domain_difference_plan(Book(unlike)) is None
 
 
 def test_every_bridge_is_compared_with_the_same_domain():
@@ -164,34 +155,34 @@ def test_every_bridge_is_compared_with_the_same_domain():
         Measured([MS]), Measured([MS], **BRIDGED), Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different")
     )
     # Sorted by bridge: builtin 0, none 1, zenoh-bridge-dds 2.
-    assert domain_difference_info(Book(both)).pairs == ((1, 0), (1, 2))
+    assert domain_difference_plan(Book(both))["pairs"] == [(1, 0), (1, 2)]
 
 
 def test_heatmap_has_a_plane_per_series_with_two_tiles(campaign):
     tiles = ((33_000, 10.0, 1), (33_000, 20.0, 2), (67_000, 10.0, 3))
-    assert heatmap_info(Book(campaign)) == Heatmap((HeatmapPanel("Binary: Fast DDS, same domain", tiles),))
+    assert heatmap_plan(Book(campaign)) == {"panels": [HeatmapPanel("Binary: Fast DDS, same domain", tiles)]}
 
 
 def test_breakdown_stacks_the_parts_of_the_response(campaign):
     without_relay = Measured([MS], relay_device=None)
-    assert breakdown_info(Book(make_analysis(without_relay))).panels == ()
-    info = breakdown_info(Book(campaign))
-    assert [panel.title for panel in info.panels] == [
+    assert breakdown_plan(Book(make_analysis(without_relay))) is None
+    plan = breakdown_plan(Book(campaign))
+    assert [panel.title for panel in facet_panels(Book(campaign), plan["facet"])] == [
         "Fast DDS, same domain",
         "Fast DDS, through our built-in bridge",
         "Zenoh, same domain",
     ]
     # Group 1: latencies of 1 and 2 ms, the way out 50 and 100 µs longer, the way back as much shorter.
-    assert info.parts[1] == (
+    assert plan["parts"][1] == [
         MeanPart("waiting_ns", 20_000, 0),
         MeanPart("outbound_ns", 1_575_000, 50_000),
         MeanPart("relay_ns", 100_000, 0),
         MeanPart("return_ns", 1_425_000, 50_000),
-    )
+    ]
 
 
 def test_one_way_shows_both_ways_with_the_clock_bound(campaign):
-    way = one_way_info(Book(campaign)).ways[1]
+    way = one_way_plan(Book(campaign))["ways"][1]
     assert (way.outbound_ns["p50"], way.return_ns["p50"], way.bound_ns) == (1_575_000, 1_425_000, 50_000)
     assert (way.outbound_ns["max"], way.return_ns["p90"]) == (2_100_000, None)
 
@@ -202,11 +193,11 @@ def test_bridge_cost_is_the_difference_with_its_interval():
         Measured([MS + ns for ns in mixed], connectivity="wireless"),
         Measured([3 * MS + ns for ns in mixed], connectivity="wireless", **BRIDGED),
     )
-    info = bridge_cost_info(Book(analysis))
-    ((group, cell),) = info.cells.items()
+    plan = bridge_cost_plan(Book(analysis))
+    ((group, cell),) = plan["cells"].items()
     cost = cell.costs["p50"]
     # Sorted by bridge: builtin is group 0. Samples of the bridge in the run (0 to 1.9 s): 30 % each.
-    assert (info.panels, group) == ((Panel("Binary", (Line(1, (0.0,), (0,)),)),), 0)
+    assert (plan["groups"], group) == ([0], 0)
     assert cell.bridge_cpu_percent == 30.0
     assert cost.ratio == pytest.approx(3, rel=0.02)
     assert cost.ratio_low <= cost.ratio <= cost.ratio_high
@@ -226,27 +217,26 @@ def test_sustainable_needs_two_rates_and_one_that_was_not_kept_up(campaign):
 def test_the_spread_of_runs_is_how_far_their_interval_reaches():
     mixed = [MS + n * 1000 for n in random.Random(1).sample(range(20), 20)]
     analysis = make_analysis(Measured(mixed, runs=3), Measured([MS], rate_hz=20.0))
-    info = run_spread_info(Book(analysis))
+    plan = run_spread_plan(Book(analysis))
     (row,) = analysis.details.intervals.filter(metric="latency", percentile="p50", group=0).to_dicts()
-    assert info.reaches["p50"] == {0: pytest.approx((row["high_ns"] / row["low_ns"]) ** 0.5 - 1, abs=1e-5)}
-    assert info.panels == (Panel("Binary", (Line(0, (0.0,), (0,)),)),)
+    assert plan["reaches"]["p50"] == {0: pytest.approx((row["high_ns"] / row["low_ns"]) ** 0.5 - 1, abs=1e-5)}
+    assert plan["groups"] == [0]
 
 
 def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign):
-    assert dots_info(Book(campaign)).groups == (1, 0, 4, 2, 3), "by message, then setup"
+    assert dots_plan(Book(campaign))["groups"] == [1, 0, 4, 2, 3], "by message, then setup"
     made = {figure.name: figure for _, figure in drawn_figures(Book(campaign))}
     assert isinstance(made["dots"], Figure)
     assert {name for name, figure in made.items() if isinstance(figure, LeftOut) and "so few results" in figure.reason} >= {
         "latency_by_rate", "latency_by_size", "domain_difference", "vendor_comparison", "received",
     }  # fmt: skip
     many = Book(EVERY_ANALYSIS["small campaign"]())
-    assert dots_info(many).groups == ()
+    assert dots_plan(many) is None
     assert "dots" not in {figure.name for _, figure in drawn_figures(many)}
 
 
 def test_clock_shows_offsets_since_the_first():
-    info = clock_info(Book(make_analysis(Measured([MS, MS]))))
-    (pair,) = info.pairs
+    (pair,) = clock_plan(Book(make_analysis(Measured([MS, MS]))))["pairs"]
     assert pair.title.split(": ") == ["pi-one → pi-two", "drift +20 ± 1 ppm"]
     assert pair == ClockPair(pair.title, 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0))
 
@@ -257,7 +247,7 @@ NO_LINK = ((None, None), (None, None))
 def test_host_load_is_that_of_the_run():
     # 0 s to 1.1 s after the wall anchor; samples at 0, 1, 2 s.
     analysis = make_analysis(Measured([MS] * 12, connectivity="wireless"))
-    assert host_load_info(Book(analysis)).groups == {
+    assert host_load_plan(Book(analysis))["groups"] == {
         0: (
             DeviceLoad("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0), *NO_LINK),
             DeviceLoad("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0), *NO_LINK),
@@ -276,7 +266,7 @@ def test_intervals_are_by_group():
 
 def test_outages_are_marked_on_the_timeline():
     analysis = make_analysis(Measured([*[MS] * 10, *["lost_return"] * 5, *[MS] * 10]))
-    ((start, end),) = timeline_info(Book(analysis)).outages[0]
+    ((start, end),) = timeline_plan(Book(analysis))["outages"][0]
     # Messages 10 to 14 were due at 1.0 to 1.4 s; the next one came back 2.1 ms after 1.5 s (and 20 µs late).
     assert start == 1.0
     assert 1.5 <= end <= 1.51
@@ -316,16 +306,14 @@ def test_levels_are_ascending_and_hold_the_named_percentiles():
 
 
 def test_one_message_makes_no_curve():
-    assert distribution_info(Book(make_analysis(Measured([MS])))) == DistributionCurves(any_drawn=False)
-    assert distribution_info(Book(make_analysis(Measured([MS, MS])))) == DistributionCurves(any_drawn=True)
+    assert distribution_plan(Book(make_analysis(Measured([MS])))) is None
+    assert distribution_plan(Book(make_analysis(Measured([MS, MS])))) == {}
 
 
 def test_timeline_marks_losses_at_the_time_they_were_due():
     analysis = make_analysis(Measured([MS, "lost_outbound", 3 * MS, "lost_return"]))
-    assert timeline_info(Book(analysis)) == Timeline(
-        (GroupTimeline(0, (0.0, 0.2), (1_000_000, 3_000_000), (2_100_000, 6_100_000), (0.1, 0.3), (1, 1)),),
-        decimated=False,
-    )
+    group = GroupTimeline(0, (0.0, 0.2), (1_000_000, 3_000_000), (2_100_000, 6_100_000), (0.1, 0.3), (1, 1))
+    assert timeline_plan(Book(analysis)) == {"groups": {0: group}, "decimated": False, "outages": {}}
 
 
 def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
@@ -333,7 +321,7 @@ def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
     monkeypatch.setattr("dds_trace.reports.figures.timeline.FEWEST_POINTS", 10)
     messages = [MS + n for n in range(1000)]
     messages[333], messages[666] = 500 * MS, 1
-    (group,) = timeline_info(Book(make_analysis(Measured([*messages, *["lost_unknown"] * 100])))).groups
+    group = timeline_plan(Book(make_analysis(Measured([*messages, *["lost_unknown"] * 100]))))["groups"][0]
     assert len(group.elapsed_s) <= 10
     assert {500 * MS, 1} <= set(group.latency_ns)
     assert sum(group.lost_count) == 100
@@ -362,7 +350,7 @@ def test_nothing_empty_is_drawn_and_names_are_unique():
 
 
 def test_a_figure_left_out_says_why(sentences):
-    left_out = LATENCY_BY_RATE.figure(Faceted(Facet("rate", "size"), ()))
+    left_out = LATENCY_BY_RATE.draw(Book(EVERY_ANALYSIS["one message"]()))
     assert isinstance(left_out, LeftOut)
     sentences(left_out.reason)
 
@@ -370,7 +358,7 @@ def test_a_figure_left_out_says_why(sentences):
 def drawn(*rows):
     analysis = make_analysis(*(Measured([MS], setting=f"hosts={n},relays={n},tuned=true") for n in (2, 5)))
     frame = pl.DataFrame([dict.fromkeys(FAN_OUT_SCHEMA) | row for row in rows], FAN_OUT_SCHEMA)
-    return fan_out_info(Book(replace(analysis, details=replace(analysis.details, fan_out=frame))))
+    return fan_out_plan(Book(replace(analysis, details=replace(analysis.details, fan_out=frame))))
 
 
 def row(group, receivers, **times):
@@ -379,17 +367,16 @@ def row(group, receivers, **times):
 
 
 def test_results_that_differ_only_in_the_number_are_one_line():
-    info = drawn(row(1, 5, first_receiver=MS, last_receiver=4 * MS), row(0, 2, first_receiver=MS, last_receiver=2 * MS))
-    ((name, points),) = info.lines.items()
+    plan = drawn(row(1, 5, first_receiver=MS, last_receiver=4 * MS), row(0, 2, first_receiver=MS, last_receiver=2 * MS))
+    ((name, points),) = plan["lines"].items()
     assert name.endswith("tuned=true")
     assert points == (Receivers(0, 2, MS, 2 * MS, None), Receivers(1, 5, MS, 4 * MS, None))
-    assert isinstance(fan_out_figure(info), Figure)
-    assert info.of == "Relays"
+    assert plan["of"] == "Relays"
 
 
 def test_with_one_relay_the_pings_are_counted():
-    assert drawn(row(0, 1), row(1, 1)).of == "Pings"
+    assert drawn(row(0, 1), row(1, 1))["of"] == "Pings"
 
 
 def test_without_rows_there_is_none():
-    assert isinstance(fan_out_figure(drawn()), LeftOut)
+    assert drawn() is None

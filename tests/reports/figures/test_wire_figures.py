@@ -12,18 +12,9 @@ from rewritten_traces import rewrite_sessions, shift_relay_clock
 from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.clocks import clock_figure, clock_info
-from dds_trace.reports.figures.figure import Figure, LeftOut, Line, Panel
-from dds_trace.reports.figures.own_times import first_message_figure, first_message_info
-from dds_trace.reports.figures.wire import (
-    Repeats,
-    SentAgain,
-    WirePart,
-    sent_again_figure,
-    sent_again_info,
-    wire_cost_figure,
-    wire_cost_info,
-)
+from dds_trace.reports.figures.clocks import CLOCK, clock_plan
+from dds_trace.reports.figures.own_times import FIRST_MESSAGE, first_message_plan
+from dds_trace.reports.figures.wire import SENT_AGAIN, WIRE_COST, Repeats, WirePart, sent_again_plan, wire_cost_plan
 
 
 def frame(schema, *rows):
@@ -46,25 +37,22 @@ def test_a_bar_is_the_bytes_per_payload_byte_by_what_they_were_spent_on():
         {"group": 1, "wire_class": name, "share": share}
         for name, share in (("data", 0.4), ("data_frag", 0.2), ("data_frag_again", 0.25), ("acknack", 0.05), ("spdp", 0.1))
     ]  # fmt: skip
-    info = wire_cost_info(drawn([{"group": 1, "complete": False, "bytes_per_payload_byte": 2.0}], classes))
-    assert info.panels == (Panel("Binary", (Line(0, (1.0,), (1,)),)),)
-    assert [(part.name, pytest.approx(part.ratio)) for part in info.parts[1]] == [
+    plan = wire_cost_plan(drawn([{"group": 1, "complete": False, "bytes_per_payload_byte": 2.0}], classes))
+    assert (plan["groups"], plan["incomplete"]) == ([1], [1])
+    assert [(part.name, pytest.approx(part.ratio)) for part in plan["parts"][1]] == [
         ("data", 1.2),
         ("again", 0.5),
         ("control", 0.1),
         ("discovery", 0.2),
     ]
-    assert info.parts[1][1] == WirePart("again", 0.5, 0.25)
-    assert info.incomplete == (1,)
-    figure = wire_cost_figure(info)
-    assert isinstance(figure, Figure)
-    assert list(figure.plan["names"]) == ["data", "again", "control", "discovery"]
+    assert plan["parts"][1][1] == WirePart("again", 0.5, 0.25)
+    assert list(plan["names"]) == ["data", "again", "control", "discovery"]
 
 
 def test_an_unknown_class_is_other():
     classes = [{"group": 0, "wire_class": "of a later version", "share": 1.0}]
-    info = wire_cost_info(drawn([{"group": 0, "complete": True, "bytes_per_payload_byte": 1.5}], classes))
-    assert info.parts == {0: (WirePart("other", 1.5, 1.0),)}
+    plan = wire_cost_plan(drawn([{"group": 0, "complete": True, "bytes_per_payload_byte": 1.5}], classes))
+    assert plan["parts"] == {0: (WirePart("other", 1.5, 1.0),)}
 
 
 def test_a_group_without_repeats_is_not_drawn():
@@ -73,34 +61,25 @@ def test_a_group_without_repeats_is_not_drawn():
         {"group": 1, "repeats": 0, "messages": 1, "rtt_p50_ns": 5.0, "latency_p50_ns": 2.4, "latency_max_ns": 2.6},
         {"group": 1, "repeats": 1, "messages": 1},
     ]  # fmt: skip
-    info = sent_again_info(drawn(repeats=rows))
-    assert info == SentAgain({1: (Repeats(0, 1, 2, 3), Repeats(1, 1, None, None))}, "latency")
+    groups = {1: (Repeats(0, 1, 2, 3), Repeats(1, 1, None, None))}
+    assert sent_again_plan(drawn(repeats=rows)) == {"groups": groups, "metric": "latency"}
 
 
 def test_without_a_relays_trace_the_round_trip_is_drawn():
     rows = [{"group": 0, "repeats": 1, "messages": 2, "rtt_p50_ns": 5.0, "rtt_max_ns": 6.0}]
-    assert sent_again_info(drawn(repeats=rows)) == SentAgain({0: (Repeats(1, 2, 5, 6),)}, "rtt")
+    assert sent_again_plan(drawn(repeats=rows)) == {"groups": {0: (Repeats(1, 2, 5, 6),)}, "metric": "rtt"}
 
 
 def test_time_to_the_first_message_is_a_mark_for_each_group_that_has_it():
     rows = [{"group": 0, "match_p50_ns": 40e6}, {"group": 1}]
-    info = first_message_info(drawn(rows))
-    assert info.panels == (Panel("Binary", (Line(0, (0.0,), (0,)),)),)
-    assert info.times_ns == {0: 40_000_000}
-    figure = first_message_figure(info)
-    assert isinstance(figure, Figure)
-    assert (figure.kind, figure.plan["values_ns"]) == ("lines", {0: 40_000_000})
+    plan = first_message_plan(drawn(rows))
+    assert (plan["groups"], plan["values_ns"]) == ([0], {0: 40_000_000})
 
 
 def test_without_the_wire_each_figure_says_so():
-    book = drawn()
-    for figure in (
-        wire_cost_figure(wire_cost_info(book)),
-        sent_again_figure(sent_again_info(book)),
-        first_message_figure(first_message_info(book)),
-    ):
-        assert isinstance(figure, LeftOut)
-        assert "--wire" in figure.reason
+    for row in (WIRE_COST, SENT_AGAIN, FIRST_MESSAGE):
+        assert row.plan(drawn()) is None
+        assert "--wire" in row.draw(drawn()).reason
 
 
 SAMPLES = Path(__file__).parents[3] / "sample_traces" / "same_domain"
@@ -123,7 +102,7 @@ def shifted(tmp_path_factory, truth):
 
 
 def test_every_mark_is_within_its_bound_of_the_clock_that_was_set(shifted, truth):
-    (pair,) = clock_info(Book(shifted)).pairs
+    (pair,) = clock_plan(Book(shifted))["pairs"]
     at_ns = shifted.details.clock_knots.sort("at_ns")["at_ns"].to_list()
     assert len(pair.offset_ns) == len(at_ns) == 5, "one for each run: they are short"
     for at, offset, bound in zip(at_ns, pair.offset_ns, pair.bound_ns, strict=True):
@@ -133,10 +112,9 @@ def test_every_mark_is_within_its_bound_of_the_clock_that_was_set(shifted, truth
 
 
 def test_the_drift_is_in_the_title(shifted):
-    (pair,) = clock_info(Book(shifted)).pairs
+    (pair,) = clock_plan(Book(shifted))["pairs"]
     drift, within = map(float, re.fullmatch(r"alpha → beta: drift \+([\d.]+) ± ([\d.]+) ppm", pair.title).groups())
     assert abs(drift - DRIFT_PPM) <= within < DRIFT_PPM
-    assert isinstance(clock_figure(clock_info(Book(shifted))), Figure)
 
 
 def test_latencies_are_those_of_the_true_clock(shifted):
@@ -149,6 +127,4 @@ def test_latencies_are_those_of_the_true_clock(shifted):
 
 def test_traces_of_one_clock_have_no_clock_figure(tmp_path):
     rewrite_sessions(SAMPLES, tmp_path / "one", {"device": "alpha"})
-    left_out = clock_figure(clock_info(Book(analyze(tmp_path / "one"))))
-    assert isinstance(left_out, LeftOut)
-    assert "one device" in left_out.reason
+    assert "one device" in CLOCK.draw(Book(analyze(tmp_path / "one"))).reason

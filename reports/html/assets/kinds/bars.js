@@ -109,7 +109,7 @@ KINDS.bars = function bars(plan, width, all) {
         ...tickedAxis(
           positions.map((_, place) => place),
           names,
-          { log: false, room: facet.x === "size" ? 40 : 20, title: AXIS_NAMES[facet.x] || "" },
+          { log: false, room: facet.x === "size" ? 40 : 20, title: AXIS_TITLES[facet.x] },
         )(panelWidth),
         range: [-0.55, positions.length - 0.45],
         showgrid: false,
@@ -156,16 +156,14 @@ KINDS.bars = function bars(plan, width, all) {
         cell(base_),
         cell(other),
         ...([base_, other].every(Number.isFinite) ? [other - base_, other / base_] : ["lost", "lost"]),
-        receivedWords(same, different),
+        plan.received[different],
       ),
     ),
   };
 };
 
-const AXIS_NAMES = { size: "Message size", rate: "Rate (Hz)" };
-
 KINDS.bridge_cost = function bridgeCost(plan, width, all) {
-  const instead = { mean: "p50", min: "p50", max: "p99" }[view.statistic]; // only percentiles are compared
+  const instead = plan.instead[view.statistic]; // only percentiles are compared
   const statistic = instead || view.statistic;
   const label = DATA.statistics.find((choice) => choice.key === statistic).label;
   const costOf = (group) => plan.cells[group].costs[statistic] || null;
@@ -286,6 +284,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
       "The ratio is on a log scale.",
       CELL_FOOT,
       found.points.some((point) => isLossy(point.group)) ? LOST_FOOT : "",
+      plan.foot,
     ]
       .filter(Boolean)
       .join(" "),

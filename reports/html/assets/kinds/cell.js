@@ -320,7 +320,7 @@ function distribution(width, byRarity, all) {
   const common = {
     legend: choicesOf(inCell),
     missing: without,
-    foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "",
+    foot: groups.some(isLossy) ? `Faded curves ${LOST_MUCH}.` : "",
   };
   if (byRarity) {
     const isTick = (level) => level === 0.5 || (level > 0.5 && Number.isInteger(Math.log10(Math.round(rarity(level)))));

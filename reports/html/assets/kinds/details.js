@@ -68,7 +68,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
   });
   Object.assign(drawn.layout, { barmode: "relative", bargap: 0.15 });
   const lossy = found.points.some((point) => isLossy(point.group))
-    ? " Faded bars are results that lost more than 1 % of their messages."
+    ? ` Faded bars ${LOST_MUCH}.`
     : "";
   return {
     ...drawn,

@@ -11,12 +11,12 @@
 // two).
 const KINDS = {};
 
-const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
+const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES, titles: AXIS_TITLES, lost_much: LOST_MUCH } = DATA.facets;
 
 const GROUP_COLUMNS = [
   { label: "Data" },
   { label: "Size", unit: "bytes", format: (_, row) => row.size },
-  { label: "Rate", unit: "Hz", format: (value) => digits(value) },
+  { label: "Rate", unit: "Hz", format: formatHz },
   { label: "Setup" },
 ];
 
@@ -39,17 +39,12 @@ function sampleHover(group) {
   return `${formatCount(received[group])} of ${counted(published[group], "message")} received`;
 }
 
-/** The shares received of two groups, base first: `100 % → 98.5 %`. */
-function receivedWords(base, other) {
-  return [base, other].map((group) => formatRatio(DATA.values.plain.received_ratio[group])).join(" → ");
-}
-
 /** The share of a group's planned messages that came back; 1 where none was due. */
 const shareOf = (group) => DATA.curves.shares[group] ?? 1;
 /** The share received of a group that lost much, short enough to be next to its hollow mark; else empty. */
 const lossText = (group) => DATA.curves.losses[group];
 const isLossy = (group) => lossText(group) !== "";
-const LOST_FOOT = "A hollow mark lost more than 1 % of its messages; the number next to it is the share received.";
+const LOST_FOOT = `A hollow mark ${LOST_MUCH}; the number next to it is the share received.`;
 
 const atomsOf = (key) => MADE_OF[key] || (key ? [key] : []);
 const optionOf = (key, group) => DATA.dimensions[key].index[group];
@@ -255,17 +250,18 @@ const intervalCells = (group) => (INTERVALS() ? [...intervalOf(group), restsOn(g
 // Times are drawn in seconds, and each tick says its own unit: 500 µs, 2 ms, 1 s.
 const S = 1e-9;
 
-/** Ticks of an axis of times (in seconds), about five, each with a unit of its own. */
-function timeTicks([low, high], log) {
-  const wanted = log ? logTicks(10 ** low, 10 ** high) : linearTicks(low, high);
+/** Ticks of an axis of times (in seconds), `most` of them at most, each with a unit of its own. */
+function timeTicks([low, high], log, most = 6) {
+  const wanted = log ? logTicks(10 ** low, 10 ** high, most) : linearTicks(low, high, most);
   return {
     tickmode: "array",
+    tickangle: 0,
     tickvals: wanted,
     ticktext: wanted.map((value) => (value ? plain(formatNs(Math.round(value / S))) : "0")),
   };
 }
 
-function logTicks(low, high) {
+function logTicks(low, high, most) {
   const decades = Array.from(
     { length: Math.ceil(Math.log10(high)) - Math.floor(Math.log10(low)) + 1 },
     (_, step) => 10 ** (Math.floor(Math.log10(low)) + step),
@@ -275,12 +271,12 @@ function logTicks(low, high) {
   return (
     [[1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]]
       .map(within)
-      .find((ticks) => ticks.length <= 6) || within([1])
+      .find((ticks) => ticks.length <= most) || within([1])
   );
 }
 
-function linearTicks(low, high) {
-  const rough = (high - low) / 5 || 1;
+function linearTicks(low, high, most) {
+  const rough = (high - low) / (most - 1) || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= rough);
   return Array.from(

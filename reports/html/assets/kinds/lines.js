@@ -32,20 +32,20 @@ const VALUES = {
       axis: timeAxis,
     };
   },
-  received() {
+  received(plan) {
     const ratios = DATA.values.plain.received_ratio;
     return {
       ...SHARES,
       of: (group) => ratios[group],
-      label: "Received",
+      label: plan.label,
     };
   },
-  sustained() {
+  sustained(plan) {
     const { achieved_rate_hz: achieved, received_ratio: received, sustained } = DATA.values.plain;
     return {
       ...SHARES,
       of: (group) => sustained[group],
-      label: "Replies of the rate",
+      label: plan.label,
       further: {
         columns: [
           { label: "Achieved", unit: "Hz", format: formatHz },
@@ -55,15 +55,15 @@ const VALUES = {
       },
     };
   },
-  transfer() {
+  transfer(plan) {
     const rates = DATA.values.plain.transfer_rate_bytes_per_s;
     return {
       of: (group) => rates[group],
-      label: "Transfer rate",
+      label: plan.label,
       unit: "bytes/s",
       format: formatBytesPerS,
       scaled: (value) => value,
-      title: "Transfer rate (log scale)",
+      title: `${plan.label} (log scale)`,
       axis: (values) => loadAxis(values),
     };
   },
@@ -173,7 +173,7 @@ KINDS.lines = function lines(plan, width, all) {
     return { share, y: axes.get(share) };
   };
   const panels = kept.map((panel) => {
-    const along = alongAxis(x, panel, plan.x_title || "", width);
+    const along = alongAxis(x, panel, plan.x_title || AXIS_TITLES[x] || "", width);
     const traces = panel.lines.map((line, place) => {
       const look = lookOf(dimension, line.option);
       const trace = marks(look, line.points, {
@@ -370,7 +370,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
         ticktext: rates.map((rate) => (rate ? digits(rate) : "max")),
         showgrid: false,
         zeroline: false,
-        title: axisTitle("Rate (Hz)"),
+        title: axisTitle(AXIS_TITLES.rate),
       }),
       y: {
         type: "linear",
@@ -388,7 +388,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
     foot:
       `Tiles show: ${label}.` +
       (view.tiles === "statistic" && kept.some((panel) => panel.tiles.some(([, , group]) => isLossy(group)))
-        ? " Percentages in a tile: the share received, where more than 1 % was lost."
+        ? ` A percentage in a tile is the share received of what ${LOST_MUCH}.`
         : ""),
     columns: [...GROUP_COLUMNS, { label, unit, format }],
     rows: kept.flatMap((panel) => panel.tiles.map(([, , group]) => groupRow(group, valueOf(group)))),

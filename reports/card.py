@@ -120,7 +120,7 @@ def card_marks(book: Book) -> list[Mark]:
     when = facts.get("When", "")
     wide = WIDTH - 2 * EDGE
     marks: list[Mark] = [
-        _line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
+        _line(EDGE, 66, 20, f"dds-trace: {book.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
         Words(WIDTH - EDGE, 66, 20, when, SOFT, anchor="end"),
     ]
     losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")

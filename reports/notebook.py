@@ -46,7 +46,7 @@ def first_screen(analysis: Analysis) -> str:
     answer, sizes = book.answer, book.sizes
     counts = ", ".join(text for _, text in severity_counts(book.findings))
     above = [
-        f"<p style='{_SOFT}'>Latency report: {escape(book.overview.title)}</p>",
+        f"<p style='{_SOFT}'>Latency report: {escape(book.title)}</p>",
         *([f"<p><b>{escape(book.advice.sentence)}</b></p>"] if book.advice else []),
         f"<p><b>{escape(answer.headline)}</b></p>",
         "<ul>" + "".join(f"<li>{escape(point)}</li>" for point in answer.points) + "</ul>" if answer.points else "",

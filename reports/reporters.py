@@ -64,13 +64,6 @@ def write_reports(
     return [_write(reporter, book, kind, Path(folder)) for kind, reporter in reporters.items()]
 
 
-def render_report(analysis: Analysis, kind: str) -> str:
-    """Return one report with all tables as text."""
-    from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
-
-    return load_reporter(kind).render(Book(analysis, shows_all=True))
-
-
 def _write(reporter: Reporter, report: Report, kind: str, folder: Path) -> Path | None:
     if kind == "terminal":
         from .terminal import print_report  # noqa: PLC0415 - as above

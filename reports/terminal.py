@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Group, RenderableType
 from rich.table import Table as Grid
@@ -17,6 +17,9 @@ from dds_trace.base.units import counted
 
 from . import blocks
 from .blocks import TERMINAL, Block, Report, Section, Span, Words, plain_text, visible
+
+if TYPE_CHECKING:
+    from rich.containers import Lines
 
 STYLES = {
     "strong": "bold",
@@ -51,12 +54,30 @@ def _drawn(sections: Iterable[Section]) -> Group:
     return Group(*parts)
 
 
+_UNIT = re.compile(r"(?<=±) |(?<=\d) (?=(?:[nµm]?s|min|[hd]|%|[KMG]i?B(?:/s)?|B|k?Hz|ppm|[kM]bit/s)(?!\w))")
+_GLUE = "\ue000"
+
+
+class _Text(Text):
+    """A number stays with its unit where a line ends."""
+
+    def wrap(self, *arguments: Any, **options: Any) -> Lines:
+        glued = self.copy()
+        glued.plain = _UNIT.sub(_GLUE, self.plain)
+        lines = glued.wrap(*arguments, **options)
+        for line in lines:
+            line.plain = line.plain.replace(_GLUE, " ")
+        return lines
+
+
 def _text(words: Words, tone: str = "") -> Text:
     if isinstance(words, (str, blocks.Figure)):
-        return Text(plain_text(words), style=_style(tone))
+        return _Text(plain_text(words), style=_style(tone))
     if isinstance(words, blocks.Stack):
-        return Text("\n").join(map(_text, words.lines))
-    return Text("").join(Text(span.text, _style(span.tone)) for span in words)
+        spans = [span for line in words.lines for span in (Span("\n", ""), *line)][1:]
+    else:
+        spans = [*words]
+    return _Text.assemble(*((span.text, _style(span.tone)) for span in spans))
 
 
 def _style(tone: str) -> str:
@@ -75,9 +96,9 @@ def _points(block: blocks.Points) -> Drawn:
 def _wrapped(block: blocks.Sentence) -> list[Text]:
     mark = block.mark or Span("")
     start = f"{mark.text} " if mark.text else ""
-    text, indent = start + plain_text(block.words), " " * len(start)
+    text, indent = _UNIT.sub(_GLUE, start + plain_text(block.words)), " " * len(start)
     lines = textwrap.wrap(text, SCREEN_WIDTH - 1, subsequent_indent=indent, break_on_hyphens=False)
-    first, *others = (Text(line, style=_style(block.tone)) for line in lines)
+    first, *others = (Text(line.replace(_GLUE, " "), style=_style(block.tone)) for line in lines)
     first.stylize(_style(mark.tone), 0, len(mark.text))
     return [first, *others]
 
@@ -116,17 +137,13 @@ def _command(block: blocks.Command) -> Drawn:
     return [Text(f"  on {block.device}:", style="dim"), Text(" \\\n      ".join(["    " + lines[0], *lines[1:]]))]
 
 
-_UNBROKEN = re.compile(r"\d\S* \S+|\S+")
-"""A number stays with its unit."""
-
-
 def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], gap: int) -> list[int]:
     """Take from the widest column that is above its least width, else from the widest."""
     widths, leasts = [], []
     for at, column in enumerate(columns):
         text = "\n".join([column.name, *(plain_text(cells[at]) for cells in rows)])
         widths.append(column.width or max(map(len, text.split("\n"))))
-        leasts.append(column.width or column.least or max(map(len, _UNBROKEN.findall(text)), default=1))
+        leasts.append(column.width or column.least or max(map(len, _UNIT.sub(_GLUE, text).split()), default=1))
     for _ in range(sum(widths) + gap * (len(widths) - 1) - SCREEN_WIDTH):
         widths[max(range(len(widths)), key=lambda at: (widths[at] > leasts[at], widths[at]))] -= 1
     return widths
@@ -192,7 +209,11 @@ def _fold(block: blocks.Fold) -> Drawn:
 
 
 def _facts(block: blocks.Facts) -> Drawn:
-    return [Text.assemble((f"{name:<20}", "dim"), text) for name, text in block.entries]
+    grid = Grid.grid(padding=(0, 1, 0, 0))
+    grid.add_column(width=19, no_wrap=True)
+    for name, text in block.entries:
+        grid.add_row(Text(name, "dim"), _text(text))
+    return [grid]
 
 
 _DRAWN: dict[type[Block], Callable[[Any], Drawn]] = {

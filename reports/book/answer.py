@@ -88,7 +88,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "", kinds)
     if not values.has(metric):
         headline = "No message was received, so there is no time to compare."
-        return Conclusion(headline, metric, (), (loss_sentence(groups, values),), "")
+        return Conclusion(headline, metric, (), (loss_sentence(groups, values),), "", kinds=(PointKind.LOSS,))
     # Answers compare latencies, which need the relay's trace.
     has_latency = metric == "latency"
     answers = analysis.details.answers if has_latency else ()

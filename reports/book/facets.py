@@ -10,7 +10,8 @@ from dds_trace.analyzer.model.setting import LOAD, parse_setting, write_setting
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_size
 
-from .groups import Cell, Groups, Series, data_type_label, device_label, domain_label, series_labels
+from .groups import Cell, Groups, Series, data_type_label, device_label, domain_label, qos_label, series_labels
+from .verdicts import MODES
 
 MADE_OF = {
     "choice": ("vendor", "way", "rest"),
@@ -143,3 +144,43 @@ def _apart_from_place(series: Series) -> tuple[Series, Mapping[str, str]]:
     }
     choice = write_setting({key: value for key, value in setting.items() if key not in emulated})
     return replace(series, ping_device="", relay_device=None, connectivity="", setting=choice), emulated
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """One filter of a page; `index` has the option of each group."""
+
+    key: str
+    label: str
+    options: tuple[Value, ...]
+    index: tuple[int, ...]
+
+
+_FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Value]], ...] = (
+    ("vendor", "Vendor", lambda _, s: _named(s.vendor_label)),
+    ("domain", "Domains", lambda _, s: Value(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode)))),
+    ("bridge", "Bridge", lambda _, s: _named(printable(s.bridge))),
+    ("data", "Data", lambda c, _: Value(printable(c.data_type), data_type_label(c.data_type))),
+    ("size", "Size", lambda c, _: Value(str(c.payload_bytes), format_size(c.payload_bytes))),
+    ("rate", "Rate", lambda c, _: Value(f"{c.rate_hz:g}", format_rate(c.rate_hz))),
+    ("qos", "QoS", lambda _, s: _named(qos_label(s))),
+    ("device", "Devices", lambda _, s: _named(device_label(s))),
+    ("backend", "Backend", lambda _, s: _named(printable(s.backend))),
+    ("serialization", "Serialization", lambda _, s: _named(printable(s.serialization))),
+    ("link", "Link", lambda _, s: _named(printable(s.connectivity))),
+    ("setting", "Setting", lambda _, s: Value(printable(s.setting), printable(s.setting) or "nothing else set")),
+)
+
+
+def filters_info(groups: Groups) -> tuple[Filter, ...]:
+    filters = []
+    for key, label, option_of in _FILTERS:
+        options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
+        by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
+        distinct = list(dict.fromkeys(options[group.index] for group in by_series))
+        if all(option.value.replace(".", "", 1).isdigit() for option in distinct):
+            distinct.sort(key=lambda option: float(option.value))
+        if len(distinct) > 1:
+            rank = {option: index for index, option in enumerate(distinct)}
+            filters.append(Filter(key, label, tuple(distinct), tuple(rank[option] for option in options)))
+    return tuple(filters)

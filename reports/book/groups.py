@@ -20,6 +20,7 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
     MISSING,
     by_number,
+    counted,
     format_duration,
     format_number,
     format_rate,
@@ -337,9 +338,9 @@ def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
 MOST_NAMED = 3
 
 
-def some_of(parts: Sequence[str], noun: str) -> str:
+def some_of(parts: Sequence[str], noun: str, one: str = "") -> str:
     more = len(parts) - MOST_NAMED
-    return "; ".join([*parts[:MOST_NAMED], *([f"and {more} {noun}"] if more > 0 else [])])
+    return "; ".join([*parts[:MOST_NAMED], *([f"and {counted(more, one or noun, noun)}"] if more > 0 else [])])
 
 
 def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:

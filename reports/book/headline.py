@@ -148,7 +148,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
     executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
     ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
-    return f"Measured on {some_of(parts, 'more pairs of devices')}{runs}{ros}.{limits_words(analysis)}"
+    return f"Measured on {some_of(parts, 'more pairs of devices', 'more pair of devices')}{runs}{ros}.{limits_words(analysis)}"
 
 
 def limits_words(analysis: Analysis) -> str:

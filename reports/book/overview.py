@@ -30,14 +30,16 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    title: str
     facts: tuple[Fact, ...]
 
     @property
+    def messages(self) -> str:
+        counts = next((fact.value for fact in self.facts if fact.label == "Messages"), "")
+        return counts.replace(" in ", f" {'message' if counts.startswith('1 ') else 'messages'} in ", 1)
+
+    @property
     def brief(self) -> str:
-        values = {fact.label: fact.value for fact in self.facts}
-        if "Messages" in values:
-            values["Messages"] = values["Messages"].replace(" in ", " messages in ", 1)
+        values = {fact.label: self.messages if fact.label == "Messages" else fact.value for fact in self.facts}
         return "; ".join(values[label] for label in ("Middleware", "Devices", "Messages", "When") if label in values)
 
 
@@ -65,7 +67,7 @@ def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], 
         Fact("Versions", version_words(analysis)),
         Fact("Cost of measuring", cost_words(costs, analysis.sessions)),
     )
-    return Overview(printable(analysis.title), tuple(fact for fact in facts if fact.value))
+    return Overview(tuple(fact for fact in facts if fact.value))
 
 
 def _listed(values: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -20,7 +20,7 @@ from dds_trace.analyzer.model.applied import (
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.format.json_fields import number_of
+from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
 from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
@@ -195,28 +195,28 @@ def cost_words(costs: Sequence[OwnCost], sessions: Sequence[Session]) -> str:
 
 
 def setting_words(analysis: Analysis) -> str:
-    values: dict[str, dict[str, None]] = {}
+    pairs = []
     for session in analysis.sessions:
-        middleware = session.host.get("middleware")
-        for name, value in middleware.items() if isinstance(middleware, dict) else ():
+        for name, value in object_of(session.host.get("middleware")).items():
             text = printable(value, _LONGEST_SETTING)
             is_xml = text.startswith("<")  # it would fill the screen
-            values.setdefault("configuration" if is_xml else printable(name), {})[
-                "in XML" if is_xml else text or "none"
-            ] = None
+            pairs.append(("configuration", "in XML") if is_xml else (printable(name), text or "none"))
         path = payload_path(session)
         if path is not None:
-            values.setdefault("payload carried by", {})[_WAYS.get(path, printable(path))] = None
-    return "; ".join(f"{name} {' or '.join(texts)}" for name, texts in values.items())
+            pairs.append(("payload carried by", _WAYS.get(path, printable(path))))
+    return "; ".join(_each(pairs))
 
 
 def version_words(analysis: Analysis) -> str:
+    versions = [object_of(session.host.get("versions")).items() for session in analysis.sessions]
+    return ", ".join(_each((printable(name), printable(value)) for own in versions for name, value in own))
+
+
+def _each(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     values: dict[str, dict[str, None]] = {}
-    for session in analysis.sessions:
-        versions = session.host.get("versions")
-        for name, value in versions.items() if isinstance(versions, dict) else ():
-            values.setdefault(printable(name), {})[printable(value)] = None
-    return ", ".join(f"{name} {' or '.join(own)}" for name, own in values.items())
+    for name, value in pairs:
+        values.setdefault(name, {})[value] = None
+    return (f"{name} {' or '.join(own)}" for name, own in values.items())
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:

@@ -11,7 +11,6 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_s
 
 from ..blocks import FAIL, MARKS, OPEN, PASS, TERMINAL, Bars, Block, Fitted, Section, Sentence, Span
 from .answer import PointKind
-from .contents import Contents
 from .fastest import Fastest, outcome_of, shown_case
 from .findings import severity_counts
 from .headline import COMPARED, bridge_facts
@@ -21,6 +20,7 @@ from .verdicts import contender_labels
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
+    from .book import Book
     from .sizes import SizeTable
 
 MOST_LINES = 18
@@ -34,16 +34,14 @@ LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
 FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
 
 
-def screen(book: Contents) -> list[Section]:
+def screen(book: Book) -> list[Section]:
     advice = [*advice_blocks(book.advice, None if book.shows_all else MOST_ADVICE)]
     return [Section(advice or [_brief(book)], media=TERMINAL)]
 
 
-def _brief(book: Contents) -> Fitted:
+def _brief(book: Book) -> Fitted:
     answer = book.answer
-    measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
-    noun = "message" if measured.startswith("1 ") else "messages"
-    title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
+    title = ": ".join(filter(None, (book.title, book.overview.messages)))
     parts: list[Sequence[Block]] = [[Sentence(title, "strong", NONE)]]
     parts += [
         [Sentence(f"{kind.heading}: {kind.listed[0].what} {kind.listed[0].action}", mark=FAIL)]
@@ -67,7 +65,8 @@ def _brief(book: Contents) -> Fitted:
         elif kind not in (*FIRST, PointKind.FASTEST):
             parts.append([Sentence(sentence, mark=OPEN)])
     findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
-    more = ", ".join([*findings, f"tables of {counted(len(book.groups.groups), 'result')}"])
+    results = len(book.groups.groups)
+    more = ", ".join([*findings, *([f"tables of {counted(results, 'result')}"] if results else [])])
     return Fitted(parts, MOST_LINES, "" if book.shows_all else more)
 
 

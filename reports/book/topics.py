@@ -8,7 +8,7 @@ from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
-from ..blocks import Column, Heading, Row, Section, Sentence, Table
+from ..blocks import MARKDOWN, PAGE, TERMINAL, Column, Heading, Row, Section, Sentence, Span, Stack, Table, Words
 from .groups import format_count, format_ratio
 
 if TYPE_CHECKING:
@@ -29,23 +29,17 @@ CLOCK_WORDS = {
 }
 
 TOPIC_COLUMNS = (
-    "Topic",
-    "Way",
-    "Rate",
-    "Size",
-    "Received",
-    "One way p50",
-    "p99",
-    "Age p50",
-    "p99",
-    "Clock",
-    "Interval",
+    Column("Topic", least=13),
+    *map(Column, ("Way", "Rate", "Size", "Received")),
+    *(Column(f"{label} p50, p99", media=TERMINAL) for label in TOPIC_METRICS.values()),
+    *(Column(name, media=MARKDOWN | PAGE) for label in TOPIC_METRICS.values() for name in (f"{label} p50", "p99")),
+    *map(Column, ("Clock", "Interval")),
 )
 HOW_TO_READ_TOPICS = (
     "One way: from publishing to the tap. Age: from the stamp of the header to the tap. Clock: the largest error of both by "
     "the clocks. Interval: the median between two messages ± its robust deviation."
 )
-HOP_COLUMNS = ("Chain", "Hop", "p50", "p99", "Clock error")
+HOP_COLUMNS = [*map(Column, ("Chain", "Hop", "p50", "p99", "Clock error"))]
 
 
 def is_of_topics(analysis: Analysis) -> bool:
@@ -98,28 +92,28 @@ def topic_sections(analysis: Analysis) -> tuple[Section, ...]:
         ("Chains of topics", "Messages that carry the same header stamp from topic to topic.", HOP_COLUMNS, hops),
     )
     return tuple(
-        Section(
-            [Heading(title), Table([*map(Column, columns)], [*map(Row, rows)], label=title), Sentence(how, "how soft")]
-        )
+        Section([Heading(title), Table(columns, [*map(Row, rows)], label=title), Sentence(how, "how soft")])
         for title, how, columns, rows in tables
         if rows
     )
 
 
-def _topic_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _topic_row(row: Mapping[str, Any]) -> tuple[Words, ...]:
     bound = _clock(row) if row["bound_ns"] is None else f"± {format_duration(row['bound_ns'])}, {_clock(row)}"
     interval = (
         MISSING
         if row["period_p50_ns"] is None
         else f"{format_duration(row['period_p50_ns'])} ± {format_duration(row['jitter_ns'])}"
     )
+    times = [[format_duration(row[f"{metric}_{name}_ns"]) for name in ("p50", "p99")] for metric in TOPIC_METRICS]
     return (
         printable(row["topic"]),
         _way(row),
         MISSING if row["rate_hz"] is None else format_rate(float(f"{row['rate_hz']:.3g}")),
         MISSING if row["message_bytes"] is None else format_size(round(row["message_bytes"])),
         format_ratio(row["received_ratio"]),
-        *(format_duration(row[f"{metric}_{name}_ns"]) for metric in TOPIC_METRICS for name in ("p50", "p99")),
+        *(Stack([[Span(time, "")] for time in of_metric]) for of_metric in times),
+        *(time for of_metric in times for time in of_metric),
         bound,
         interval,
     )

@@ -29,7 +29,7 @@ from dds_trace.base.local_server import LocalServer
 from dds_trace.base.streams import say
 
 from ..book.book import Book
-from .page import live_script, render_live, without_plotly
+from .page import render_live, render_waiting, without_plotly
 
 Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 """Path, size in bytes and time of change in ns of every file below a folder."""
@@ -40,12 +40,6 @@ _STATE, _PARTS = "state.json", ".parts"
 """A sweep's state, and the folder of what it records."""
 
 _DONE = ("recorded", "complete")
-
-_WAITING = (
-    '<!doctype html><html lang="en" data-version="{version}"><meta charset="utf-8">'
-    "<title>Waiting for traces</title><body><p>No trace can be analyzed yet. This page updates by itself."
-    "<script>{script}</script>"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +182,7 @@ class Watcher:
 
 
 def _waiting(version: str, why: str = "") -> Shown:
-    page = _WAITING.format(version=version, script=live_script())
-    return Shown(_encoded(page + (f"<p>{escape(why)}" if why else "")), version)
+    return Shown(_encoded(render_waiting(version, why)), version)
 
 
 def _encoded(page: str) -> bytes:

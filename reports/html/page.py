@@ -7,8 +7,8 @@ import gzip
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, fields
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
@@ -18,36 +18,24 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.verdicts.judgements import LOST_MUCH
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_rate, format_size
+from dds_trace.base.units import DECIMAL_BYTES, MISSING, SHOWN_NS, format_rate, format_size
 from dds_trace.base.version import __version__
 
-from ..blocks import PAGE, Facts, Points, Report, Sentence, plain_text, visible
+from ..blocks import PAGE, Block, Facts, Heading, Points, Report, Sentence, plain_text, visible
 from ..book.book import Book
-from ..book.facets import MADE_OF
+from ..book.facets import MADE_OF, filters_info
 from ..book.findings import finding_block, severity_counts, worst_first
-from ..book.groups import (
-    LATENCY_MEANING,
-    METRIC_LABELS,
-    METRIC_MENU,
-    STATISTIC_LABELS,
-    Cell,
-    Groups,
-    Series,
-    data_type_label,
-    device_label,
-    group_labels,
-    qos_label,
-)
+from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
 from ..book.overview import utc_words
 from ..book.recommendation import advice_blocks
 from ..book.recording import record_tables, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block
 from ..book.topics import topic_sections
-from ..book.verdicts import MODES
 from ..figures import drawn_figures, opened_figures
-from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
+from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, LeftOut, Scope
 from .styles import line_styles
 
 if TYPE_CHECKING:
@@ -85,33 +73,48 @@ LIVE_SCRIPT = "live.js"
 def render(report: Report) -> str:
     if isinstance(report, Book):
         return _render(report, SCRIPTS)
-    script = "\n".join(map(_asset, report.scripts))
-    sections = visible(report.sections, PAGE)
-    return _framed(
-        "page.html.j2",
-        policy=_policy(*filter(None, [script]), connect=""),
-        style=Markup(_asset("page.css") + _asset("blocks.css")),  # noqa: S704 - our own files
-        script=Markup(script),  # noqa: S704 - our own file
-        title=printable(report.title),
-        kicker=report.kicker,
-        begins=sections[0][0],
-        sections=sections,
-    )
+    return _of_sections(printable(report.title), report.kicker, report.scripts, visible(report.sections, PAGE))
 
 
 def render_live(book: Book, version: str) -> str:
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
+def render_waiting(version: str, why: str) -> str:
+    words = [
+        Heading("No trace can be analyzed yet"),
+        Sentence("This page updates by itself."),
+        Sentence(printable(why)),
+    ]
+    return _of_sections("Waiting for traces", Book.kicker, (*Report.scripts, LIVE_SCRIPT), [("answer", words)], version)
+
+
+def _of_sections(
+    title: str,
+    kicker: str,
+    scripts: Iterable[str],
+    sections: Sequence[tuple[str, Sequence[Block]]],
+    version: str | None = None,
+) -> str:
+    script = "\n".join(map(_asset, scripts))
+    return _framed(
+        "page.html.j2",
+        policy=_policy(*filter(None, [script]), connect="" if version is None else "'self'"),
+        version=version,
+        style=Markup(_asset("page.css") + _asset("blocks.css")),  # noqa: S704 - our own files
+        script=Markup(script),  # noqa: S704 - our own file
+        title=title,
+        kicker=kicker,
+        begins=sections[0][0],
+        sections=sections,
+    )
+
+
 def without_plotly(page: str) -> str:
     return page.replace(packed_script(get_plotlyjs()), "", 1)
 
 
-def live_script() -> str:
-    return _asset(LIVE_SCRIPT)
-
-
-def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
+def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> str:
     figures = drawn_figures(book)
     drawn = [(maker, figure) for maker, figure in figures if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
@@ -122,16 +125,16 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     )
     return _framed(
         "report.html.j2",
-        policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
+        policy=_policy(unpack, plotly, script, connect="" if version is None else "'self'"),
         version=version,
         style=Markup(_asset("page.css")),  # noqa: S704 - our own file
         unpack=Markup(unpack),  # noqa: S704 - our own file
         plotly=packed_script(plotly),
         script=packed_script(script),
         island=packed(json_island(_island(book, [figure for _, figure in drawn]))),
-        title=book.overview.title,
+        title=book.title,
         kicker="Latency report",
-        begins="figures",
+        begins="figures" if labels else "answer",
         overview=book.overview,
         formula=LATENCY_MEANING,
         facts=shown,
@@ -161,7 +164,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     )
 
 
-def _framed(template: str, version: str = "", **values: object) -> str:
+def _framed(template: str, version: str | None = None, **values: object) -> str:
     environment = Environment(
         loader=FunctionLoader(_asset), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -211,7 +214,20 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         "percentiles": [
             {"key": p.name, "label": p.label, "share": p.quantile, "is_decade": p.is_decade} for p in PERCENTILES
         ],
-        "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
+        "facets": {
+            "made_of": MADE_OF,
+            "atoms": ATOMS,
+            "most_lines": MOST_LINES,
+            "titles": AXIS_TITLES,
+            "lost_much": LOST_MUCH,
+        },
+        "units": {
+            "missing": MISSING,
+            **{
+                kind: [(factor, unit) for unit, factor in units.items()]
+                for kind, units in (("time", SHOWN_NS), ("bytes", DECIMAL_BYTES))
+            },
+        },
         "dimensions": {
             key: {
                 "label": dimension.label,
@@ -256,56 +272,6 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             for figure in figures
         },
     }
-
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    value: str
-    label: str
-
-
-@dataclass(frozen=True, slots=True)
-class Filter:
-    """One filter of a page; `index` has the option of each group."""
-
-    key: str
-    label: str
-    options: tuple[Option, ...]
-    index: tuple[int, ...]
-
-
-def _same(text: str) -> Option:
-    return Option(text, text)
-
-
-_FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
-    ("vendor", "Vendor", lambda _, s: _same(s.vendor_label)),
-    ("domain", "Domains", lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode)))),
-    ("bridge", "Bridge", lambda _, s: _same(printable(s.bridge))),
-    ("data", "Data", lambda c, _: Option(printable(c.data_type), data_type_label(c.data_type))),
-    ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
-    ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_rate(c.rate_hz))),
-    ("qos", "QoS", lambda _, s: _same(qos_label(s))),
-    ("device", "Devices", lambda _, s: _same(device_label(s))),
-    ("backend", "Backend", lambda _, s: _same(printable(s.backend))),
-    ("serialization", "Serialization", lambda _, s: _same(printable(s.serialization))),
-    ("link", "Link", lambda _, s: _same(printable(s.connectivity))),
-    ("setting", "Setting", lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set")),
-)
-
-
-def filters_info(groups: Groups) -> tuple[Filter, ...]:
-    filters = []
-    for key, label, option_of in _FILTERS:
-        options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
-        by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
-        distinct = list(dict.fromkeys(options[group.index] for group in by_series))
-        if all(option.value.replace(".", "", 1).isdigit() for option in distinct):
-            distinct.sort(key=lambda option: float(option.value))
-        if len(distinct) > 1:
-            rank = {option: index for index, option in enumerate(distinct)}
-            filters.append(Filter(key, label, tuple(distinct), tuple(rank[option] for option in options)))
-    return tuple(filters)
 
 
 def json_island(value: object) -> str:

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+from wording import report_as
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceError
-from dds_trace.reports.reporters import REPORT_MODULES, render_report
+from dds_trace.reports.reporters import REPORT_MODULES
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 MESSAGES = [
@@ -85,7 +86,7 @@ class Target:
         except TraceError:
             return
         for kind in REPORT_MODULES:
-            render_report(analysis, kind).encode()
+            report_as(kind, analysis).encode()
 
 
 def _parse(kind: type[Session | Run], text: str) -> None:

@@ -9,15 +9,16 @@ import sys
 import unicodedata
 import xml.etree.ElementTree as ET
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 from jsonschema import Draft202012Validator
-from page_reader import render_report, rendered
+from page_reader import rendered
 from report_schemas import REPORT, closed
-from wording import numbers
+from wording import numbers, report_as
 
 from dds_trace import Details, __version__, make_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
@@ -46,7 +47,7 @@ def name(request):
 
 @pytest.mark.parametrize("kind", REPORT_MODULES)
 def test_every_reporter_accepts_every_analysis_and_repeats_itself(name, kind):
-    assert render_report(name, kind) == rendered(name, kind)
+    assert report_as(kind, EVERY_ANALYSIS[name]()) == rendered(name, kind)
 
 
 @pytest.mark.parametrize(("kind", "file_name"), [("html", "report.html"), ("md", "report.md"), ("json", "report.json")])
@@ -75,6 +76,20 @@ def test_the_answer_is_at_most_18_lines_of_80_columns(name):
     lines = terminal.render(Book(EVERY_ANALYSIS[name]())).splitlines()
     assert len(lines) <= MOST_LINES
     assert max(map(len, lines)) <= 80
+
+
+def test_no_line_of_a_terminal_ends_between_a_number_and_its_unit_and_facts_are_a_column(name):
+    lines = rendered(name, "terminal").splitlines()
+    broken = [
+        pair for pair in pairwise(lines) if re.search(r"\d$", pair[0]) and re.match(r" *([KM]?B|[µm]s|%|Hz)\b", pair[1])
+    ]
+    assert broken == []
+    start = next(number for number, line in enumerate(lines) if re.match("(Devices|Traces) ", line))
+    assert all(line[:20].strip() in FACTS for line in lines[start : lines.index("", start)])
+
+
+FACTS = ("", "Devices", "Link", "Middleware", "Domains", "Messages", "Sent", "Rates", "When", "Traces", "Quality of service",
+         "Settings", "Versions", "Cost of measuring", "Conditions")  # fmt: skip
 
 
 def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():

@@ -112,5 +112,9 @@ def test_the_schemas_describe_most_fields(recipe):
 def test_the_first_screen_is_about_what_was_recorded(tmp_path, monkeypatch, first):
     monkeypatch.setattr(sys, "path", [str(FOLDER.parents[2] / "scripts"), *sys.path])
     campaign, _, words = first.partition(": ")
-    answer = Book(analyze(importlib.import_module("quoted").unpack(campaign, tmp_path))).answer
-    assert words in " ".join(text for _, text in answer.sentences[:3])
+    book = Book(analyze(importlib.import_module("quoted").unpack(campaign, tmp_path)), shows_all=True)
+    assert words in " ".join(text for _, text in book.answer.sentences[:3])
+    text = load_reporter("terminal").render(book)
+    assert max(map(len, text.splitlines())) <= 80
+    heads = re.findall(r"^Topic +Way +Rate +Size +Received .* Interval$", text, re.MULTILINE)
+    assert len(heads) == (book.analysis.topics.height > 0), "no heading is cut"

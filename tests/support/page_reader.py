@@ -2,7 +2,7 @@
 
 import shutil
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,20 +11,14 @@ from analyses import EVERY_ANALYSIS
 from four_campaigns import CAMPAIGNS
 from kept import kept
 from waiting import PATIENCE_S
-
-from dds_trace.reports.book.book import Book
-from dds_trace.reports.reporters import load_reporter
+from wording import report_as
 
 EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
 
 
-def render_report(name, kind):
-    return load_reporter(kind).render(Book(EVERY_PAGE[name](), shows_all=True))
-
-
 @cache
 def rendered(name, kind):
-    return kept(partial(render_report, name, kind), f"{kind} of {name}")()
+    return kept(lambda: report_as(kind, EVERY_PAGE[name]()), f"{kind} of {name}")()
 
 
 FLAGS = (
@@ -92,7 +86,7 @@ class Reader:
     def open(self, address):
         self.tab.goto(address)
         # Playwright's wait_for_function would need eval, which the page forbids.
-        self.tab.locator(".count").filter(has_text="result").wait_for()
+        self.tab.locator(".count").filter(has_text="result").wait_for(state="attached")
         self.tab.locator("#groups-table table").wait_for(state="attached")  # comes last
         return self.tab
 

@@ -162,7 +162,9 @@ document.addEventListener("click", (event) => {
 });
 
 function showFilters() {
-  document.getElementById("paper").setAttribute("aria-pressed", String(isPaper()));
+  const paper = document.getElementById("paper");
+  paper.hidden = !blocks.some((block) => PAPER_FIGURES.includes(block.name));
+  paper.setAttribute("aria-pressed", String(isPaper()));
   for (const filter of DATA.filters) {
     const menu = document.querySelector(`[data-filter="${filter.key}"]`);
     const places = view.chosen[filter.key];

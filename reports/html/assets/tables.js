@@ -30,6 +30,12 @@ function showTable(
   rows,
   { sorting = { column: -1, descending: false }, stay = 0, most = MOST_ROWS } = {},
 ) {
+  // A column without any value is left to the CSV file.
+  const seen = columns.map((_, at) => at < stay || !rows.length || rows.some((row) => (row[at] ?? "") !== ""));
+  if (seen.includes(false)) {
+    const kept = (list) => Object.assign(list.filter((_, at) => seen[at]), { size: list.size, group: list.group });
+    return showTable(place, caption, kept(columns), rows.map(kept), { sorting, stay, most });
+  }
   const sorted = [...rows];
   if (sorting.column >= 0) {
     const sign = sorting.descending ? -1 : 1;

@@ -6,14 +6,14 @@ from pathlib import Path
 import polars as pl
 import pytest
 from trace_files import Message, write_pair
-from wording import numbers
+from wording import numbers, report_as
 
 from dds_trace.analyzer.findings import table
 from dds_trace.analyzer.findings.evidence import check
 from dds_trace.analyzer.findings.rows import RESULTS
 from dds_trace.analyzer.model.finding import Severity, Subject
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.reports.reporters import REPORT_MODULES, render_report
+from dds_trace.reports.reporters import REPORT_MODULES
 
 
 @check("odd_count", Severity.WARNING, Subject.RESULT, "Send {more} message more.")
@@ -55,7 +55,7 @@ def test_a_toy_rule_is_in_the_analysis(analysis):
 
 @pytest.mark.parametrize("kind", REPORT_MODULES)
 def test_a_toy_finding_is_in_every_report(analysis, kind):
-    report = render_report(analysis, kind)
+    report = report_as(kind, analysis)
     assert "messages cannot be halved" in report
     assert "Send one message more" in report
     assert "messages were sent" in report

@@ -6,13 +6,14 @@ import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS
 from trace_files import SAMPLE_NAMES, SAMPLES, copy_sample
+from wording import report_as
 
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details, load_analysis
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.saving.folder import MANIFEST
 from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.base.errors import OutputError, OutputExistsError, TraceError, TraceFormatError
-from dds_trace.reports.reporters import REPORT_MODULES, render_report
+from dds_trace.reports.reporters import REPORT_MODULES
 
 JOB = make_job(data="binary", size="33KB", rate="20", deadline="50ms", reliability="0.9")
 WAYS = {
@@ -30,7 +31,7 @@ def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path
     fresh.save(tmp_path / "saved")
     loaded = load_analysis(tmp_path / "saved")
     for kind in REPORT_MODULES:
-        assert render_report(loaded, kind) == render_report(fresh, kind), kind
+        assert report_as(kind, loaded) == report_as(kind, fresh), kind
     assert loaded.load_roundtrips().equals(fresh.load_roundtrips())
     assert loaded.load_roundtrips().schema == fresh.load_roundtrips().schema
     for frame in ("summary", "distributions", "run_times", "timeline"):
@@ -53,7 +54,7 @@ def test_every_report_of_a_drawn_analysis_comes_back(tmp_path, name):
     fresh.save(tmp_path / "saved")
     loaded = load_analysis(tmp_path / "saved")
     for kind in REPORT_MODULES:
-        assert render_report(loaded, kind) == render_report(fresh, kind), kind
+        assert report_as(kind, loaded) == report_as(kind, fresh), kind
 
 
 def test_every_frame_of_the_details_is_saved():

@@ -12,13 +12,13 @@ from namespaces import needs_namespaces
 from record_reader import records_of
 from report_schemas import REPORT
 from waiting import read_past
+from wording import report_as
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.own_times import first_message_info
-from dds_trace.reports.figures.wire import sent_again_info, wire_cost_info
-from dds_trace.reports.reporters import render_report
+from dds_trace.reports.figures.own_times import first_message_plan
+from dds_trace.reports.figures.wire import sent_again_plan, wire_cost_plan
 from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -106,12 +106,12 @@ def test_the_analysis_says_what_was_sent_again(analysis):
 
 def test_the_figures_have_data_and_the_report_follows_its_schema(analysis):
     book = Book(analysis)
-    assert {part.name for part in wire_cost_info(book).parts[0]} >= {"data", "again", "control"}
-    assert [one.repeats for one in sent_again_info(book).groups[0]][:2] == [0, 1]
-    assert first_message_info(book).times_ns[0] > 0
-    page = render_report(analysis, "html")
+    assert {part.name for part in wire_cost_plan(book)["parts"][0]} >= {"data", "again", "control"}
+    assert [one.repeats for one in sent_again_plan(book)["groups"][0]][:2] == [0, 1]
+    assert first_message_plan(book)["values_ns"][0] > 0
+    page = report_as("html", analysis)
     assert "What a message costs" in page
-    Draft202012Validator(REPORT).validate(json.loads(render_report(analysis, "json")))
+    Draft202012Validator(REPORT).validate(json.loads(report_as("json", analysis)))
 
 
 def test_a_sweep_captures_each_cell_in_its_namespaces(tmp_path):

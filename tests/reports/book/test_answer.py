@@ -188,13 +188,13 @@ def test_overview_lists_what_was_measured(sentences):
         Measured([MS, "lost_return"], rate_hz=20.0, payload_bytes=1405, data_type="string"),
         title="kitchen",
     )
-    overview = Book(analysis).overview
-    assert overview.title == "kitchen"
-    facts = {fact.label: fact.value for fact in overview.facts}
+    book = Book(analysis)
+    assert book.title == "kitchen"
+    facts = {fact.label: fact.value for fact in book.overview.facts}
     assert (facts["Messages"], facts["Traces"]) == ("5 in 2 runs, 4 received", "1 read")
     assert (facts["Sent"], facts["Rates"]) == ("Binary 33 KB; String 1405 B", "10, 20 Hz")
     assert numbers(facts["Cost of measuring"]) == [900, 2]
-    sentences(overview.brief, *(f"{label}: {value}" for label, value in facts.items()))
+    sentences(book.overview.brief, *(f"{label}: {value}" for label, value in facts.items()))
 
 
 def test_overview_of_nothing():

@@ -5,10 +5,9 @@ from analyses import MS, Measured, make_analysis
 from wording import numbers
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.facets import facets_info
+from dds_trace.reports.book.facets import facets_info, filters_info
 from dds_trace.reports.book.groups import Cell, group_labels, groups_info, setting_word
 from dds_trace.reports.book.recording import OwnCost, own_costs
-from dds_trace.reports.html.page import filters_info
 from dds_trace.reports.html.styles import choice_styles
 from dds_trace.reports.reporters import load_reporter
 

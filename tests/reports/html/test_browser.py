@@ -51,6 +51,23 @@ def test_every_page_is_drawn_without_a_complaint_or_a_request(reader, pages, nam
     assert [url for url in reader.requests if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
+def test_without_a_result_no_heading_and_no_button_is_without_its_part(reader, pages):
+    tab = reader.open(pages("empty folder"))
+    assert tab.locator("h2:visible").all_inner_texts() == ["What was measured", "The answer"]
+    assert tab.locator("button:visible").all_inner_texts() == ["Dark"]
+
+
+@pytest.mark.parametrize("width", [390, 1360])
+def test_texts_of_the_chart_of_dots_are_level_and_of_one_size(read_with, pages, width):
+    one = read_with(viewport={"width": width, "height": 844})
+    tab = one.open(pages("demo"))
+    one.draw_all()
+    texts = "[...document.querySelectorAll('#figure-dots :is(.xtick text, .bartext)')].map(t => t.getAttribute('transform') ?? '')"
+    turned = tab.evaluate(texts)
+    assert len(turned) >= 2
+    assert not [text for text in turned if re.search(r"rotate\((?!0\D)|scale\(0", text)]
+
+
 def test_hostile_strings_stay_text(reader, pages):
     tab = reader.open(pages("hostile strings"))
     reader.draw_all()
@@ -212,6 +229,7 @@ def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, los
         for line in tab.locator("#groups-table tbody tr").all()
         for cells in [line.locator("td").all_inner_texts()]
     }
+    assert [head for head in heads if all(row[head] == "-" for row in rows.values())] == []
     bridged = rows["Fast DDS, through our built-in bridge"]
     counts = ("Runs", "Planned", "Sent", "Unsent", "Received")
     assert [bridged[name] for name in counts] == ["1", "50", "40", "10", "60 %"]

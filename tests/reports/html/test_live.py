@@ -118,9 +118,22 @@ def test_a_first_analysis_that_fails_says_why(watcher, tmp_path):
     (tmp_path / "broken.mcap").write_bytes(b"no trace <at all>")
     assert watcher.refresh() is False
     page = fetch(watcher.address).read().decode()
-    assert "No trace can be analyzed yet" in page
     assert "no trace here: looked at broken.mcap" in page
+    assert f'data-version="{version_of(watcher)}"' in page
     assert "fetch(" in page
+
+
+@pytest.mark.browser
+def test_a_phone_in_the_dark_waits_for_the_first_trace_without_loading_again(read_with, watcher):
+    one = read_with(color_scheme="dark", viewport={"width": 390, "height": 800})
+    one.tab.goto(watcher.address)
+    assert one.tab.evaluate("document.documentElement.dataset.theme") == "dark"
+    assert (
+        one.tab.evaluate("lookForNewer().then(() => performance.getEntriesByType('navigation')[0].type)") == "navigate"
+    )
+    assert one.tab.evaluate("document.documentElement.scrollWidth") == 390
+    assert violations(one.tab, "document") == []
+    assert one.complaints == []
 
 
 @pytest.mark.parametrize(

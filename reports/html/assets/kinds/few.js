@@ -57,6 +57,7 @@ KINDS.dots = function dots(plan, width) {
     text: passing.map((group) => formatRatio(shareOf(group))),
     textposition: "inside",
     insidetextanchor: "start",
+    constraintext: "none",
     textfont: { size: 12, color: theme().ink },
     marker: {
       color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)),
@@ -73,7 +74,7 @@ KINDS.dots = function dots(plan, width) {
   const x = {
     ...axis,
     range,
-    ...timeTicks(range, axis.type === "log"),
+    ...timeTicks(range, axis.type === "log", phone ? 3 : 6),
     title: axisTitle(view.scale === "log" ? "log scale" : ""),
   };
   const panels = [{ title: statisticLabel(), traces, x: () => x, y: rows, height }];
@@ -94,10 +95,7 @@ KINDS.dots = function dots(plan, width) {
     const title = drawn.layout.annotations[0];
     drawn.layout.annotations.push({ ...title, text: "<b>Received</b>", x: 0.86 });
     for (const group of passing) {
-      const cost =
-        plan.cells[group]?.costs[
-          statisticOf(group) !== null && plan.cells[group].costs[view.statistic] ? view.statistic : "p50"
-        ];
+      const cost = plan.cells[group]?.costs[view.statistic];
       if (cost?.ratio)
         drawn.layout.annotations.push({
           ...title,

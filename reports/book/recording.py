@@ -23,7 +23,17 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
-from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
+from .groups import (
+    VENDORS,
+    Groups,
+    VendorLabels,
+    format_added_ns,
+    format_count,
+    format_ratio,
+    in_order_of,
+    qos_label,
+    vendor_labels,
+)
 from .numbers import whole_ns
 
 
@@ -190,7 +200,7 @@ def cost_words(costs: Sequence[OwnCost], sessions: Sequence[Session]) -> str:
     words += ["not subtracted"] if words else []
     used_ns = zip(*(_numbers(sessions, "own_cost", name) for name in ("cpu_ns", "duration_ns")), strict=False)
     shares = [cpu_ns / max(duration_ns, 1) for cpu_ns, duration_ns in used_ns]
-    words += [f"a tap {max(shares):.1%} of one core"] if shares else []
+    words += [f"a tap {format_ratio(max(shares))} of one core"] if shares else []
     return "; ".join(words)
 
 

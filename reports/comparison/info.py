@@ -22,7 +22,7 @@ from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
-from ..book.groups import VENDORS, Cell, VendorLabels, group_labels, groups_of
+from ..book.groups import VENDORS, Cell, VendorLabels, format_ratio, group_labels, groups_of
 from ..book.verdicts import received_words
 from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
 
@@ -317,7 +317,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
 
 
 def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
-    within, share = f"{comparison.options.same_within:.0%}", f"{100 * comparison.options.confidence:.3g}%"
+    within, share = map(format_ratio, (comparison.options.same_within, comparison.options.confidence))
     gates = f", gates by {GATE_FAMILY}" if gated else ""
     return (
         f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",

@@ -34,7 +34,7 @@ from ..blocks import (
     Span,
     Table,
 )
-from ..book.groups import joined, time_words
+from ..book.groups import format_ratio, joined, time_words
 from ..book.verdicts import VERDICTS, received_words, runs_words
 from . import words
 from .document import comparison_document
@@ -47,8 +47,8 @@ HOW_TO_READ_STRIPS = (
     "the scale below."
 )
 HOW_TO_READ_STATISTICS = (
-    "'New is below base': how often a message of the new side takes less than one of the base; 50% is no difference. "
-    "'Found from': the change that this result by itself would have shown with a probability of 80%."
+    "'New is below base': how often a message of the new side takes less than one of the base; 50 % is no difference. "
+    "'Found from': the change that this result by itself would have shown with a probability of 80 %."
 )
 
 _TONES = {GateOutcome.REGRESSED: "bad", GateOutcome.PASSED: "good"}
@@ -212,7 +212,7 @@ def _statistics(groups: Sequence[ComparedGroup], label: str) -> Table:
                 *(words.side_words(row, side) for side in SIDES),
                 words.change_words(row["ratio"]),
                 words.interval_words(row),
-                "" if row["superiority"] is None else f"{row['superiority']:.0%}",
+                "" if row["superiority"] is None else format_ratio(round(row["superiority"], 2)),
                 runs_words(row),
                 "" if row["smallest_ratio"] is None else words.found_from_words(row["smallest_ratio"]),
                 VERDICTS[row["verdict"]],

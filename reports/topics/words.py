@@ -11,6 +11,7 @@ from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
 from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
 
+from ..book.groups import format_ratio
 from ..book.overview import utc_words
 from ..comparison.words import Gated
 
@@ -49,6 +50,10 @@ def seconds_words(seconds: float) -> str:
     return f"{int(seconds) // 60} min {int(seconds) % 60} s"
 
 
+def _share_words(share: float) -> str:
+    return format_ratio(round(share, 3))
+
+
 def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     lacking = [row for row in rows if row["missing_low"]]
     missing = sum(row["missing"] for row in lacking)
@@ -68,7 +73,7 @@ def facts_words(health: RecordingHealth, topics: int) -> str:
     messages = counted(health.messages, "message", text=f"{health.messages:,}")
     return (
         f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {messages}, "
-        f"{counted(topics, 'topic')}{chunks}; recording {health.coverage:.1%} of the time"
+        f"{counted(topics, 'topic')}{chunks}; recording {_share_words(health.coverage)} of the time"
     )
 
 
@@ -115,7 +120,7 @@ def missing_words(row: TopicRow) -> str:
     if low == 0 < high:
         return f"0 to {high:,}"
     expected = row["messages"] + missing
-    share = f" ({missing / expected:.1%})" if missing else ""
+    share = f" ({_share_words(missing / expected)})" if missing else ""
     interval = f" [{low:,}, {high:,}]" if (low, high) != (missing, missing) else ""
     return f"{missing:,}{share}{interval}"
 
@@ -149,7 +154,7 @@ def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tup
         "" if rate_hz is None else format_rate(rate_hz),
         missing_words(row),
         "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
-        f"{sum(strip) / len(strip):.1%}" if row["expected_rate_hz"] else "",
+        _share_words(sum(strip) / len(strip)) if row["expected_rate_hz"] else "",
         "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
         format_size(round(row["payload_mean_bytes"])),
         _age_words(row),

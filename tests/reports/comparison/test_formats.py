@@ -99,7 +99,7 @@ def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
     assert (label, others) == ("Binary 33 KB at 10 Hz", ["100 %", "slower"])
     assert (numbers(median), numbers(p99)) == ([5, 6, 20, 20, 20], [5, 6, 20])
     sentences(median, p99)
-    assert rows[1][1:] == ["Latency median", "5 ms", "6 ms", "+20 %", "+20 to +20 %", "0%", "3 and 3", "0 %", "slower"]
+    assert rows[1][1:] == ["Latency median", "5 ms", "6 ms", "+20 %", "+20 to +20 %", "0 %", "3 and 3", "0 %", "slower"]
     assert rows[2][1:6] == ["Latency p99", "5 ms", "6 ms", "+20 %", "-"]
     assert rows[2][7:] == ["3 and 3, too short", "", "no clear change"]
 

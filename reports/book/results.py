@@ -10,6 +10,7 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from ..blocks import EVERYWHERE, MARKDOWN, TERMINAL, Block, Column, Heading, Medium, Row, Sentence, Table
+from .contents import Contents
 from .groups import (
     METRIC_LABELS,
     STATISTIC_LABELS,
@@ -22,7 +23,6 @@ from .groups import (
 )
 
 if TYPE_CHECKING:
-    from .book import Book
     from .numbers import Cost
 
 MOST_GROUPS = 150
@@ -44,7 +44,7 @@ OWN_SHARE_NOTE = (
 _TIMES = ("p50", "p90", "p99", "max")
 
 
-def results(book: Book) -> Iterator[Block]:
+def results(book: Contents) -> Iterator[Block]:
     metric = book.values.default_metric
     values = [value for curve in book.curves.values_ns[metric] for value in curve if value > 0]
     ends_ns = (min(values, default=1), max(values, default=1))
@@ -83,7 +83,7 @@ def _columns() -> list[Column]:
     return [*columns, Column("Distribution", width=SPARK_CELLS, is_cut=True, media=TERMINAL)]
 
 
-def _group_row(book: Book, group: Group, ends_ns: tuple[int, int], media: Medium) -> Row:
+def _group_row(book: Contents, group: Group, ends_ns: tuple[int, int], media: Medium) -> Row:
     values, intervals, index = book.values, book.intervals, group.index
     metric, runs = values.default_metric, values.plain["runs"][index]
     bursts = intervals.tail_episodes(metric, "p99", index)
@@ -127,7 +127,7 @@ HOW_TO_READ_COSTS = (
 _MESSAGE_COLUMNS = ("Data", "Size", "Rate", "Setup")
 
 
-def _message_cells(book: Book, group: Group) -> tuple[str, str, str, str]:
+def _message_cells(book: Contents, group: Group) -> tuple[str, str, str, str]:
     cell = book.groups.cell_of(group)
     label = book.groups.labels[group.series]
     return data_type_label(cell.data_type), format_size(cell.payload_bytes), format_rate(cell.rate_hz), label
@@ -144,7 +144,7 @@ def _left_out(count: int, where: str) -> Iterator[Block]:
         )
 
 
-def costs(book: Book) -> Iterator[Block]:
+def costs(book: Contents) -> Iterator[Block]:
     cells, _ = book.bridge_costs
     rows = []
     for index, bridged in cells.items():
@@ -161,7 +161,7 @@ def costs(book: Book) -> Iterator[Block]:
         yield from _left_out(len(rows), "the JSON report")
 
 
-def wire(book: Book) -> Iterator[Block]:
+def wire(book: Contents) -> Iterator[Block]:
     costs = {row["group"]: row for row in book.analysis.details.wire.iter_rows(named=True)}
     rows = [_wire_row(book, group, row) for group in book.groups.in_order if (row := costs.get(group.index))]
     if rows:
@@ -184,7 +184,7 @@ def _added(cost: Cost | None) -> str:
     return f"{format_added_ns(cost.difference_ns)}{within}{ratio}"
 
 
-def _wire_row(book: Book, group: Group, row: Mapping[str, Any]) -> tuple[str, ...]:
+def _wire_row(book: Contents, group: Group, row: Mapping[str, Any]) -> tuple[str, ...]:
     ratio, rtt_ns = row["bytes_per_payload_byte"], row["tcp_rtt_p50_ns"]
     messages = f"{row['again_messages']} of {counted(row['messages'], 'message')}"
     segments = counted(row["tcp_retransmitted_segments"], "segment")
@@ -199,7 +199,7 @@ def _wire_row(book: Book, group: Group, row: Mapping[str, Any]) -> tuple[str, ..
     )
 
 
-def clocks(book: Book) -> Iterator[Block]:
+def clocks(book: Contents) -> Iterator[Block]:
     rows = [
         (
             f"{row['ping_device']} → {row['relay_device']}",

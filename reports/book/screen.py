@@ -11,6 +11,7 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_s
 
 from ..blocks import FAIL, MARKS, OPEN, PASS, TERMINAL, Bars, Block, Fitted, Section, Sentence, Span
 from .answer import PointKind
+from .contents import Contents
 from .fastest import Fastest, outcome_of, shown_case
 from .findings import severity_counts
 from .headline import COMPARED, bridge_facts
@@ -20,7 +21,6 @@ from .verdicts import contender_labels
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
-    from .book import Book
     from .sizes import SizeTable
 
 MOST_LINES = 18
@@ -34,12 +34,12 @@ LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
 FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
 
 
-def screen(book: Book) -> list[Section]:
+def screen(book: Contents) -> list[Section]:
     advice = [*advice_blocks(book.advice, None if book.shows_all else MOST_ADVICE)]
     return [Section(advice or [_brief(book)], media=TERMINAL)]
 
 
-def _brief(book: Book) -> Fitted:
+def _brief(book: Contents) -> Fitted:
     answer = book.answer
     title = ": ".join(filter(None, (book.title, book.overview.messages)))
     parts: list[Sequence[Block]] = [[Sentence(title, "strong", NONE)]]

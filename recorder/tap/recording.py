@@ -5,13 +5,10 @@ from __future__ import annotations
 import gc
 import json
 import os
-import threading
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from html import escape
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -35,7 +32,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
-    from ..backends.node import Node
     from ..options import TapOptions
     from ..roles.live import LiveRow
 
@@ -64,7 +60,7 @@ class TapRecording(BaseRecording):
     def begin(self, stack: ExitStack) -> None:
         options, node = self._tap_options, self.node
         assert isinstance(node, TapNode)
-        self._publish = open_diagnostics(self.node, self.options.device or "") if options.diagnostics else None
+        self._diagnostics = self.node.create_publisher(TOPIC, TYPE_NAME, qos=Qos()) if options.diagnostics else None
         self._live = LiveTable(options.expected_hz)
         self.role = Tap(
             node,
@@ -97,8 +93,8 @@ class TapRecording(BaseRecording):
         self.role.look()
         super().look()
         self._looks += 1
-        if self._publish is not None and self._looks % 2:
-            self._publish(self._live)
+        if self._diagnostics is not None and self._looks % 2:
+            self._diagnostics.publish(diagnostic_array(self._live.rows(), self.options.device or "", time.time_ns()))
         if not self.role.messages and not self._is_noted and time.monotonic_ns() - self._start_ns > LONELY_S * 1e9:
             self._is_noted = True
             self.watch.note(f"{self._why_nothing()}; the tap joins a topic as soon as it appears")
@@ -146,7 +142,6 @@ class TapRecording(BaseRecording):
 
 
 HOST = "127.0.0.1"
-_NAMES = ("127.0.0.1", "localhost")
 
 
 @contextmanager
@@ -158,49 +153,24 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "
         .replace("{{device}}", escape(device))
     )
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if self.headers.get("Host", "").partition(":")[0] not in _NAMES:  # another name comes from DNS rebinding
-                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
-            elif self.path == "/":
-                self._send("text/html; charset=utf-8", page)
-            elif self.path == "/live.json":
-                self._send("application/json", json.dumps(to_json(rows())))
-            else:
-                self.send_error(HTTPStatus.NOT_FOUND)
-
-        def _send(self, kind: str, text: str) -> None:
-            body = text.encode()
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: object) -> None: ...
-
     try:
-        server = LocalServer((HOST, port), Handler)
+        server = LocalServer(
+            HOST,
+            port,
+            {
+                "/": lambda: ("text/html", page.encode(), ""),
+                "/live.json": lambda: ("application/json", json.dumps(to_json(rows())).encode(), ""),
+            },
+        )
     except OSError as error:
         raise OptionError(f"-o live_port={port}: {error.strerror}; choose another port") from error
-    thread = threading.Thread(target=server.serve_forever, name="tap-page", daemon=True)
-    thread.start()
-    try:
+    with server.serving():
         yield f"http://{HOST}:{server.server_port}/"
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
 
 
 TOPIC, TYPE_NAME = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 _LEVELS = {Health.OK: 0, Health.LATE: 1, Health.STALE: 3}
 """OK, WARN and STALE of `diagnostic_msgs/msg/DiagnosticStatus`."""
-
-
-def open_diagnostics(node: Node, device: str) -> Callable[[LiveTable], None]:
-    publisher = node.create_publisher(TOPIC, TYPE_NAME, qos=Qos())
-    return lambda table: publisher.publish(diagnostic_array(table.rows(), device, time.time_ns()))
 
 
 def diagnostic_array(rows: tuple[LiveRow, ...], device: str, wall_ns: int) -> bytearray:

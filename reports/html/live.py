@@ -5,19 +5,14 @@
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import os
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from html import escape
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import TypeAlias
 
@@ -25,7 +20,7 @@ from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import open_regular
-from dds_trace.base.local_server import LocalServer
+from dds_trace.base.local_server import Answer, LocalServer
 from dds_trace.base.streams import say
 
 from ..book.book import Book
@@ -98,6 +93,10 @@ class Shown:
     page: bytes
     version: str
 
+    @property
+    def answer(self) -> Answer:
+        return "text/html", self.page, self.version
+
 
 class Watcher:
     def __init__(self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -111,13 +110,18 @@ class Watcher:
         self._spool = TraceSpool()
         self._report = self._analyzed_version = ""
         self.shown = _waiting("")
+        answers: dict[str, Callable[[], Answer]] = {
+            "/": lambda: self.shown.answer,
+            "/version": lambda: ("text/plain", self.shown.version.encode(), ""),
+            "/status": lambda: ("application/json", self.status().encode(), ""),
+            "/update": lambda: ("text/html", without_plotly(self.shown.page.decode()).encode(), ""),
+        }
         try:
-            self._server = _server_class(host)((host, port), _handler(self, host))
+            self._server = LocalServer(host, port, answers)
         except (OSError, OverflowError) as err:
             raise OutputError(
                 f"{host}:{port}: cannot serve there ({getattr(err, 'strerror', None) or err}); choose another --port"
             ) from err
-        self._server.daemon_threads = True
 
     @property
     def address(self) -> str:
@@ -170,14 +174,10 @@ class Watcher:
 
     @contextmanager
     def serving(self) -> Iterator[None]:
-        thread = threading.Thread(target=self._server.serve_forever, name="watch", daemon=True)
-        thread.start()
         try:
-            yield
+            with self._server.serving():
+                yield
         finally:
-            self._server.shutdown()
-            thread.join()
-            self._server.server_close()
             self._spool.close()
 
 
@@ -188,65 +188,6 @@ def _waiting(version: str, why: str = "") -> Shown:
 def _encoded(page: str) -> bytes:
     # The reason of a failure may contain a file name that is not UTF-8.
     return page.encode("utf-8", "backslashreplace")
-
-
-def _server_class(host: str) -> type[LocalServer]:
-    class Server(LocalServer):
-        address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-
-    return Server
-
-
-def is_own_name(host: str, bound: str) -> bool:
-    """Return whether a request's `Host` is this server's: any other name may come from DNS rebinding, and read the page."""
-    name = host.strip().lower()
-    name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
-    if name in {"localhost", bound.lower()}:
-        return True
-    try:
-        address = ipaddress.ip_address(name)
-        return address.is_loopback or ipaddress.ip_address(bound).is_unspecified
-    except ValueError:
-        return False
-
-
-def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
-    paths: dict[str, tuple[str, Callable[[], str]]] = {
-        "/version": ("text/plain", lambda: watcher.shown.version),
-        "/status": ("application/json", watcher.status),
-        "/update": ("text/html", lambda: without_plotly(watcher.shown.page.decode())),
-    }
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if not is_own_name(self.headers.get("Host", ""), bound):
-                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
-                return
-            shown = watcher.shown
-            if self.path in paths:
-                kind, body = paths[self.path]
-                self._send(kind, body().encode())
-            elif self.path != "/":
-                self.send_error(HTTPStatus.NOT_FOUND)
-            elif self.headers.get("If-None-Match") == f'"{shown.version}"':
-                self.send_response(HTTPStatus.NOT_MODIFIED)
-                self.end_headers()
-            else:
-                self._send("text/html", shown.page, {"ETag": f'"{shown.version}"'})
-
-        def _send(self, kind: str, body: bytes, headers: dict[str, str] | None = None) -> None:
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", f"{kind}; charset=utf-8")
-            self.send_header("Content-Length", str(len(body)))
-            self.send_header("Cache-Control", "no-cache")
-            for name, value in (headers or {}).items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: object) -> None: ...  # stderr is for the analysis
-
-    return Handler
 
 
 def _stamp_of(folder: Path, skip: Path) -> Stamp:

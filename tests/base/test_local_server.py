@@ -1,7 +1,5 @@
 import socket
-import threading
 from contextlib import ExitStack
-from http.server import BaseHTTPRequestHandler
 from urllib.request import urlopen
 
 import pytest
@@ -10,23 +8,11 @@ from dds_trace.base import local_server
 from dds_trace.base.local_server import MOST_CONNECTIONS, LocalServer
 
 
-class Handler(BaseHTTPRequestHandler):
-    def do_GET(self):
-        self.send_response(200)
-        self.end_headers()
-        self.wfile.write(b"here")
-
-    def log_message(self, *_): ...
-
-
 @pytest.fixture
 def server():
-    with LocalServer(("127.0.0.1", 0), Handler) as served:
-        thread = threading.Thread(target=served.serve_forever, args=(0.05,))
-        thread.start()
+    served = LocalServer("127.0.0.1", 0, {"/": lambda: ("text/plain", b"here", "")})
+    with served.serving():
         yield served
-        served.shutdown()
-        thread.join()
 
 
 def silent(stack, server):
@@ -37,7 +23,7 @@ def test_what_exceeds_the_bound_is_closed_at_once(server):
     with ExitStack() as stack:
         connections = [silent(stack, server) for _ in range(MOST_CONNECTIONS + 1)]
         assert connections[-1].recv(1) == b""
-        connections[0].sendall(b"GET / HTTP/1.0\r\n\r\n")
+        connections[0].sendall(b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n")
         assert connections[0].makefile("rb").read().endswith(b"here")
 
 

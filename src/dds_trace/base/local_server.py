@@ -1,13 +1,16 @@
-"""An HTTP server on which a stranger takes at most 16 threads, for ten seconds each."""
+"""An HTTP server of pages for this machine, on which a stranger takes at most 16 threads, for ten seconds each."""
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import sys
 import threading
-from contextlib import suppress
-from http.server import ThreadingHTTPServer
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, TypeAlias
 
 from .streams import say
 
@@ -15,10 +18,29 @@ MOST_CONNECTIONS, CONNECTION_S = 16, 10.0
 """Each connection takes a thread and an open file of the program; a page asks once a second."""
 
 
+Answer: TypeAlias = "tuple[str, bytes, str]"
+"""Type of the content, the content, and its version or nothing."""
+
+
 class LocalServer(ThreadingHTTPServer):
-    def __init__(self, *args: Any, **more: Any) -> None:
+    """Serves `answers` by path, to requests that name this machine."""
+
+    def __init__(self, host: str, port: int, answers: Mapping[str, Callable[[], Answer]]) -> None:
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        super().__init__(*args, **more)
+        self.answers, self.host = answers, host
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        super().__init__((host, port), _Handler)
+
+    @contextmanager
+    def serving(self) -> Iterator[None]:
+        thread = threading.Thread(target=self.serve_forever, name="local-server", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self.shutdown()
+            thread.join()
+            self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         if self._free.acquire(blocking=False):
@@ -44,3 +66,47 @@ class LocalServer(ThreadingHTTPServer):
         finally:
             timer.cancel()
             self._free.release()
+
+
+def is_own_name(host: str, bound: str) -> bool:
+    """Return whether a request's `Host` is this server's: any other name may come from DNS rebinding, and read the page."""
+    name = host.strip().lower()
+    name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
+    if name in {"localhost", bound.lower()}:
+        return True
+    try:
+        address = ipaddress.ip_address(name)
+        return address.is_loopback or ipaddress.ip_address(bound).is_unspecified
+    except ValueError:
+        return False
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: LocalServer
+
+    def do_GET(self) -> None:
+        answer = self.server.answers.get(self.path)
+        if not is_own_name(self.headers.get("Host", ""), self.server.host):
+            self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+        elif answer is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+        else:
+            self._send(*answer())
+
+    def _send(self, kind: str, body: bytes, version: str) -> None:
+        if version and self.headers.get("If-None-Match") == f'"{version}"':
+            self.send_response(HTTPStatus.NOT_MODIFIED)
+            self.end_headers()
+            return
+        self.send_response(HTTPStatus.OK)
+        headers = {
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": str(len(body)),
+            "Cache-Control": "no-cache",
+        }
+        for name, value in {**headers, **({"ETag": f'"{version}"'} if version else {})}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None: ...  # stderr is for the program's own lines

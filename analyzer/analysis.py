@@ -24,8 +24,7 @@ from .model.runs import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json
-from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
-from .topics.hops import HOP_SCHEMA
+from .topics.frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs
 from .verdicts.judgements import judgement_frame
 

@@ -22,8 +22,7 @@ from dds_trace.reports.card import topics_card, write_picture
 from dds_trace.reports.comparison.words import gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
-from dds_trace.reports.topics.report import BagReport
-from dds_trace.reports.topics.words import JudgedTopic
+from dds_trace.reports.topics.report import BagReport, JudgedTopic
 
 from .limits_file import topic_limits_text, write_limits
 

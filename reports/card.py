@@ -23,8 +23,7 @@ from .book.fastest import shown_case
 from .book.groups import data_type_label
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
-from .topics.report import STRIP_WIDTH, strip_parts
-from .topics.words import facts_words, missing_words, topics_of, verdict_words
+from .topics.report import STRIP_WIDTH, facts_words, missing_words, strip_parts, topics_of, verdict_words
 
 WIDTH, HEIGHT, EDGE = 1200, 630, 56
 LABELS, TIMES = 440, 150

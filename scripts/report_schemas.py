@@ -26,8 +26,7 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
 from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
-from dds_trace.analyzer.topics.frames import TOPIC_SCHEMA
-from dds_trace.analyzer.topics.hops import HOP_SCHEMA
+from dds_trace.analyzer.topics.frames import HOP_SCHEMA, TOPIC_SCHEMA
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS, CompareOptions

@@ -20,6 +20,8 @@ _COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
 _LEAST_STEP_NS, _STEP_SPREADS = 200_000_000, 6.0
 _FEWEST = 8
 _MOST_STEPS = 5
+_LEAST_BACK_NS = 100_000_000
+_WHY_BACK = "a clock that was set back, a simulation that was reset, or joined files?"
 _SAME_STEP, _SAME_TIME_NS = 0.2, 2 * 10**9
 _AHEAD_NS = {37 * 10**9: "TAI", 18 * 10**9: "GPS time"}
 _AHEAD_WITHIN_NS = 600_000_000
@@ -49,12 +51,34 @@ def apart(time_ns: float) -> str:
 
 
 def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
-    if backwards_ns:
-        names = sorted(backwards_ns, key=lambda name: -backwards_ns[name])
-        yield (
-            f"{_and_more(names)} {'is' if len(names) == 1 else 'are'} not stored in order of time, up to "
-            f"{format_duration(backwards_ns[names[0]])} back: a clock that was set back, a simulation that was reset, or joined files?"
-        )
+    names = sorted((name for name in backwards_ns if backwards_ns[name]), key=lambda name: -backwards_ns[name])
+    if names:
+        are = "is" if len(names) == 1 else "are"
+        size = format_duration(backwards_ns[names[0]])
+        yield f"{_and_more(names)} {are} not stored in order of time, up to {size} back: {_WHY_BACK}"
+
+
+def reset_note(back_ns: int, at_ns: int, stamped: int) -> str:
+    size, at = format_duration(back_ns), clock_words(at_ns / 1e9)
+    if stamped:
+        return f"the recorder's clock was set back by {size} at {at}: the stamps of {counted(stamped, 'topic')} go on without a step"
+    return f"the times of all topics begin again at {at}, {size} back: {_WHY_BACK}"
+
+
+def find_resets(log_ns: Int64) -> list[int]:
+    """Return the indices of stored log times that begin again: late messages leap to the others, and pieces in disorder fit together."""
+    before_ns = np.minimum(log_ns[1:-2], log_ns[:-3])
+    resets: list[int] = (np.flatnonzero(np.maximum(log_ns[2:-1], log_ns[3:]) < before_ns - _LEAST_BACK_NS) + 2).tolist()
+    if len(resets) > _MOST_STEPS:
+        return []
+    for at in resets:
+        back_ns = int(log_ns[at - 1] - log_ns[at])
+        is_beyond = log_ns[at:] >= log_ns[at - 1]
+        again = at + int(np.argmax(is_beyond)) if is_beyond.any() else at
+        apart_ns = int(log_ns[:at].min() - log_ns[at:].max())
+        if log_ns[again] - log_ns[again - 1] > back_ns / 2 or 0 <= apart_ns < _SAME_TIME_NS:
+            return []
+    return resets
 
 
 def backwards_ns(log_ns: Int64) -> int:
@@ -65,7 +89,6 @@ def backwards_ns(log_ns: Int64) -> int:
 class Stamps(NamedTuple):
     log_ns: Int64
     stamp_ns: Int64
-    is_in_order: bool = True
 
     @property
     def age_ns(self) -> Int64:
@@ -87,16 +110,17 @@ class _Step(NamedTuple):
 
 
 def stamp_notes(
-    topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int, set_over: list[tuple[int, int]]
-) -> Iterator[str]:
-    """Yield what changes in the ages of topics; the recorder's clock, `set_over` these stretches, only if every topic moves with it."""
+    topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int
+) -> tuple[list[str], list[tuple[int, int]]]:
+    """Return what changes in the ages of topics, and stretches over which the recorder's clock was set: every topic moves with it."""
     steps: list[_Step] = []
+    notes: list[str] = []
     other_clocks: dict[str, float] = {}
     for name, stamps in topics.items():
         special = next(_special_notes(name, stamps, start_ns), "")
         age_ns = abs(float(np.median(stamps.age_ns)))
         if special:
-            yield special
+            notes.append(special)
             continue
         if age_ns > DAY_NS:
             other_clocks[name] = age_ns
@@ -109,11 +133,18 @@ def stamp_notes(
             when = (
                 f"since {clock_words((since_ns - start_ns) / 1e9)}" if since_ns > stamps.log_ns[0] else "all the time"
             )
-            yield (
+            notes.append(
                 f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
             )
-    yield from _other_clocks(other_clocks, topics)
-    yield from _step_notes(steps, topics, unstamped, start_ns, set_over)
+    set_over: list[tuple[int, int]] = []
+    notes += _other_clocks(other_clocks, topics)
+    while steps:
+        same = [step for step in steps if _is_same(step, steps[0])]
+        steps = [step for step in steps if step not in same]
+        step_notes, is_of_recorder = _step_notes(same, topics, unstamped, start_ns)
+        notes += step_notes
+        set_over += [(same[0].log_ns - same[0].size_ns, same[0].log_ns)] * is_of_recorder
+    return notes, set_over
 
 
 def _other_clocks(ages_ns: Mapping[str, float], topics: Mapping[str, Stamps]) -> Iterator[str]:
@@ -133,39 +164,26 @@ def _and_more(names: Sequence[str]) -> str:
 
 
 def _step_notes(
-    steps: list[_Step],
-    topics: Mapping[str, Stamps],
-    unstamped: Sequence[Int64],
-    start_ns: int,
-    set_over: list[tuple[int, int]],
-) -> Iterator[str]:
-    while steps:
-        first = steps[0]
-        same = [step for step in steps if _is_same(step, first)]
-        steps = [step for step in steps if step not in same]
-        is_of_stamps = first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS)
-        late_ns = 0 if is_of_stamps else max(first.size_ns, 0)
-        at, size = clock_words((first.log_ns - late_ns - start_ns) / 1e9), format_duration(abs(first.size_ns))
-        if is_of_stamps:
-            names = dict.fromkeys(step.topic for step in same)
-            like = next((name for name in topics if name not in names and _has_its_age(topics[name], first)), "")
-            who = f"like {like}: of another publisher, a replay?" if like else "the clock that stamps them was set"
-            for name in names:
-                yield f"stamps of {name} jump 1 time against the log times, by {size} at {at}: {who}"
-            continue
-        moved = {step.topic for step in same}
-        others = [stamps.log_ns for name, stamps in topics.items() if name not in moved]
-        witnesses = sum(_goes_on(log_ns, first) for log_ns in (*others, *unstamped))
-        direction = "forward" if first.size_ns > 0 else "back"
-        clock = f"the recorder's clock was set {direction} by {size} at {at}"
-        if not witnesses and len(moved) > 1:
-            set_over.append((first.log_ns - first.size_ns, first.log_ns))
-            yield f"{clock}: the stamps of all {len(moved)} topics go on without a step"
-            continue
-        became = "later" if first.size_ns > 0 else "earlier"
-        unsure = "" if witnesses else f", or {clock}: no other topic shows which"
-        for name in sorted(moved):
-            yield f"{name} became {size} {became} at {at}{unsure}"
+    steps: Sequence[_Step], topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int
+) -> tuple[list[str], bool]:
+    first, moved = steps[0], sorted({step.topic for step in steps})
+    is_of_stamps = first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS)
+    late_ns = 0 if is_of_stamps else max(first.size_ns, 0)
+    at, size = clock_words((first.log_ns - late_ns - start_ns) / 1e9), format_duration(abs(first.size_ns))
+    if is_of_stamps:
+        like = next((name for name in topics if name not in moved and _has_its_age(topics[name], first)), "")
+        who = f"like {like}: of another publisher, a replay?" if like else "the clock that stamps them was set"
+        return [
+            f"stamps of {name} jump 1 time against the log times, by {size} at {at}: {who}" for name in moved
+        ], False
+    others = [stamps.log_ns for name, stamps in topics.items() if name not in moved]
+    witnesses = sum(_goes_on(log_ns, first) for log_ns in (*others, *unstamped))
+    direction, became = ("forward", "later") if first.size_ns > 0 else ("back", "earlier")
+    clock = f"the recorder's clock was set {direction} by {size} at {at}"
+    if not witnesses and len(moved) > 1:
+        return [f"{clock}: the stamps of all {len(moved)} topics go on without a step"], True
+    unsure = "" if witnesses else f", or {clock}: no other topic shows which"
+    return [f"{name} became {size} {became} at {at}{unsure}" for name in moved], False
 
 
 def _is_same(step: _Step, other: _Step) -> bool:
@@ -190,7 +208,7 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 
 
 def count_latched(stamps: Stamps, start_ns: int) -> int:
-    log_ns, stamp_ns, _ = stamps
+    log_ns, stamp_ns = stamps
     is_soon = (log_ns < start_ns + 2 * 10**9) | (len(log_ns) < _FEWEST)
     early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS) & (stamps.age_ns < _LONGEST_UP_NS)
     count = int(early.sum())
@@ -201,7 +219,7 @@ def count_latched(stamps: Stamps, start_ns: int) -> int:
 
 
 def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
-    log_ns, stamp_ns, _ = stamps
+    log_ns, stamp_ns = stamps
     ages_ns = stamps.age_ns
     latched = count_latched(stamps, start_ns)
     if latched:
@@ -260,7 +278,7 @@ def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
 
 def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     ages_ns = stamps.age_ns
-    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS or not stamps.is_in_order:
+    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS:
         return []
     changes_ns = np.diff(ages_ns)
     least_ns = max(_LEAST_STEP_NS, _STEP_SPREADS * 1.4826 * float(np.median(np.abs(changes_ns))))

@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .clocks import DAY_NS, of_one_clock
-from .periods import MOST_STEPS, Hole, Int64, Regularity, find_grid, find_regularity, joined, spread
+from .periods import MOST_STEPS, Hole, Int64, Regularity, find_grid, find_regularity, joined, spread, with_rivals
+
+Stretches: TypeAlias = "Sequence[tuple[int, int]]"
+"""Start and end (ns) of times over which the clock was set, or no topic has a message."""
 
 NONE = -(2**63)
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
@@ -26,9 +30,9 @@ _MOST_SILENT = 0.5
 
 _SAME_RATE = 0.01
 COMMANDS = re.compile(
-    r"(^|[/_])(cmd|cmd_vel|command|goal|joy|keyboard|teleop)($|[/_])|/(Twist|TwistStamped|Joy|Ackermann\w+)$"
+    r"(^|[/_])(action|cmd|cmd_vel|command|goal|joy|keyboard|service_event|teleop)($|[/_])|/(Twist|TwistStamped|Joy|Ackermann\w+)$"
 )
-"""Topics and types by which a person or a planner commands: sent while something happens."""
+"""Topics and types of commands, actions and services: sent while something happens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +70,18 @@ class TopicTimes:
     left_out_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
     """Such stamps of messages that were logged by another clock."""
 
-    def find_losses(self, start_ns: int, end_ns: int, set_over: Sequence[tuple[int, int]] = ()) -> Losses:
-        losses, jumps = self._by_rhythm(start_ns, end_ns, set_over), self._jumps()
+    def find_losses(self, start_ns: int, end_ns: int, set_over: Stretches = (), silent: Stretches = ()) -> Losses:
+        losses, jumps = self._by_rhythm(start_ns, end_ns, set_over, silent), self._jumps()
         if self.lost is not None and self.counter == "tap":
             return _by_counts(losses, sum(self.lost), self.counter)
         if jumps is not None:
             count = max(int(jumps[2].sum()) - len(self.left_out_ns), 0)
-            if self.is_ros1 or (count and (losses.evidence != "stamps" or count > (losses.missing or 0))):
-                holes = [replace(hole, missing=_passed_over(jumps, hole)) for hole in losses.holes]
+            has_restarted = ((np.diff(self.sequence) < -_LEAST_RESTART) & (self.sequence[1:] <= 1)).any()
+            is_least = losses.evidence == "stamps" and count <= (losses.missing or 0) and not has_restarted
+            if self.is_ros1 or (count and not is_least):
+                from_ns, to_ns = jumps[0], jumps[0] + jumps[1]
+                within = [(from_ns < h.start_ns + h.duration_ns) & (to_ns > h.start_ns) for h in losses.holes]
+                holes = [replace(h, missing=int(jumps[2][i].sum())) for h, i in zip(losses.holes, within, strict=True)]
                 holes = holes or [Hole(*jump) for jump in jumps.T.tolist()]
                 return replace(losses, evidence="sequence", missing=count, low=count, high=count, holes=holes)
         if losses.missing is None and self.lost is not None:
@@ -103,13 +111,13 @@ class TopicTimes:
         ordered = np.concatenate(jumps, axis=1)
         return ordered[:, np.argsort(ordered[0], kind="stable")]
 
-    def _by_rhythm(self, start_ns: int, end_ns: int, set_over: Sequence[tuple[int, int]]) -> Losses:
+    def _by_rhythm(self, start_ns: int, end_ns: int, set_over: Stretches, silent: Stretches) -> Losses:
         """Count by stamps on a grid, else by the rhythm of arrival; a late start and an early end are holes without a count."""
         grid = self._by_grid()
         regularity = self._regularity(self.log_ns) if grid is None or not grid.missing else None
         if regularity is not None:
             regularity = regularity.without(
-                lambda hole: self._is_late(hole) or any(hole.overlaps(*s) for s in set_over)
+                lambda hole: self.is_still(hole.start_ns, hole.duration_ns) or any(hole.overlaps(*s) for s in set_over)
             )
         evidence = "period"
         if grid is not None and (
@@ -120,7 +128,7 @@ class TopicTimes:
             regularity, evidence = grid, "stamps"
         first_ns, last_ns = int(self.log_ns[0]), int(self.log_ns[-1])
         is_burst = last_ns - first_ns < min(_STOPPED_NS, (end_ns - start_ns) / 2)
-        if regularity is None or is_burst or self._is_silent(regularity):
+        if regularity is None or is_burst or self._is_silent(regularity, silent):
             return Losses()
         high, period_ns = regularity.high, regularity.period_ns
         holes = regularity.holes[:]
@@ -133,12 +141,13 @@ class TopicTimes:
             high += int((end_ns - last_ns) / period_ns) * regularity.in_pattern
         return Losses(evidence, regularity.missing, regularity.low, high, holes, regularity)
 
-    def _is_silent(self, regularity: Regularity) -> bool:
+    def _is_silent(self, regularity: Regularity, silent: Stretches) -> bool:
         period_ns = regularity.period_ns
         least_ns = (
             _SILENT_COMMAND_PERIODS * period_ns if self.is_command else max(_SILENT_PERIODS * period_ns, _STOPPED_NS)
         )
-        silent_ns = sum(hole.duration_ns for hole in regularity.holes if hole.duration_ns > least_ns)
+        own = [hole for hole in regularity.holes if self.is_command or not any(hole.overlaps(*s) for s in silent)]
+        silent_ns = sum(hole.duration_ns for hole in own if hole.duration_ns > least_ns)
         return silent_ns > (0 if self.is_command else _MOST_SILENT * float(self.log_ns[-1] - self.log_ns[0]))
 
     def _by_grid(self) -> Regularity | None:
@@ -184,7 +193,8 @@ class TopicTimes:
                 duration_ns = max(float(log_ns[at + 1] - log_ns[at]) - period_ns, missing * period_ns)
                 holes.append(Hole(round(log_ns[at] + period_ns), round(duration_ns), missing))
         missing, holes = max(total, 0), sorted(holes, key=lambda hole: hole.start_ns)
-        return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
+        regularity = Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
+        return with_rivals(regularity, steps[is_later]) if missing else regularity
 
     def _regularity(self, times_ns: Int64) -> Regularity | None:
         best = find_regularity(times_ns)
@@ -194,12 +204,15 @@ class TopicTimes:
                 best = joined(parts)
         return best
 
-    def _is_late(self, hole: Hole) -> bool:
-        """Return whether stamps go on across a hole: what follows is late, or a clock was set, and nothing is missing."""
-        at = int(np.searchsorted(self.log_ns, hole.start_ns))
+    def has_stamps_around(self, start_ns: int, end_ns: int) -> bool:
+        return bool(self.log_ns[0] <= start_ns and self.log_ns[-1] >= end_ns and (self.stamp_ns != NONE).all())
+
+    def is_still(self, start_ns: int, duration_ns: int) -> bool:
+        """Return whether stamps go on or back across a hole: what follows is late, or a clock was set, and nothing is missing."""
+        at = int(np.searchsorted(self.log_ns, start_ns))
         if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
             return False
-        return hole.duration_ns > 10**9 and 0 <= int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < hole.duration_ns // 4
+        return duration_ns > 10**9 and int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < duration_ns // 4
 
 
 def _by_counts(losses: Losses, count: int, evidence: str) -> Losses:
@@ -210,12 +223,6 @@ def _by_counts(losses: Losses, count: int, evidence: str) -> Losses:
         holes += [replace(hole, missing=missing)] * bool(missing or not hole.missing)
     holes.sort(key=lambda hole: hole.start_ns)
     return replace(losses, evidence=evidence, missing=count, low=count, high=count, holes=holes)
-
-
-def _passed_over(jumps: Int64, hole: Hole) -> int:
-    starts_ns, durations_ns, counts = jumps
-    is_within = (starts_ns < hole.start_ns + hole.duration_ns) & (starts_ns + durations_ns > hole.start_ns)
-    return int(counts[is_within].sum())
 
 
 def _by_key(keys: Int64, find: Callable[[NDArray[np.bool_]], Regularity | None]) -> list[Regularity]:

@@ -4,28 +4,36 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
+from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
 from dds_trace.tracefile.format.encoding import decode_string
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
-from dds_trace.tracefile.format.header_stamps import lost_by_recorder, parse_definition, plain_name, stamp_reader
+from dds_trace.tracefile.format.header_stamps import (
+    known_definition,
+    lost_by_recorder,
+    parse_definition,
+    plain_name,
+    stamp_reader,
+)
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
-from dds_trace.tracefile.reading.recorded import RawMessage, RecordedTopic
+from dds_trace.tracefile.reading.source import RawMessage
 from dds_trace.tracefile.reading.storage import find_storage
-from dds_trace.tracefile.recordings.recording_files import content_hash
+from dds_trace.tracefile.recordings.read import content_hash
 
+from .clocks import DAY_NS, find_resets, of_one_clock
 from .losses import COMMANDS, LOST_TYPE, NONE, TopicTimes
 from .periods import Int64
 
 _LONGEST_FRAME_BYTES = 256
 _LEAST_ASCENDING = 0.9
+_AROUND = 5
 
 _TEXTS = ("ros1msg", "ros2msg")
 
@@ -43,14 +51,14 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
     )
 
 
-_COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame", "content")
+_COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame", "content", "number")
 
 
 @dataclass(slots=True)
 class TopicMessages:
-    """Messages of one topic, 64 bytes each; `bound_ns` is of stamps on the recorder's clock.
+    """Messages of one topic, 72 bytes each; `bound_ns` is of stamps on the recorder's clock.
 
-    Publishers differ by `publisher` (rosbag1) or perhaps by `frame`; messages of unlike `content` are no copies.
+    Publishers differ by `publisher` (rosbag1) or perhaps by `frame`; messages of unlike `content` are no copies; `number` is of all topics.
     """
 
     topic: RecordedTopic
@@ -62,7 +70,7 @@ class TopicMessages:
     def __len__(self) -> int:
         return len(self.columns["log_ns"])
 
-    def add(self, message: RawMessage) -> None:
+    def add(self, message: RawMessage, number: int) -> None:
         stamp, begins_with_header = _readers_of(message.topic)
         data, sequence = message.data, message.sequence
         if message.topic.encoding == "ros1":  # a converter's numbers are of all topics
@@ -76,6 +84,7 @@ class TopicMessages:
             hash(message.topic.publisher),
             hash(_frame(data)) if begins_with_header else 0,
             content_hash(data),
+            number,
         )
         for column, value in zip(self.columns.values(), values, strict=True):
             column.append(NONE if value is None else value)
@@ -92,6 +101,27 @@ class TopicMessages:
         """In stored order; `NONE` for a value that a message lacks."""
         return np.frombuffer(self.columns[name], np.int64)
 
+    def change_of_age_ns(self, start: int) -> float | None:
+        """Return None where stamps do not go on."""
+        log_ns, stamp_ns = (
+            self.column(name)[max(start - _AROUND, 0) : start + _AROUND] for name in ("log_ns", "stamp_ns")
+        )
+        middle = min(start, _AROUND)
+        if (stamp_ns == NONE).any() or not 0 <= stamp_ns[middle] - stamp_ns[middle - 1] < DAY_NS:
+            return None
+        age_ns = log_ns - stamp_ns
+        return float(np.median(age_ns[middle:]) - np.median(age_ns[:middle]))
+
+    def move(self, start: int, by_ns: int, *, with_stamps: bool) -> None:
+        for name in ("log_ns", "publish_ns", "stamp_ns"):
+            times_ns = self.column(name).copy()
+            around = times_ns[start - 1 : start + 1] if start else times_ns[:0]
+            is_known = len(around) == 2 and NONE not in around
+            went_back = around[1] - around[0] < -by_ns / 2 if is_known else with_stamps
+            if name == "log_ns" or went_back:
+                times_ns[start:][times_ns[start:] != NONE] += by_ns
+                self.columns[name] = array("q", times_ns.tobytes())
+
     @property
     def copies(self) -> int:
         keys = np.array([self.columns["log_ns"], self.columns["content"]])
@@ -107,13 +137,39 @@ class TopicMessages:
         stamps = self.column("stamp_ns")
         stamped_within = (stamps >= stamps[order].min()) & (stamps <= stamps[order].max())
         stamped_within[order] = False
-        log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
+        log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-2])
         is_ros1 = self.topic.encoding == "ros1"
         commands = any(map(COMMANDS.search, (self.topic.name, self.topic.message_type)))
         return TopicTimes(
             *(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, counter),
             stamps[stamped_within],
         )
+
+
+def run_on_after_resets(columns: Sequence[TopicMessages]) -> Iterator[tuple[int, int, int]]:
+    """Let times go on where a clock was reset; yield when, by how much, and the topics with stamps that went on."""
+    log_ns, number = (np.concatenate([topic.column(name) for topic in columns]) for name in ("log_ns", "number"))
+    by_time = np.argsort(log_ns, kind="stable")
+    by_time = by_time[of_one_clock(log_ns[by_time])]
+    stored = np.sort(number[by_time])
+    in_order_ns = log_ns[np.argsort(number)][stored]
+    resets = find_resets(in_order_ns)
+    if resets and any(topic.copies for topic in columns):
+        return  # a merged bag
+    moved_ns = 0
+    for at in resets:
+        parts = [(topic, int(np.searchsorted(topic.column("number"), stored[at]))) for topic in columns]
+        shared = [(topic, start) for topic, start in parts if 0 < start < len(topic)]
+        if 2 * sum(len(topic) - start for topic, start in shared) < len(stored) - at:
+            continue  # files of several recorders
+        back_ns = int(in_order_ns[at - 1] - in_order_ns[at] + np.median(np.abs(np.diff(in_order_ns))))
+        younger_ns = [-change_ns for topic, start in shared if (change_ns := topic.change_of_age_ns(start)) is not None]
+        going_on_ns = [change_ns for change_ns in younger_ns if back_ns / 2 < change_ns < 2 * back_ns]
+        back_ns = round(float(np.median(going_on_ns))) if going_on_ns else back_ns
+        for topic, start in parts:
+            topic.move(start, back_ns, with_stamps=not going_on_ns)
+        moved_ns += back_ns
+        yield int(in_order_ns[at - 1]) + moved_ns - back_ns, back_ns, len(going_on_ns)
 
 
 def leave_out_shared_numbers(columns: Sequence[TopicMessages]) -> None:
@@ -159,7 +215,7 @@ def _total(records: Sequence[JsonObject], name: str) -> int | None:
 @lru_cache(maxsize=10_000)
 def _readers_of(topic: RecordedTopic) -> tuple[Callable[[bytes], int | None] | None, bool]:
     definition = topic.definition if topic.definition_encoding in _TEXTS else ""
-    definition = definition or _definition_of(topic.message_type)
+    definition = definition or known_definition(topic.message_type)
     stamp = stamp_reader(topic.message_type, definition, topic.encoding)
     fields = parse_definition(topic.message_type, definition)[plain_name(topic.message_type)]
     return stamp, stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
@@ -169,12 +225,3 @@ def _frame(data: bytes) -> bytes:
     """Return the frame of a header: publishers often differ by it."""
     size = int.from_bytes(data[12:16], "little")
     return data[16 : 16 + size] if size < _LONGEST_FRAME_BYTES else b""
-
-
-@cache
-def _definition_of(name: str) -> str:
-    """Return the definition of a ROS 2 type, with its parts; empty for others."""
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - analyses of traces do not load it
-
-    store = get_typestore(Stores.LATEST)
-    return store.generate_msgdef(name)[0] if name in store.fielddefs else ""

@@ -33,9 +33,12 @@ _LEAST_STALL, _QUEUED = 2.5, 0.75
 _OFF_GRID, _LEAST_ON_GRID, MOST_STEPS, _OFF_MEAN = 0.2, 0.95, 20, 0.002
 """Deviation of a stamp in periods, the least share within it, the longest step that is compared, the mean deviation of equal steps."""
 
-_MOST_PAUSED = 2.5
+_MOST_PAUSED, _MOST_CHANGES = 2.5, 2
 _MOST_TWICE = 0.9
 """Least expected messages per message of a pattern."""
+
+_FEWEST_PHASES, _MOST_PHASES, _PHASE_BINS, _LEAST_POWER, _LONGEST_HOLE = 200, 2000, 8, 20.0, 1000
+"""Messages with a common phase, bins of a period, least power (random times exceed it once in a million), longest interval in periods."""
 
 _NEIGHBOURS, _PHASE_LOST = 8, 0.65
 """Messages on either side that must differ in phase, and by how many periods."""
@@ -98,7 +101,7 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
         best = patterns[0]
     period_ns, in_pattern = best.period_ns, best.length
     if in_pattern == 1:
-        regularity = _single(times_ns, period_ns)
+        regularity = _by_phase(times_ns, best) or _single(times_ns, period_ns)
     else:
         regularity = _several(times_ns, period_ns, in_pattern)
         rivals = [
@@ -107,6 +110,8 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
             if rival.length > in_pattern and rival.share > most - _RIVAL_SHARE
         ]
         low, high = min(r.low for r in (regularity, *rivals)), max(r.high for r in (regularity, *rivals))
+        grid = find_grid(times_ns)  # of one publisher that loses some messages of each pattern
+        high = high if grid is None else max(high, int((grid[1] - 1).sum()))
         regularity = replace(regularity, low=low, high=high)
     pauses = len(regularity.holes) > 2 and len(times_ns) + regularity.missing > _MOST_PAUSED * len(times_ns)
     return None if pauses else replace(regularity, share=best.share)
@@ -152,6 +157,28 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
     return _Pattern(m, period_ns, share, expected) if expected >= _MOST_TWICE * len(times_ns) else None
 
 
+def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
+    """Return the regularity of times off a grid by a good part of a period each, by their sharpest phase (Rayleigh's test); None without."""
+    ratio = np.diff(times_ns) / pattern.period_ns
+    is_steady = pattern.share > _EQUAL_SHARE or len(times_ns) < _FEWEST_PHASES or _is_single_with_stalls(ratio)
+    if is_steady or ratio.max() > _LONGEST_HOLE or _rate_changes(ratio):
+        return None
+    parts, missing = np.array_split(times_ns, -(-len(times_ns) // _MOST_PHASES)), 0
+    for number, part_ns in enumerate(parts):
+        bins = np.bincount((part_ns - part_ns[0]) * _PHASE_BINS // round(pattern.period_ns))
+        size = 4 << len(bins).bit_length()
+        first, last = (round(size / _PHASE_BINS * factor) for factor in (0.88, 1.12))
+        power = np.abs(np.fft.rfft(bins, size)[first:last]) ** 2 / len(part_ns)
+        if power.max() < _LEAST_POWER:
+            return None
+        part_period_ns = round(pattern.period_ns) * size / _PHASE_BINS / (first + int(power.argmax()))
+        end_ns = parts[number + 1][0] if number + 1 < len(parts) else part_ns[-1] + part_period_ns
+        missing += round(float(end_ns - part_ns[0]) / part_period_ns) - len(part_ns)
+    missing, unsure = max(missing, 0), 2 + round(2 * len(parts) ** 0.5)
+    whole = _single(times_ns, float(times_ns[-1] - times_ns[0]) / (len(times_ns) - 1 + missing))
+    return replace(whole, missing=missing, low=max(missing - unsure, 0), high=missing + unsure)
+
+
 def find_grid(stamps_ns: Int64) -> tuple[float, Int64] | None:
     """Return the period of ascending stamps that are multiples of one apart, and their steps in periods; None for others."""
     steps_ns = np.diff(stamps_ns)
@@ -179,6 +206,30 @@ def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
         if 0 < length <= MOST_STEPS and count >= _FEWEST and mean_off > _OFF_MEAN + 4 * float(off.std()) / count**0.5:
             return False
     return True
+
+
+def with_rivals(grid: Regularity, steps: Int64) -> Regularity:
+    """Return a grid as of a publisher that changes its rate, or of two at multiples, if it can be; one that loses messages is the other end."""
+    changes = _rate_changes(steps.astype(float) / np.median(steps))
+    if 0 < len(changes) <= _MOST_CHANGES:
+        usual = np.concatenate([np.full(len(part), np.median(part)) for part in np.split(steps, changes)])
+        fewest = min(max(round(float((steps / usual - 1).sum())), 0), grid.missing)
+        holes = [hole for hole in grid.holes if hole.missing >= usual.max()]
+        return replace(grid, missing=fewest, low=fewest, holes=holes)
+    indices = np.append(0, np.cumsum(steps))
+    for length in range(4, _MOST_IN_PATTERN + 1):
+        cycles = indices[-1] / length
+        counts = np.bincount(indices % length, minlength=length)
+        sent, is_none = np.flatnonzero(counts > cycles / 2), counts <= _SAME_SHARE * cycles
+        if cycles < _FEWEST or len(sent) + is_none.sum() < length or length % max(len(sent) - 1, 1):
+            continue
+        step = length // (len(sent) - 1)
+        if step > 1 and any((np.diff(sent[sent != slower]) == step).all() for slower in sent):
+            fewest = max(grid.missing - int(is_none[np.arange(indices[-1] + 1) % length].sum()), 0)
+            holes = [hole for hole in grid.holes if hole.missing >= step]
+            period_ns = length * grid.period_ns
+            return replace(grid, period_ns=period_ns, in_pattern=len(sent), missing=fewest, low=fewest, holes=holes)
+    return grid
 
 
 def _single(times_ns: Int64, period_ns: float) -> Regularity:

@@ -12,15 +12,14 @@ from typing import TypeAlias
 import polars as pl
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.tracefile.reading.recorded import Condition
+from dds_trace.tracefile.reading.source import Condition
 from dds_trace.tracefile.recordings.read import read_messages
 
 from ..model.finding import Source
-from .card import DAMAGED, HOLES, WHOLE, Card, RecordingHealth
+from .card import DAMAGED, HOLE_SCHEMA, HOLES, TOPIC_SCHEMA, WHOLE, Card, RecordingHealth, Row
 from .losses import NONE
 from .messages import TopicMessages, find_recordings
 from .periods import Int64
-from .rows import HOLE_SCHEMA, TOPIC_SCHEMA, Row
 
 _MOST_NOTES = 10
 
@@ -103,12 +102,12 @@ def analyze_topics(
             progress(recording)
         condition, columns, failure = Condition(), dict[tuple[str, str, str], TopicMessages](), ""
         try:
-            for message in read_messages(recording, condition):
+            for number, message in enumerate(read_messages(recording, condition)):
                 topic = message.topic
                 key = topic.name, topic.message_type, topic.encoding
                 if key not in columns:
                     columns[key] = TopicMessages(topic)
-                columns[key].add(message)
+                columns[key].add(message, number)
         except TraceFormatError as err:
             failure = err.what
             condition.damages.append(err.what)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from difflib import get_close_matches
 from importlib.util import find_spec
 from itertools import pairwise
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceFormatError
+from dds_trace.base.units import counted
 
 from ..errors import StoppedError
 from .base import DataType, Message, Payload, Source, check_size, check_stop
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-    from dds_trace.tracefile.reading.recorded import Condition, RecordedTopic
+    from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+    from dds_trace.tracefile.reading.source import Condition
 
 HEADER_TYPE = "std_msgs/msg/Header"
 _UNEVEN = 1.5
@@ -34,8 +36,8 @@ NAMED_FIELD = 2
 
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate; an `OptionError` for what cannot be used."""
-    from dds_trace.tracefile.reading.recorded import Condition  # noqa: PLC0415
-    from dds_trace.tracefile.recordings.recording_files import content_hash, copied_messages  # noqa: PLC0415
+    from dds_trace.tracefile.reading.source import Condition  # noqa: PLC0415
+    from dds_trace.tracefile.recordings.read import content_hash, copied_messages  # noqa: PLC0415
 
     if find_spec("rosbags") is None:
         raise BackendUnavailableError(
@@ -52,7 +54,8 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     chosen = _chosen_topic(condition.topics, topic, path)
     with _own_words(path):
         stamper = _Stamper(chosen, path, own_types)
-        messages = [stamper(data) for _, data in messages_read]
+        messages = list(_stamped(stamper, messages_read, is_damaged=bool(condition.damages)))
+    unreadable = len(messages_read) - len(messages)
     if not messages:
         raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
     name = chosen.name
@@ -65,6 +68,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     notes += copied_messages(
         name, len(messages_read) - len({(time_ns, content_hash(data)) for time_ns, data in messages_read})
     )
+    notes += [f"{counted(unreadable, 'message')} of {name} left out: damaged"] * bool(unreadable)
     rate_hz, typical_hz, clocks = _rates_hz([time_ns for time_ns, _ in messages_read])
     if clocks > 1:
         notes.append(f"{name} has times of {clocks} clocks, years apart; the rate is of the intervals within each")
@@ -94,6 +98,12 @@ def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Ev
     except TraceFormatError as err:
         raise OptionError(f"--data bag:{err}") from err
     return sorted(messages_read, key=itemgetter(0))
+
+
+def _stamped(stamper: _Stamper, messages_read: Sequence[tuple[int, bytes]], *, is_damaged: bool) -> Iterator[Message]:
+    for _, data in messages_read:
+        with suppress(Exception) if is_damaged else nullcontext():  # rosbags raises many kinds
+            yield stamper(data)
 
 
 def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]:

@@ -9,17 +9,17 @@ import threading
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from typing import Any
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.printable import printable
 from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, TOPIC_PREFIX, hash_content
-from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, stamp_reader
-from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
+from dds_trace.tracefile.format.header_stamps import Field, Fields, known_definition, plain_name, stamp_reader
+from dds_trace.tracefile.writing.event_chunks import MOST_TOPICS
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..applied.applied import Traffic
@@ -106,7 +106,7 @@ class _Topic:
     type_name: str
     read_stamp: Callable[[bytes], int | None] | None
     live: LiveTopic | None = None
-    payload_topic: PayloadTopic | None = None
+    payload_topic: RecordedTopic | None = None
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
@@ -238,12 +238,12 @@ class Tap:
         also = f"; the name is also announced as {other}" if other else ""
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}{also}")
 
-    def _payload_topic(self, name: str, type_name: str) -> PayloadTopic | None:
+    def _payload_topic(self, name: str, type_name: str) -> RecordedTopic | None:
         if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:
             return None
         is_ros = type_name.count("/") == 2
         definition = definition_of(type_name, self._node.members) if is_ros else ""
-        return PayloadTopic(name, type_name, definition, "cdr" if is_ros or name.startswith("/") else "")
+        return RecordedTopic(name, type_name, "cdr" if is_ros or name.startswith("/") else "", definition)
 
     def _update(self, topic: _Topic, publications: list[Publication]) -> None:
         if {p.publisher for p in publications} == {p.publisher for p in topic.publications} and topic.publications:
@@ -365,11 +365,7 @@ _PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}
 
 
 def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None] | None:
-    def stored(name: str) -> Fields | None:
-        return _fields(name, members)
-
-    is_stored = stored(plain_name(type_name)) is not None
-    return stamp_reader(type_name, "" if is_stored else _definition(type_name), "cdr", stored)
+    return stamp_reader(type_name, definition_of(type_name, members), "cdr")
 
 
 def definition_of(type_name: str, members: Members) -> str:
@@ -380,17 +376,14 @@ def definition_of(type_name: str, members: Members) -> str:
             continue
         fields = _fields(name, members)
         if fields is None:
-            return _definition(type_name)
-        sections[name] = "".join(
-            f"{field.type.replace('octet', 'byte')}{_brackets(field.length)} {field.name}\n" for field in fields
-        )
+            return known_definition(type_name)
+        brackets = ["" if field.length is None else f"[{field.length}]".replace("-1", "") for field in fields]
+        kinds = [field.type.replace("octet", "byte") for field in fields]
+        rows = zip(kinds, brackets, fields, strict=True)
+        sections[name] = "".join(f"{kind}{bracket} {field.name}\n" for kind, bracket, field in rows)
         remaining += [field.type for field in fields]
-    first, *others = sections.items()
-    return first[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
-
-
-def _brackets(length: int | None) -> str:
-    return "" if length is None else "[]" if length < 0 else f"[{length}]"
+    heads = {name: f"{'=' * 80}\nMSG: {name}\n" for name in list(sections)[1:]}
+    return "".join(heads.get(name, "") + text for name, text in sections.items())
 
 
 def _fields(name: str, members: Members) -> Fields | None:
@@ -408,12 +401,3 @@ def _field(name: str, text: str) -> Field:
     element, bracket, length = element.partition("[")
     several = -1 if is_sequence else int(length.removesuffix("]")) if bracket else None
     return Field(name, plain_name(_PLAIN.get(element, element)), several)
-
-
-def _definition(type_name: str) -> str:
-    if find_spec("rosbags") is None:
-        return ""
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
-
-    store = get_typestore(Stores.LATEST)
-    return store.generate_msgdef(type_name)[0] if type_name in store.fielddefs else ""

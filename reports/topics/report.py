@@ -8,28 +8,206 @@ from typing import Any
 
 from markupsafe import Markup
 
-from dds_trace.analyzer.recordings.card import RecordingHealth
+from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
-from dds_trace.base.units import clock_words
+from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
 
 from .. import blocks
 from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
+from ..book.groups import format_ratio
+from ..book.overview import utc_words
 from ..comparison.report import gate_blocks
-from .words import (
-    COLUMNS,
-    HOW_TO_READ,
-    JudgedTopic,
-    TopicRow,
-    cells,
-    facts_words,
-    hole_lines,
-    pause_lines,
-    seconds_words,
-    topic_notes,
-    topics_of,
-    verdict_words,
+from ..comparison.words import Gated
+
+TopicRow = Mapping[str, Any]
+
+COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
+HOW_TO_READ = (
+    "Missing: messages that the stamps, sequence numbers or rhythm of the topic or the recorder's own counts call for, with the interval they "
+    "are certain within; a topic without a rhythm has no known number: its gaps say nothing. Gap: the longest interval. Covered: the share of "
+    "the recording's time without holes. Jitter: typical deviation of an interval; a hole does not change it. "
+    "Age: median from the header's stamp, or (publish) from publishing, to the recording; between two machines it includes the difference of their clocks."
 )
+_MOST_HOLES_SHOWN = 3
+_LEAST_COURSE_NS = 100_000_000
+_OTHER_SPEED, _SECOND_NS = 0.9, 10**9
+"""Least change of an age, in durations of the recording, of stamps that do not advance with it."""
+
+_MOST_UNITS = 10
+_EVIDENCE = {
+    "stamps": "by the header stamps",
+    "sequence": "by sequence numbers",
+    "recorder": "by the recorder's counts",
+    "tap": "by the tap's counts",
+    "period": "",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedTopic(Gated):
+    recording: str
+
+
+def seconds_words(seconds: float) -> str:
+    if seconds < 120:
+        return format_duration(seconds * 1e9)
+    return f"{int(seconds) // 60} min {int(seconds) % 60} s"
+
+
+def _share_words(share: float) -> str:
+    return format_ratio(round(share, 3))
+
+
+def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
+    lacking = [row for row in rows if row["missing_low"]]
+    missing = sum(row["missing"] for row in lacking)
+    sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
+    if health.verdict == "damaged":
+        damages = counted(len(health.damages), "damage")
+        return f"damaged: {damages}" + (f"; {sentence} of what can be read" if lacking else "")
+    if health.verdict == "holes":
+        return f"holes: {sentence}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
+    unknown = sum(row["missing"] is None for row in rows)
+    more = f" (of {counted(unknown, 'topic')} nothing is known: no rhythm, gaps say nothing)" if unknown else ""
+    return f"whole: nothing is known to be missing{more}"
+
+
+def facts_words(health: RecordingHealth, topics: int) -> str:
+    chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
+    messages = counted(health.messages, "message", text=f"{health.messages:,}")
+    return (
+        f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {messages}, "
+        f"{counted(topics, 'topic')}{chunks}; recording {_share_words(health.coverage)} of the time"
+    )
+
+
+def pause_lines(health: RecordingHealth) -> Iterator[str]:
+    longest = sorted(health.pauses, key=lambda pause: -pause[1])[:_MOST_HOLES_SHOWN]
+    for start_s, duration_s in sorted(longest):
+        yield (
+            f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: lost inside the recorder, or it was paused"
+        )
+    if len(health.pauses) > len(longest):
+        yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
+
+
+def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
+    period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
+    end_s = health.duration_ns / 1e9
+    if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
+        yield f"begins at {clock_words(holes[0]['duration_s'])}, not with the recording"
+        holes = holes[1:]
+    if holes and abs(holes[-1]["start_s"] + holes[-1]["duration_s"] - end_s) < period_s and not holes[-1]["missing"]:
+        yield f"ends at {clock_words(holes[-1]['start_s'])}, {seconds_words(holes[-1]['duration_s'])} before the recording"
+        holes = holes[:-1]
+    if row["missing_low"] == 0 < row["missing_high"]:
+        yield f"none is known to be missing, {row['missing_high']:,} at most"
+        return
+    large = sorted(
+        (hole for hole in holes if hole["duration_s"] > 1.5 * period_s), key=lambda hole: -hole["duration_s"]
+    )
+    shown = sorted(large[:_MOST_HOLES_SHOWN], key=lambda hole: hole["start_s"])
+    for hole in shown:
+        inside = ", as of all topics" if hole["inside"] else ""
+        count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
+        yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
+    elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
+    if elsewhere > 0 and (shown or row["missing_from"] not in {"tap", "recorder"}):
+        more = "more " if shown else ""
+        yield f"{elsewhere:,} {more}{'message is' if elsewhere == 1 else 'messages are'} missing, in short holes"
+
+
+def missing_words(row: TopicRow) -> str:
+    missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
+    if missing is None:
+        return "no rhythm"
+    if low == 0 < high:
+        return f"0 to {high:,}"
+    expected = row["messages"] + missing
+    share = f" ({_share_words(missing / expected)})" if missing else ""
+    interval = f" [{low:,}, {high:,}]" if (low, high) != (missing, missing) else ""
+    return f"{missing:,}{share}{interval}"
+
+
+def _age_words(row: TopicRow) -> str:
+    median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
+    if median_ns is None:
+        return ""
+    if row["latched"] and row["messages"] < 2 * row["latched"]:
+        return "latched"
+    start_ns, end_ns = row["age_start_ns"], row["age_end_ns"]
+    if abs(median_ns) > OTHER_CLOCK_NS or abs(end_ns - start_ns) > max(_OTHER_SPEED * row["duration_ns"], _SECOND_NS):
+        return "other clock"
+    if 0 <= median_ns < resolution_ns:
+        age = f"below {format_duration(resolution_ns)}"
+    elif abs(end_ns - start_ns) > max(_LEAST_COURSE_NS, min(abs(start_ns), abs(end_ns))):
+        age = f"{format_duration(start_ns)} to {format_duration(end_ns)}"
+    else:
+        age = format_duration(median_ns)
+    if row["age_bound_ns"] is not None:
+        return f"{age} ± {format_duration(row['age_bound_ns'])}"
+    return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
+
+
+def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tuple[str, ...]:
+    # Without a rhythm, messages may be one burst.
+    rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] / (health.duration_ns / 1e9))
+    return (
+        printable(row["topic"]),
+        f"{row['messages']:,}",
+        "" if rate_hz is None else format_rate(rate_hz),
+        missing_words(row),
+        "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
+        _share_words(sum(strip) / len(strip)) if row["expected_rate_hz"] else "",
+        "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
+        format_size(round(row["payload_mean_bytes"])),
+        _age_words(row),
+    )
+
+
+def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
+    if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
+        yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
+    if row["missing_inside"] and row["missing_low"]:
+        yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
+    if row["lost_in_transport"] or row["lost_in_recorder"]:
+        who = "the tap" if row["missing_from"] == "tap" else "rosbag2"
+        yield f"{who} counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
+    if row["burst_messages"]:
+        burst, pause = format_duration(row["burst_ns"]), format_duration(row["burst_pause_ns"])
+        yield f"comes in bursts: {row['burst_messages']} messages in {burst}, then {pause} of nothing"
+    if row["age_resolution_ns"] and row["age_p50_ns"] < _MOST_UNITS * row["age_resolution_ns"]:
+        unit = format_duration(row["age_resolution_ns"])
+        is_below = row["age_p50_ns"] < row["age_resolution_ns"]
+        unsure = "an age below that is unknown" if is_below else f"its ages are up to {unit} too long, or too short"
+        yield f"its stamps are in units of {unit}: {unsure}"
+    if (
+        row["age_max_ns"] is not None
+        and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
+        and max(abs(row["age_p50_ns"]), row["age_max_ns"]) < OTHER_CLOCK_NS
+        and not row["latched"]
+    ):
+        first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
+        at = clock_words((row["age_max_at_ns"] - health.start_ns) / 1e9)
+        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}"
+    if row["stamps_backwards"]:
+        yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
+    if row["age_negative"] and -row["age_min_ns"] > (row["age_resolution_ns"] or 0):
+        yield f"{counted(row['age_negative'], 'message')} logged before the header's stamp: two clocks, or a stamp of the future"
+
+
+def topics_of(report: TopicReport, path: str) -> list[tuple[TopicRow, list[TopicRow], tuple[float, ...]]]:
+    holes: dict[str, list[TopicRow]] = {}
+    for hole in report.holes.iter_rows(named=True):
+        if hole["recording"] == path:
+            holes.setdefault(hole["topic"], []).append(hole)
+    return [
+        (row, holes.get(row["topic"], []), strip)
+        for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True)
+        if row["recording"] == path
+    ]
+
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "inside")

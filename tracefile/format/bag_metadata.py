@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from dds_trace.base.files import OWNER_AND_GROUP, create_file, replacing
@@ -17,18 +18,17 @@ BAG_VERSION = 9
 
 
 @dataclass(frozen=True, slots=True)
-class TopicCount:
-    """One topic; `type_hash` is of REP 2016."""
+class RecordedTopic:
+    """A topic as the recording declares it, `type_hash` of REP 2016; a text is empty where there is none."""
 
-    topic: str
-    schema_name: str
-    type_hash: str
-    messages: int
+    name: str
+    message_type: str
+    encoding: str
+    definition: str = ""
+    definition_encoding: str = ""
     qos: str = ""
-    encoding: str = "cdr"
-
-    def plus(self, messages: int) -> TopicCount:
-        return replace(self, messages=self.messages + messages)
+    publisher: str = ""
+    type_hash: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,28 +43,31 @@ def write_bag_metadata(
     folder: Path,
     storage: str,
     files: Sequence[BagFile],
-    topics: Sequence[TopicCount],
+    topics: Sequence[tuple[RecordedTopic, int]],
     *,
     mode: int = OWNER_AND_GROUP,
     fsync: bool = True,
 ) -> None:
     """Describe several files; QoS stays as it was recorded where it is plain YAML."""
+    counts = Counter[str]()
+    for topic, messages in topics:
+        counts[topic.name] += messages
+    by_name = {topic.name: topic for topic, _ in reversed(topics)}
     # Before version 9 the profiles are a text with numbers, since then a list with names.
-    qos = [topic.qos for topic in topics]
+    qos = [topic.qos for topic in by_name.values()]
     version = BAG_VERSION if any(map(_has_names, qos)) or not any(qos) else 8
     start_ns = min((file.start_ns for file in files if file.messages), default=0)
     end_ns = max((file.start_ns + file.duration_ns for file in files if file.messages), default=0)
-    count = sum(topic.messages for topic in topics)
     per_topic = "".join(
         _TOPIC.format(
-            topic=json.dumps(topic.topic),
-            schema_name=json.dumps(topic.schema_name),
-            encoding=json.dumps(topic.encoding),
-            qos=_qos(topic.qos, version),
-            type_hash=json.dumps(topic.type_hash),
-            messages=topic.messages,
+            topic=json.dumps(name),
+            schema_name=json.dumps(by_name[name].message_type),
+            encoding=json.dumps(by_name[name].encoding),
+            qos=_qos(by_name[name].qos, version),
+            type_hash=json.dumps(by_name[name].type_hash),
+            messages=count,
         )
-        for topic in topics
+        for name, count in counts.items()
     )
     text = _METADATA.format(
         version=version,
@@ -78,7 +81,7 @@ def write_bag_metadata(
         ),
         start_ns=start_ns,
         duration_ns=end_ns - start_ns,
-        count=count,
+        count=counts.total(),
         topics=per_topic or " []\n",
     )
     with replacing(folder / METADATA_NAME, fsync=fsync) as draft, create_file(draft, mode) as file:

@@ -7,11 +7,9 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.util import find_spec
 from typing import NamedTuple
-
-Stored = Callable[[str], "Fields | None"]
-"""Returns the fields of a type by `package/Type`."""
-
 
 _HEADER, _TIME = "std_msgs/Header", "builtin_interfaces/Time"
 _SIZES = {
@@ -80,51 +78,47 @@ def _full_name(name: str, package: str) -> str:
     return _TIMES_OF_ROS1.get(name) or plain_name(name if "/" in name else f"{package}/{name}")
 
 
-@dataclass(frozen=True, slots=True)
-class Types:
-    """The fields of types by `package/Type`; `stored` looks up those that are not `defined`."""
-
-    defined: Mapping[str, Fields]
-    stored: Stored
-
-    def fields(self, name: str) -> Fields | None:
-        return self.defined.get(name) or self.stored(name)
-
-    def with_header(self, name: str) -> frozenset[str]:
-        """Return a type and those that it is made of, as far as they contain a header."""
-        pending, parts = [name], dict[str, Fields]()
-        while pending:
-            type_name = pending.pop()
-            if type_name not in parts:
-                parts[type_name] = self.fields(type_name) or ()
-                pending += [part.type for part in parts[type_name]]
-        containing = parts.keys() & {_HEADER}
-        while (
-            more := {kind for kind, fields in parts.items() if any(part.type in containing for part in fields)}
-            - containing
-        ):
-            containing |= more
-        return frozenset(containing)
+def _with_header(types: Mapping[str, Fields], name: str) -> frozenset[str]:
+    """Return a type and those that it is made of, as far as they contain a header."""
+    pending, parts = [name], dict[str, Fields]()
+    while pending:
+        type_name = pending.pop()
+        if type_name not in parts:
+            parts[type_name] = types.get(type_name) or ()
+            pending += [part.type for part in parts[type_name]]
+    containing = parts.keys() & {_HEADER}
+    while (
+        more := {kind for kind, fields in parts.items() if any(part.type in containing for part in fields)} - containing
+    ):
+        containing |= more
+    return frozenset(containing)
 
 
-def stamp_reader(
-    name: str, definition: str, encoding: str, stored: Stored = lambda _: None
-) -> Callable[[bytes], int | None] | None:
+@cache
+def known_definition(name: str) -> str:
+    """Return the definition of a ROS 2 type, with its parts; empty for others, and without rosbags."""
+    if find_spec("rosbags") is None:
+        return ""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
+
+    store = get_typestore(Stores.LATEST)
+    return store.generate_msgdef(name)[0] if name in store.fielddefs else ""
+
+
+def stamp_reader(name: str, definition: str, encoding: str) -> Callable[[bytes], int | None] | None:
     """Return a function that reads the stamp of a serialized message in ns, None where it has none; None for a type without.
 
-    `encoding` is `cdr` or `ros1`, `definition` the text of the type, empty for one that is `stored`. Of several headers, as
-    in an array, the first counts.
+    `encoding` is `cdr` or `ros1`, `definition` the text of the type. Of several headers, as in an array, the first counts.
     """
     if encoding not in _HEADERS:
         return None
-    defined = parse_definition(name, definition) if definition.strip() else {}
-    types = Types({_HEADER: _HEADERS[encoding], **defined}, stored)
+    types = {_HEADER: _HEADERS[encoding], **parse_definition(name, definition)}
     plain = plain_name(name)
-    fields = types.fields(plain)
+    fields = types[plain]
     if not fields:
         return None
     leads = fields[0].type == _TIME and fields[0].length is None
-    with_header = types.with_header(plain)
+    with_header = _with_header(types, plain)
     if not leads and not with_header:
         return None
 
@@ -146,7 +140,7 @@ _CDR_ORDER = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 @dataclass(slots=True)
 class _Walk:
     data: bytes
-    types: Types = field(default_factory=lambda: Types({}, lambda _: None))
+    types: Mapping[str, Fields] = field(default_factory=dict)
     with_header: frozenset[str] = frozenset()
     is_cdr: bool = True
     at: int = 0
@@ -197,7 +191,7 @@ class _Walk:
 
     def stamp_of(self, name: str) -> int | None:
         """Return the first stamp in a value of a type that has a header somewhere, None if its sequences are empty."""
-        for item in self.types.fields(name) or ():
+        for item in self.types.get(name) or ():
             if name == _HEADER and item.type == _TIME:
                 return self.time()
             if item.type not in self.with_header:
@@ -230,7 +224,7 @@ class _Walk:
                 self.align(4)
                 self.at += 8
             else:
-                fields = self.types.fields(field.type)
+                fields = self.types.get(field.type)
                 if fields is None:
                     raise ValueError("unknown type")
                 self.at += not fields and self.is_cdr  # an empty structure has one byte

@@ -22,6 +22,7 @@ LARGEST_RATIO = 1000
 
 _UNSUSPECTED_BYTES = 1 << 20  # any ratio up to here: a blank image packs better still
 
+_MOST_LZ4_RATIO = 255
 _PREFIX_STEP_BYTES = 1024  # at most this unpacks to 64 MiB more than is allowed
 
 _thread_local = threading.local()
@@ -39,6 +40,7 @@ class PackedChunk:
     unpacked_bytes: int
     crc: int
     compression: str
+    claimed_bytes: int
 
     @property
     def end(self) -> int:
@@ -50,7 +52,7 @@ class PackedChunk:
         content = RecordContent(file.peek(header.content, min(_HEADER_BYTES, header.length)))
         try:
             content.read(16)  # first and last log time
-            unpacked_bytes, crc = content.read8(), content.read4()
+            claimed_bytes, crc = content.read8(), content.read4()
             compression, packed_bytes = content.read_prefixed_string(), content.read8()
         except ValueError as err:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
@@ -58,8 +60,10 @@ class PackedChunk:
         packed_bytes = max(header.end - data_offset, 0) if is_cut else packed_bytes
         if packed_bytes > header.end - data_offset:
             raise DamagedChunkError(f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has")
-        _check_claims(compression, packed_bytes, unpacked_bytes, is_cut=is_cut)
-        return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
+        possible_bytes = min(MAX_RECORD_BYTES, max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes))
+        unpacked_bytes = min(claimed_bytes, possible_bytes) if is_cut else claimed_bytes  # costs no message
+        _check_claims(compression, packed_bytes, unpacked_bytes)
+        return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression, claimed_bytes)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
         """Unpack to position `at` of `memory.records`; threads may do so at once, each into its own memory."""
@@ -69,8 +73,8 @@ class PackedChunk:
             unpacked_bytes = self._unpack_into(target, file, memory)
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
-        if unpacked_bytes != self.unpacked_bytes:
-            raise DamagedChunkError(f"it holds {counted(unpacked_bytes, 'byte')} and claims {self.unpacked_bytes}")
+        if unpacked_bytes != self.claimed_bytes:
+            raise DamagedChunkError(f"it claims {counted(self.claimed_bytes, 'byte')} and holds {unpacked_bytes}")
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
@@ -81,7 +85,7 @@ class PackedChunk:
             return _zstd_prefix(packed)
         if not self.compression:
             return packed
-        target = bytearray(self.unpacked_bytes)
+        target = bytearray(min(max(self.unpacked_bytes, _MOST_LZ4_RATIO * len(packed)), MAX_RECORD_BYTES))
         with suppress(ValueError, cramjam.DecompressionError):
             _unpack_lz4_into(memoryview(packed), memoryview(target))
         return bytes(target)
@@ -110,13 +114,13 @@ def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> byte
     return target
 
 
-def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int, *, is_cut: bool = False) -> None:
+def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> None:
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
             f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
             "(a file that really has such chunks can be rewritten by `mcap compress`)"
         )
-    if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes) and not is_cut:
+    if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
         raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
     if compression and compression not in _UNPACKERS:
         raise DamagedChunkError(f"its compression {compression!r} is not known")

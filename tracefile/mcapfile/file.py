@@ -140,6 +140,7 @@ class Summary:
 
     data_end: int
     data: bytes = b""
+    is_checked: bool = False
     records: list[tuple[int, int, int]] = field(default_factory=list)
 
     def declarations(self) -> Iterator[tuple[int, memoryview, int]]:
@@ -170,4 +171,4 @@ def read_summary(file: RecordFile) -> Summary | None:
     data = file.read(start, footer_at - start)
     if footer.summary_crc and crc32(end[: _FOOTER_BYTES - _CRC_BYTES], crc32(data)) != footer.summary_crc:
         return Summary(footer_at)
-    return Summary(start, data, scan_records(data, 0, len(data), _KINDS).others)
+    return Summary(start, data, footer.summary_crc > 0, scan_records(data, 0, len(data), _KINDS).others)

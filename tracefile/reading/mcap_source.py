@@ -17,8 +17,7 @@ from ..mcapfile.blocks import Block
 from ..mcapfile.file import RecordFile
 from ..mcapfile.scan import MESSAGES_AND_CHANNELS
 from .mcap_walk import McapWalk
-from .recorded import UnreadableError
-from .source import Batch, Text, event_batch, unpack_message
+from .source import Batch, Text, UnreadableError, event_batch, unpack_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -76,8 +75,9 @@ class McapSource:
 
     def batches(self) -> Iterator[Batch]:
         """Yield all messages in file order; the last batch describes how the file ended."""
-        if self._is_of_others():
-            return
+        are_declared = self.walk.claimed is not None and all(map(self._channels.get, self.walk.claimed))
+        if are_declared and self.topics and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics):
+            return  # a recording of others
         self.steps_left = _UNSUSPECTED_STEPS + self._file.size // _STEP_BYTES
         truncated = None
         try:
@@ -165,11 +165,6 @@ class McapSource:
                     f"{count} {'was' if count == 1 else 'were'} found"
                 )
         return notes
-
-    def _is_of_others(self) -> bool:
-        if self.walk.claimed is None or not all(map(self._channels.get, self.walk.claimed)):
-            return False
-        return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
 
 def read_first_session(path: Path) -> Session | None:

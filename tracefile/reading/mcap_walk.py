@@ -29,12 +29,11 @@ from ..mcapfile.blocks import (
     outside_block,
     unpack_chunks,
 )
-from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, Records, TornRecordError, read_summary
-from ..mcapfile.records import record_name
+from ..mcapfile.records import ChannelTable, record_name
 from ..mcapfile.scan import MESSAGES_AND_CHANNELS, Scan, scan_records
-from .recorded import UnreadableError
+from .source import UnreadableError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -79,7 +78,8 @@ class McapWalk:
         summary = read_summary(file)
         for declaration in summary.declarations() if summary else ():
             self.declare(*declaration)
-        self.channels.settle()
+        if summary and summary.is_checked:
+            self.channels.settle()
         self.claimed = summary.message_counts() if summary else None
         self._at: int | None = 0
         self._is_in_damage = False
@@ -218,8 +218,10 @@ class McapWalk:
         header = self._record_at(self._file, at)
         self.headers += 1
         if header is None:
-            yield from self._cut_chunk(at)
-            self._at = self._next_record(at)
+            chunk = self._cut_chunk(at)
+            if chunk is not None:
+                yield from self._damaged_chunk(chunk, "it is cut off")
+            self._at = self._next_record(at, chunk)
         elif header.opcode == Opcode.CHUNK:
             yield from self._chunk(header)
         else:
@@ -239,14 +241,15 @@ class McapWalk:
             raise UnreadableError(_TOO_MUCH)
         fits = self._fits_next(self._file, header.end)
         block = unpack_chunks(self._file, [chunk], skips_others=self._is_trace)
-        self._is_in_damage = block.unsound_at is not None
+        is_ending_elsewhere = not (fits or chunk.crc or chunk.compression or self._is_trace)
+        self._is_in_damage = block.unsound_at is not None or is_ending_elsewhere
         if not self._is_in_damage:
             self._at = header.end
             yield block
             return
         if fits or chunk.compression or self._is_trace:
             yield from self._damaged_chunk(chunk, block.unsound_why)
-        self._at = self._chunk_within(chunk) or (header.end if fits else self._next_record(header.offset))
+        self._at = self._chunk_within(chunk) or (header.end if fits else self._next_record(header.offset, chunk))
 
     def _chunk_within(self, chunk: PackedChunk) -> int | None:
         at = self._resume(self._file, chunk.offset, chunk.end) if chunk.compression else None
@@ -254,18 +257,17 @@ class McapWalk:
             at = self._resume(self._file, at, chunk.end)
         return at
 
-    def _cut_chunk(self, at: int) -> Iterator[Block]:
+    def _cut_chunk(self, at: int) -> PackedChunk | None:
         if self._file.size - at < RECORD_HEADER.size or self._file.peek(at, 1)[0] != Opcode.CHUNK:
-            return
+            return None
         try:
             header = RecordHeader(Opcode.CHUNK, at, self._file.size - at - RECORD_HEADER.size)
             chunk = PackedChunk.at(self._file, header, is_cut=True)
         except DamagedChunkError as err:
             if not self._is_trace or not self._torn_at(at):
                 self._leave_out(at, err)
-            return
-        if chunk.compression and not self._is_trace:
-            yield from self._damaged_chunk(chunk, "it is cut off")
+            return None
+        return chunk if chunk.compression and not self._is_trace else None
 
     def _leave_out(self, at: int, why: object) -> None:
         self.damaged_chunks += 1
@@ -303,8 +305,12 @@ class McapWalk:
             is_doubtful = source is not self._file or not self._fits_next(source, header.end)
             yield Block(data, scan, header.offset, is_doubtful=is_doubtful)
 
-    def _next_record(self, at: int) -> int | None:
+    def _next_record(self, at: int, packed: PackedChunk | None = None) -> int | None:
+        """Return the next record; what a chunk packs as it is, is no message outside."""
         resumed_at = self._resume(self._file, at)
+        end = packed.end if packed and packed.compression else at
+        while resumed_at and resumed_at < end and self._file.peek(resumed_at, 1)[0] in MESSAGES_AND_CHANNELS:
+            resumed_at = self._resume(self._file, resumed_at)
         self._is_in_damage = True
         if resumed_at is not None:
             self.damages.append(f"at byte {at}: {counted(resumed_at - at, 'byte is', 'bytes are')} no record")

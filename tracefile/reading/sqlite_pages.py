@@ -16,32 +16,34 @@ import numpy as np
 
 from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.file import MAX_RECORD_BYTES
-from .recorded import Budget, UnreadableError
+from .source import Budget, UnreadableError
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE_HEADER = struct.Struct(">H2xB7xI")
 """After the magic: page size, bytes reserved in each page, and pages."""
-_CELLS = struct.Struct(">H")
+_CELLS, _PAGE_CELLS = struct.Struct(">H"), struct.Struct(">HH")
 _LEAF_PAGE = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL)
 _LOGS = {"wal": (24, 0), "journal": (4, 4)}
 """Bytes in front of and after a page in a log, the first four of them its number."""
 _INTERIOR, _PAGE_KINDS, _USUAL_PAGE_BYTES = 5, {2, 5, 10, 13}, 4096
+_PAGE_SIZES, _MOST_FIT, _ENOUGH_LEAVES = [1 << bits for bits in range(9, 17)], 0.6, 500
+_MOST_RESERVED = 32
+"""Bytes of a page that an extension of SQLite reserves."""
+
 _MOST_MOVES, _MOST_LOST_PAGES, _SEARCHED_BYTES = 16, 1000, 1 << 20
 
 
 def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
     """Yield the rows of all leaf pages, wherever they are in the file; last those that go on in other pages."""
-    with path.open("rb") as file:
-        start = file.read(_SEARCHED_BYTES)
-    _, _, header = start.partition(SQLITE_MAGIC)
-    page_bytes, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
-    page_bytes = 65536 if page_bytes == 1 else page_bytes
-    if page_bytes < 512 or page_bytes & (page_bytes - 1):
-        page_bytes, reserved = _USUAL_PAGE_BYTES, 0
     if not path.stat().st_size:
         return
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-        pages = _Pages(data, page_bytes, page_bytes - reserved, path.name.rpartition("-")[2])
+        _, _, header = data[:_SEARCHED_BYTES].partition(SQLITE_MAGIC)
+        claimed, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
+        number_bytes, after_bytes = _LOGS.get(path.name.rpartition("-")[2], (0, 0))
+        page_bytes = _page_bytes(data, 65536 if claimed == 1 else claimed, number_bytes + after_bytes)
+        usable_bytes = page_bytes - (reserved if reserved <= _MOST_RESERVED else 0)
+        pages = _Pages(data, page_bytes, usable_bytes, number_bytes, after_bytes)
         cells, leaves = list[_Cell](), dict[int, int]()
         for cell in pages.cells():
             leaves[cell.page_at] = cell.row_id
@@ -66,6 +68,29 @@ def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]
                 yield cell.row_id, values
 
 
+def _page_bytes(data: mmap, claimed: int, in_log: int) -> int:
+    """Return the claimed size, unless another one fits the leaf pages, each with `in_log` bytes around it."""
+    starts, largest = list[int](), list[int]()
+    for match in _LEAF_PAGE.finditer(data):
+        cells, content_at = _PAGE_CELLS.unpack_from(data, match.start() + 3)
+        offsets = data[match.start() + 8 : match.start() + 8 + 2 * cells] if 8 + 2 * cells <= content_at else b""
+        numbers = struct.unpack(f">{len(offsets) // 2}H", offsets[: len(offsets) // 2 * 2])
+        if numbers and min(numbers) == content_at:
+            starts.append(match.start())
+            largest.append(max(numbers))
+        if len(starts) == _ENOUGH_LEAVES:
+            break
+    apart = np.diff(starts)
+    fitting = [
+        size
+        for size in _PAGE_SIZES
+        if len(apart) and ((apart % (size + in_log) == 0) & (np.array(largest[1:]) < size)).mean() > _MOST_FIT
+    ]
+    if claimed in fitting or (not fitting and claimed in _PAGE_SIZES):
+        return claimed
+    return max(fitting, default=_USUAL_PAGE_BYTES)
+
+
 class _Cell(NamedTuple):
     """A row of `size` bytes: its start on a leaf page, and the number of the page on which it goes on."""
 
@@ -82,9 +107,9 @@ class _Pages:
     In a log each page follows its own number. `_moved` has offsets of pages, and how far they were moved in bytes.
     """
 
-    def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, log: str) -> None:
+    def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, number_bytes: int, after_bytes: int) -> None:
         self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
-        self._number_bytes, after_bytes = _LOGS.get(log, (0, 0))
+        self._number_bytes = number_bytes
         self._stride = self._number_bytes + page_bytes + after_bytes
         self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_LOST_PAGES
         self._offsets: dict[int, list[int]] = {}

@@ -20,11 +20,11 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 
+from ..format.bag_metadata import RecordedTopic
 from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from ..mcapfile.file import MAX_RECORD_BYTES
 from ..mcapfile.records import crc32
-from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
-from .source import Batch, Text, event_batch, unpack_message
+from .source import Batch, Budget, Condition, RawMessage, Text, UnreadableError, event_batch, full_type, unpack_message
 from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, rows_of_pages
 
 SQLITE_TABLES = """
@@ -151,10 +151,11 @@ def _unreached_rows(
     files: list[Path], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
+    stored = {*seen.items()}
     for row_id, values in (row for file in files for row in rows_of_pages(file, budget)):
         kinds = [type(value) for value in values]
-        if kinds == [type(None), int, int, bytes] and seen.get(row_id) != (crc := crc32(values[3])):
-            seen[row_id] = crc
+        if kinds == [type(None), int, int, bytes] and (row_id, crc := crc32(values[3])) not in stored:
+            stored.add((row_id, crc))
             rows.append((row_id, values[1], values[2], values[3]))
         elif kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
             definitions[full_type(values[1])] = values[3], values[2]

@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 from dds_trace.base.units import counted
 
+from ..format.bag_metadata import RecordedTopic
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, unpack_records
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
-from ..reading.recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError, full_type
+from ..reading.source import Budget, Condition, RawMessage, UnreadableError, full_type
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7

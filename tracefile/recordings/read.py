@@ -2,38 +2,136 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from contextlib import closing
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Header, Metadata, Statistics
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 
-from ..format.bag_metadata import METADATA_NAME
+from ..format.bag_metadata import METADATA_NAME, RecordedTopic
 from ..format.encoding import MAGIC, MESSAGE_HEADER
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
-from ..mcapfile.records import parse_record, record_name
+from ..mcapfile.records import parse_record, record_name, topic_of
 from ..reading.mcap_walk import McapWalk
-from ..reading.recorded import LATEST_NS, Budget, Condition, RawMessage, RecordedTopic, UnreadableError
-from ..reading.source import unpack_message
+from ..reading.source import LATEST_NS, Budget, Condition, RawMessage, UnreadableError, unpack_message
 from ..reading.sqlite_pages import SQLITE_MAGIC
 from ..reading.sqlite_rows import sqlite_messages
+from ..reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 from .bag1 import BAG1_MAGIC, bag1_messages
-from .recording_files import open_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
+    from collections.abc import Callable
 
     from mcap.records import Channel
 
     from ..mcapfile.blocks import Block, Record
-    from ..mcapfile.channels import ChannelTable, DeclaredChannel
     from ..mcapfile.chunks import PackedChunk
+
+
+_MOST_METADATA_BYTES = 16 << 20
+"""A thousand topics with the QoS of ten publishers each have 6 MB."""
+
+
+@dataclass(slots=True)
+class RecordingFiles:
+    """The files, each as it can be read, with the names that they have."""
+
+    files: list[Path]
+    names: list[Path]
+    damages: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    claimed: Mapping[str, int] = field(default_factory=dict)
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[RecordingFiles]:
+    """Yield the files of a recording, packed ones as temporary copies."""
+    recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
+    with ExitStack() as stack:
+        copies = (unpacked(file, LARGEST_FILE_RATIO, most_unpacked_bytes(0)) for file in recording.files)
+        recording.files = [stack.enter_context(copy) for copy in copies]
+        yield recording
+
+
+_HASHED_BYTES = 4096
+
+
+def content_hash(data: bytes) -> int:
+    return hash((len(data), bytes(data[:_HASHED_BYTES]), bytes(data[-_HASHED_BYTES:])))
+
+
+def copied_messages(topic: str, copies: int) -> Iterator[str]:
+    if copies:
+        yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag, or a reset?"
+
+
+def _described(folder: Path) -> RecordingFiles:
+    stored = storage_files(folder)
+    listed, claimed = _read_metadata(folder / METADATA_NAME)
+    if not listed:
+        return RecordingFiles(stored, stored[:], claimed=claimed)
+    names = {name.removesuffix(ZSTD_SUFFIX) for name in listed}
+    files = [file for file in stored if file.name.removesuffix(ZSTD_SUFFIX) in names]
+    missing = sorted(names - {file.name.removesuffix(ZSTD_SUFFIX) for file in files})
+    unlisted = [file for file in stored if file not in files]
+    if len(missing) == len(unlisted) == 1:
+        note = f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
+        return RecordingFiles(stored, stored[:], notes=[note], claimed=claimed)
+    damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
+    notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
+    if not files:
+        raise TraceFormatError(folder, "; ".join([*damages, *notes][:3]))
+    return RecordingFiles(files, files[:], damages, notes, claimed)
+
+
+def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
+    """Return the listed files and the messages of each topic, nothing where the file cannot be read."""
+    try:
+        with open_regular(path) as file:
+            text = file.read(_MOST_METADATA_BYTES).decode(errors="replace")
+    except OSError:
+        return [], {}
+    listed: list[str] = []
+    claimed: dict[str, int] = {}
+    section, section_indent = "", 0
+    name, count = None, None
+    for line in text.splitlines():
+        key = _KEY.match(line)
+        if key and len(key["indent"]) <= section_indent and not key["item"]:
+            section = ""
+        if key and not section and key["key"] in {"relative_file_paths", "topics_with_message_count"}:
+            section, section_indent = key["key"], len(key["indent"])
+        elif section == "relative_file_paths" and (item := _ITEM.match(line)):
+            listed.append(Path(_plain(item[1])).name)
+        elif section == "topics_with_message_count" and key:
+            if key["key"] == "name":
+                name = _plain(key["value"])
+            elif key["key"] == "message_count" and _COUNT.fullmatch(key["value"].strip()):
+                count = int(key["value"])
+            if name is not None and count is not None:
+                claimed[name] = claimed.get(name, 0) + count
+                name, count = None, None
+    return listed, claimed
+
+
+_KEY = re.compile(r"(?P<indent> *)(?P<item>- )? *(?P<key>\w+):(?P<value>.*)")
+_ITEM = re.compile(r" *- +(.+)")
+_COUNT = re.compile(r"\d{1,18}")
+
+
+def _plain(text: str) -> str:
+    text = text.strip()
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
 
 
 def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
@@ -105,15 +203,7 @@ def storage_kind(file: Path) -> str:
     return kinds[0]
 
 
-class WalkedMessage(NamedTuple):
-    channel: Channel
-    sequence: int
-    log_ns: int
-    publish_ns: int
-    data: bytes
-
-
-Item: TypeAlias = "WalkedMessage | Attachment | Metadata"
+Item: TypeAlias = "tuple[Channel, RawMessage] | Attachment | Metadata"
 
 
 class McapItems:
@@ -125,6 +215,8 @@ class McapItems:
         self.header: Header | None = self.walk.header
         self.claims: dict[int, int] = {}
         self.chunks: list[tuple[int, int, int]] = []
+        self.topics: set[RecordedTopic] = set()
+        self._topics: dict[int, tuple[Channel, RecordedTopic]] = {}
         self.doubtful = 0
         self.unchecked = 0
         self._budget = Budget(file.size)
@@ -152,7 +244,10 @@ class McapItems:
             channel_id, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(data, start)
             self._budget.take()
             self._impossible += log_ns > LATEST_NS or publish_ns > LATEST_NS
-            declared = get(channel_id) or self._declared_later(channel_id)
+            declared = get(channel_id)
+            if declared is None:
+                self.walk.look_ahead()
+                declared = get(channel_id)
             if chunk is not None:
                 times_ns.append(log_ns)
             elif declared is not None and self.walk.is_near(log_ns):
@@ -163,15 +258,16 @@ class McapItems:
             self.doubtful += block.is_doubtful
             self.unchecked += not block.is_doubtful and not (chunk and chunk.crc)
             content = bytes(data[start + header_bytes : start + length])
-            yield WalkedMessage(declared.record, sequence, log_ns, publish_ns, content)
+            channel, topic = self._topics.get(channel_id, (None, None))
+            if topic is None or channel is not declared.record:
+                topic = topic_of(declared.record, self.channels.schemas)
+                self._topics[channel_id] = declared.record, topic
+                self.topics.add(topic)
+            yield declared.record, RawMessage(topic, log_ns, publish_ns, sequence, content)
         possible_ns = [time_ns for time_ns in times_ns if time_ns <= LATEST_NS]
         if possible_ns:
             self.chunks.append((min(possible_ns), max(possible_ns), len(times_ns)))
             self.walk.saw(min(possible_ns), max(possible_ns))
-
-    def _declared_later(self, channel_id: int) -> DeclaredChannel | None:
-        self.walk.look_ahead()
-        return self.channels.get(channel_id)
 
     def _other(self, opcode: int, content: bytes, offset: int) -> Iterator[Item]:
         try:
@@ -192,44 +288,21 @@ class McapItems:
 def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     with closing(RecordFile(path)) as file:
         items = McapItems(file)
-        topics: dict[int, tuple[Channel, RecordedTopic]] = {}
         try:
             for item in items:
-                if not isinstance(item, WalkedMessage):
-                    continue
-                channel = item.channel
-                declared = topics.get(channel.id)
-                if declared is None or declared[0] is not channel:
-                    declared = topics[channel.id] = channel, topic_of(channel, items.channels)
-                yield RawMessage(declared[1], item.log_ns, item.publish_ns, item.sequence, item.data)
+                if isinstance(item, tuple):
+                    yield item[1]
         finally:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
-            condition.topics |= {
-                topic_of(declaration.record, items.channels) for _, declaration in items.channels.items()
+            condition.topics |= items.topics | {
+                topic_of(declaration.record, items.channels.schemas) for _, declaration in items.channels.items()
             }
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
             for topic, count in [(declaration.topic, count) for declaration, count in claims if declaration]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count
 
-
-def topic_of(channel: Channel, declared: ChannelTable) -> RecordedTopic:
-    schema = declared.schemas.get(channel.schema_id)
-    is_text = schema is not None and schema.encoding in TEXT_ENCODINGS
-    return RecordedTopic(
-        channel.topic,
-        schema.name if schema else "",
-        channel.message_encoding,
-        schema.data.decode(errors="replace") if schema and is_text else "",
-        schema.encoding if schema else "",
-        channel.metadata.get("offered_qos_profiles", ""),
-        channel.metadata.get("callerid", ""),
-        channel.metadata.get("topic_type_hash", ""),
-    )
-
-
-TEXT_ENCODINGS = frozenset({"ros1msg", "ros2msg", "ros2idl", "omgidl", "jsonschema"})
 
 _MAGICS = {MAGIC: ".mcap", BAG1_MAGIC: ".bag", SQLITE_MAGIC: ".db3"}
 _SEARCHED_BYTES = 1 << 20

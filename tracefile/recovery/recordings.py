@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -18,17 +19,17 @@ from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 
-from ..format.bag_metadata import BagFile, TopicCount, write_bag_metadata
+from ..format.bag_metadata import BagFile, RecordedTopic, write_bag_metadata
 from ..format.encoding import MAGIC
 from ..format.ring import RING_SUFFIX, ring_path
 from ..mcapfile.file import RecordFile
+from ..mcapfile.records import topic_of
 from ..reading.mcap_walk import McapWalk
-from ..reading.recorded import LATEST_NS, Condition, RecordedTopic, UnreadableError
+from ..reading.source import LATEST_NS, Condition, UnreadableError
 from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
 from ..reading.storage import ZSTD_SUFFIX
 from ..recordings.bag1 import bag1_messages
-from ..recordings.read import McapItems, storage_kind, topic_of
-from ..recordings.recording_files import open_recording
+from ..recordings.read import McapItems, open_recording, storage_kind
 from ..writing.event_chunks import LIBRARY
 
 if TYPE_CHECKING:
@@ -65,16 +66,12 @@ class _NewFile:
     unchecked: int = 0
     first_ns: int = LATEST_NS
     last_ns: int = 0
-    topics: dict[str, TopicCount] = field(default_factory=dict)
+    topics: Counter[RecordedTopic] = field(default_factory=Counter)
 
-    def add(self, topic: RecordedTopic) -> None:
-        about = TopicCount(topic.name, topic.message_type, topic.type_hash, 0, topic.qos, topic.encoding)
-        self.topics.setdefault(topic.name, about)
-
-    def count(self, topic: str, log_ns: int) -> None:
+    def count(self, topic: RecordedTopic, log_ns: int) -> None:
         self.messages += 1
         self.first_ns, self.last_ns = min(self.first_ns, log_ns), max(self.last_ns, log_ns)
-        self.topics[topic] = self.topics[topic].plus(1)
+        self.topics[topic] += 1
 
     @property
     def described(self) -> BagFile:
@@ -125,8 +122,9 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
                 report.unchecked += new.unchecked
                 written.append(new)
             if is_folder and written:
+                topics = [item for new in written for item in new.topics.items()]
                 storage = "sqlite3" if storage_kind(written[0].path) == ".db3" else "mcap"
-                write_bag_metadata(target, storage, [new.described for new in written], _joined_topics(written))
+                write_bag_metadata(target, storage, [new.described for new in written], topics)
         except OSError as err:
             raise output_error(target, err, "the recording") from err
         except sqlite3.Error as err:
@@ -139,14 +137,6 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
             target.rmdir()
         raise TraceFormatError(path, f"holds no whole message: {'; '.join(report.damages[:3]) or 'it is empty'}")
     return report
-
-
-def _joined_topics(files: list[_NewFile]) -> list[TopicCount]:
-    topics: dict[str, TopicCount] = {}
-    for file in files:
-        for name, count in file.topics.items():
-            topics[name] = topics[name].plus(count.messages) if name in topics else count
-    return list(topics.values())
 
 
 def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
@@ -175,7 +165,7 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 channels[key] = writer.register_channel(
                     channel.topic, channel.message_encoding, schema_id, channel.metadata
                 )
-                new.add(topic_of(channel, walked.channels))
+                new.topics.setdefault(topic_of(channel, walked.channels.schemas), 0)
             return channels[key]
 
         while item is not None:
@@ -184,12 +174,14 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
             elif isinstance(item, Metadata):
                 writer.add_metadata(item.name, item.metadata)
             else:
-                channel_id = declared(item.channel)
+                channel, message = item
+                channel_id = declared(channel)
                 if channel_id is None:
                     left_out += 1
                 else:
-                    writer.add_message(channel_id, item.log_ns, item.data, item.publish_ns, item.sequence)
-                    new.count(item.channel.topic, item.log_ns)
+                    numbers = message.publish_ns or 0, message.sequence or 0
+                    writer.add_message(channel_id, message.log_ns, message.data, *numbers)
+                    new.count(message.topic, message.log_ns)
             item = next(items, None)
         unused = [channel for _, channel in walked.channels.items() if declared(channel.record) is None]
         writer.finish()  # type: ignore[no-untyped-call]
@@ -234,13 +226,13 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
                         "type_description_hash) VALUES (?, ?, ?, ?)",
                         definition,
                     )
-                new.add(topic)
+                new.topics.setdefault(topic, 0)
             return ids[topic]
 
         for message in messages:
             row = (declared(message.topic), message.log_ns, message.data)
             database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
-            new.count(message.topic.name, message.log_ns)
+            new.count(message.topic, message.log_ns)
         for topic in condition.topics:
             declared(topic)
         database.commit()
@@ -268,9 +260,8 @@ def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
                     callerid=topic.publisher or None,
                     latching=1 if topic.qos else None,
                 )
-                new.add(topic)
             bag.write(connections[topic], message.log_ns, message.data)
-            new.count(topic.name, message.log_ns)
+            new.count(topic, message.log_ns)
     return condition.damages, 0
 
 

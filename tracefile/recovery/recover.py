@@ -15,6 +15,7 @@ from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import counted
 
+from ..format.bag_metadata import RecordedTopic
 from ..format.descriptions import Session
 from ..format.encoding import MESSAGE_HEADER, decode_string
 from ..format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
@@ -28,11 +29,11 @@ from ..format.ring import (
     ring_path,
     salvage_ring,
 )
+from ..mcapfile.records import topic_of
 from ..reading.mcap_source import MANY_RECORDS, McapSource
 from ..reading.reader import read_trace_in_pieces
 from ..reading.source import Text
-from ..writing.event_chunks import LIBRARY
-from ..writing.payloads import CHUNK_BYTES, MOST_TOPICS, Payload, PayloadQueue, PayloadTopic
+from ..writing.event_chunks import CHUNK_BYTES, LIBRARY, MOST_TOPICS, Payload, PayloadQueue
 from ..writing.writer import TraceWriter
 
 KILLED_SUFFIX = ".killed"
@@ -94,21 +95,18 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
     killed = _inspect(trace)
     if killed.is_whole:
         # Killed between the footer and the deletion of the ring.
-        if killed.ring_fault is None:
+        if killed.report.ring_fault is None:
             ring_path(trace).unlink(missing_ok=True)
-        return RecoveryReport(path, None, file_events=killed.file.events, ring_fault=killed.ring_fault)
+        return replace(killed.report, path=path)
     ring = killed.ring
-    report = RecoveryReport(
+    report = replace(
+        killed.report,
         path=path,
         recovered=destination or path,
         originals=tuple(file for file in (trace, ring_path(trace)) if file.exists()),
-        file_events=killed.file.events,
         ring_events=len(ring.slots) if ring else 0,
-        missing_events=killed.file.tickets - killed.file.events + (ring.missing_events if ring else 0),
+        missing_events=killed.report.missing_events + (ring.missing_events if ring else 0),
         dropped_events=max(killed.session.dropped_events, ring.dropped_events if ring else 0),
-        torn_bytes=killed.file.torn_bytes,
-        damaged_chunks=killed.file.damaged_chunks,
-        ring_fault=killed.ring_fault,
     )
     unfinished = destination or trace.with_name(trace.name + UNFINISHED_SUFFIX)
     try:
@@ -127,21 +125,12 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
 
 
 @dataclass(frozen=True, slots=True)
-class _FileCounts:
-    closed: bool = False
-    events: int = 0
-    tickets: int = 0
-    torn_bytes: int = 0
-    damaged_chunks: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class _KilledTrace:
     trace: Path
-    file: _FileCounts
+    report: RecoveryReport
+    is_closed: bool
     session: Session
     ring: RingContents | None
-    ring_fault: str | None
 
     @property
     def mode(self) -> int:
@@ -150,15 +139,16 @@ class _KilledTrace:
 
     @property
     def is_whole(self) -> bool:
-        return self.file.closed and (self.ring is None or not len(self.ring.slots))
+        return self.is_closed and (self.ring is None or not len(self.ring.slots))
 
 
 def _inspect(trace: Path) -> _KilledTrace:
     ring_file = ring_path(trace)
-    counts, sessions = _FileCounts(), list[Session]()
+    report, is_closed, sessions = RecoveryReport(trace, None), False, list[Session]()
     if trace.exists() or not ring_file.exists():
-        counts, sessions = _read_file(trace)
-    ring, fault = _read_ring(ring_file, counts.tickets, sessions[-1] if sessions else None)
+        report, is_closed, sessions = _read_file(trace)
+    tickets = report.file_events + report.missing_events
+    ring, fault = _read_ring(ring_file, tickets, sessions[-1] if sessions else None)
     if ring is not None and ring.recording:
         raise OptionError(f"{trace} is still being recorded; stop the recorder first")
     if ring is not None and sessions and ring.session.session_id not in {session.session_id for session in sessions}:
@@ -167,10 +157,11 @@ def _inspect(trace: Path) -> _KilledTrace:
         )
     if ring is None and not sessions:
         raise TraceFormatError(trace, "ends before its session description and has no whole ring: it holds no event")
-    return _KilledTrace(trace, counts, sessions[-1] if sessions or ring is None else ring.session, ring, fault)
+    session = sessions[-1] if sessions or ring is None else ring.session
+    return _KilledTrace(trace, replace(report, ring_fault=fault), is_closed, session, ring)
 
 
-def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
+def _read_file(trace: Path) -> tuple[RecoveryReport, bool, list[Session]]:
     with closing(_Salvage(trace)) as salvage:
         sessions = [
             Session.from_json(text, trace)
@@ -178,8 +169,15 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
             if isinstance(item, Text) and item.topic == SESSION_TOPIC and (text := _text(item))
         ]
         walk = salvage.walk
-    counts = _FileCounts(walk.closed, salvage.events, salvage.written_events, walk.torn_bytes, walk.damaged_chunks)
-    return counts, sessions
+    report = RecoveryReport(
+        trace,
+        None,
+        file_events=salvage.events,
+        missing_events=salvage.written_events - salvage.events,
+        torn_bytes=walk.torn_bytes,
+        damaged_chunks=walk.damaged_chunks,
+    )
+    return report, walk.closed, sessions
 
 
 def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tuple[RingContents | None, str | None]:
@@ -299,7 +297,7 @@ class _Salvage(McapSource):
     """One-time source of the events (`SLOT_DTYPE` without tickets), texts and payloads of a file that a recorder left."""
 
     def __init__(self, path: Path) -> None:
-        self._payload_topics: dict[int, PayloadTopic] = {}
+        self._payload_topics: dict[int, RecordedTopic] = {}
         self._payloads: list[Payload] = []
         super().__init__(path, InlineExecutor())
         self.events = 0
@@ -326,10 +324,8 @@ class _Salvage(McapSource):
     def _add_other(self, channel_id: int, log_time_ns: int, content: memoryview) -> None:
         topic, declared = self._payload_topics.get(channel_id), self._channels.get(channel_id)
         if topic is None and declared is not None and len(self._payload_topics) < MOST_TOPICS:
-            channel, schema = declared.record, self._channels.schemas.get(declared.record.schema_id)
-            if schema is not None and not channel.topic.startswith(TOPIC_PREFIX):
-                definition = schema.data.decode(errors="replace")
-                topic = PayloadTopic(channel.topic, schema.name, definition, channel.message_encoding)
-                self._payload_topics[channel_id] = topic
+            has_type = declared.record.schema_id in self._channels.schemas
+            if has_type and not declared.topic.startswith(TOPIC_PREFIX):
+                topic = self._payload_topics[channel_id] = topic_of(declared.record, self._channels.schemas)
         if topic is not None:
             self._payloads.append(Payload(topic, bytes(content[MESSAGE_HEADER.size :]), log_time_ns))

@@ -20,12 +20,13 @@ from dataclasses import replace
 from dds_trace.base.errors import OutputError
 from dds_trace.base.threads import run_in_background
 
+from ..format.bag_metadata import RecordedTopic
 from ..format.descriptions import Run, Session
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from ..format.json_fields import Json
 from .destination import ClosedTrace, TraceDestination
+from .event_chunks import CHUNK_BYTES, Payload, PayloadQueue
 from .packing import EventPacker
-from .payloads import CHUNK_BYTES, Payload, PayloadQueue, PayloadTopic
 from .writer import TraceFiles
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
@@ -71,7 +72,7 @@ class TraceSink(EventPacker):
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
 
-    def keep_payload(self, topic: PayloadTopic, data: bytes | bytearray, arrival_ns: int) -> None:
+    def keep_payload(self, topic: RecordedTopic, data: bytes | bytearray, arrival_ns: int) -> None:
         """Keep a message that arrived at a monotonic time; from one thread. It is written later, or counted as left out."""
         before = self.payloads.waiting_bytes
         self.payloads.put(Payload(topic, data, self._session.wall_ns(arrival_ns)))
@@ -154,7 +155,8 @@ class TraceSink(EventPacker):
             files.writer.abandon()
             self._texts.clear()
         with self._packing:
-            closed = files.closed(head, self._dropped, self._error)
+            path, size_bytes, left = files.destination.path, files.writer.bytes_written, head - files.drained
+            closed = ClosedTrace(path, files.drained, self._dropped, size_bytes, self._error, left)
             if files is self._files:
                 self._closed, self._is_closed = closed, True
             files.ring.close(delete=not closed.ring_events)

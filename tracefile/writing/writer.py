@@ -18,13 +18,13 @@ from dds_trace.base.errors import OutputError
 from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 from dds_trace.base.version import __version__
 
-from ..format.bag_metadata import METADATA_NAME, BagFile, TopicCount, write_bag_metadata
+from ..format.bag_metadata import METADATA_NAME, BagFile, RecordedTopic, write_bag_metadata
 from ..format.descriptions import Session
 from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC, Stage
 from ..format.ring import Ring, Slots, ring_path
-from ..mcapfile.records import crc32
-from .destination import ClosedTrace, TraceDestination, make_room
+from ..mcapfile.records import crc32, topic_of
+from .destination import TraceDestination, make_room
 from .event_chunks import (
     EVENT_SCHEMA,
     EVENT_TOPICS,
@@ -36,11 +36,12 @@ from .event_chunks import (
     TYPE_HASHES,
     Chunk,
     EventChunkBuilder,
+    Payload,
     declarations_of,
     encode_record,
+    payload_chunk,
     positions_by_channel,
 )
-from .payloads import Payload, PayloadTopic, payload_chunk
 
 MAX_CHUNK_EVENTS = 1 << 14
 """Most events of a chunk: 1.5 MB before compression."""
@@ -64,7 +65,7 @@ class TraceWriter:
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
         self._schemas = dict(SCHEMAS)
-        self._channels: dict[str | PayloadTopic, Channel] = {}
+        self._channels: dict[str | RecordedTopic, Channel] = {}
         self._counts: dict[int, int] = {}  # channel id -> number of messages in the file
         self._indexes = bytearray()  # of the chunks so far, as in the summary: a week of seconds has 600,000
         self._chunk_count = 0
@@ -97,17 +98,8 @@ class TraceWriter:
         return sum(self._counts.get(self._channels[topic].id, 0) for topic in EVENT_TOPICS)
 
     @property
-    def topics(self) -> list[TopicCount]:
-        return [
-            TopicCount(
-                c.topic,
-                self._schemas[c.schema_id].name,
-                c.metadata.get("topic_type_hash", ""),
-                self._counts[c.id],
-                encoding=c.message_encoding,
-            )
-            for c in self._used_channels()
-        ]
+    def topics(self) -> list[tuple[RecordedTopic, int]]:
+        return [(topic_of(channel, self._schemas), self._counts[channel.id]) for channel in self._used_channels()]
 
     @property
     def time_range_ns(self) -> tuple[int, int]:
@@ -204,16 +196,16 @@ class TraceWriter:
             self._declare(topic, topic, schema, "cdr", {"topic_type_hash": TYPE_HASHES[schema.name]})
         return self._channels[topic]
 
-    def _payload_channel(self, topic: PayloadTopic) -> Channel:
+    def _payload_channel(self, topic: RecordedTopic) -> Channel:
         if topic not in self._channels:
             encoding, text = "ros2msg" if topic.definition else "", topic.definition.encode()
-            schema = Schema(data=text, encoding=encoding, id=len(self._schemas) + 1, name=topic.type_name)
+            schema = Schema(data=text, encoding=encoding, id=len(self._schemas) + 1, name=topic.message_type)
             self._schemas[schema.id] = schema
-            self._declare(topic, topic.topic, schema, topic.encoding, {})
+            self._declare(topic, topic.name, schema, topic.encoding, {})
         return self._channels[topic]
 
     def _declare(
-        self, key: str | PayloadTopic, topic: str, schema: Schema, encoding: str, metadata: dict[str, str]
+        self, key: str | RecordedTopic, topic: str, schema: Schema, encoding: str, metadata: dict[str, str]
     ) -> None:
         self._channels[key] = Channel(
             id=len(self._channels) + 1, topic=topic, message_encoding=encoding, metadata=metadata, schema_id=schema.id
@@ -310,7 +302,7 @@ class TraceFiles:
     """
 
     def __init__(self, destination: TraceDestination, session: Session, time_ns: int) -> None:
-        self._destination = destination
+        self.destination = destination
         self.drained = 0
         trace = destination.trace_path
         make_room(destination)
@@ -334,21 +326,11 @@ class TraceFiles:
     def finish(self) -> OutputError | None:
         try:
             self.writer.finish()
-            if self._destination.is_bag:
-                self.writer.write_metadata(self.writer.path, self._destination.mode, fsync=self._destination.fsync)
+            if self.destination.is_bag:
+                self.writer.write_metadata(self.writer.path, self.destination.mode, fsync=self.destination.fsync)
         except OutputError as err:
             self.writer.abandon()
             return err
         except OSError as err:
             return output_error(self.writer.path.with_name(METADATA_NAME), err)
         return None
-
-    def closed(self, head: int, dropped_events: int, error: OutputError | None) -> ClosedTrace:
-        return ClosedTrace(
-            path=self._destination.path,
-            events=self.drained,
-            dropped_events=dropped_events,
-            bytes=self.writer.bytes_written,
-            error=error,
-            ring_events=head - self.drained,
-        )

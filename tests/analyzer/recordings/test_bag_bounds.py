@@ -10,7 +10,7 @@ from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.recorder.payloads import STRING
 from dds_trace.recorder.payloads.bag import load_payload
 from dds_trace.tracefile.mcapfile import blocks, chunks
-from dds_trace.tracefile.reading.recorded import Condition
+from dds_trace.tracefile.reading.source import Condition
 from dds_trace.tracefile.recordings import bag1, read
 from dds_trace.tracefile.recordings.read import read_messages
 

@@ -3,19 +3,18 @@ import struct
 
 import numpy as np
 import pytest
-from card_bags import MS, START_NS, S, card, timer, write
+from card_bags import HEADER, MS, START_NS, S, blob, card, timer, write, write_mcap
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 from wording import numbers
 
+from dds_trace.analyzer.recordings.card import qos_words
 from dds_trace.analyzer.recordings.periods import find_grid, find_regularity
-from dds_trace.analyzer.recordings.rows import qos_words
 from dds_trace.cli import trace
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 from dds_trace.reports.terminal import print_report
-from dds_trace.reports.topics.report import BagReport
-from dds_trace.reports.topics.words import COLUMNS
+from dds_trace.reports.topics.report import COLUMNS, BagReport
 
 
 def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
@@ -253,6 +252,38 @@ def test_two_readings_of_arrivals_are_within_the_interval(tmp_path):
     assert (rows["/a"]["missing_low"], health.verdict) == (0, "whole")
     assert rows["/a"]["missing_high"] == pytest.approx(224, abs=2)
     assert "are missing" not in load_reporter("md").render(BagReport(report))
+
+
+@pytest.mark.parametrize(
+    ("back_ms", "is_stamped_so", "words"),
+    [(30_000, 1, "begin again at 00:30"), (500, 0, "set back by 500 ms at 00:30")],
+)
+def test_times_that_run_again_double_no_rate(tmp_path, back_ms, is_stamped_so, words):
+    messages = []
+    for n in range(3000):
+        at, back_ns = START_NS + n * 20 * MS, back_ms * MS * (n >= 1500)
+        data = blob(at - MS - is_stamped_so * back_ns, size=8 + (n >= 1500))
+        messages += [(name, at - back_ns, at - back_ns, data) for name in ("/a", "/b") if name == "/a" or not n % 5]
+    _, health, rows = card(write_mcap(tmp_path / "x.mcap", messages, encoding="cdr", schema=HEADER))
+    assert ([words in note for note in health.notes], health.verdict) == ([True], "whole")
+    assert [row["rate_hz"] for row in rows.values()] == pytest.approx([50, 10], rel=0.01)
+    assert [(row["missing"], row["age_max_ns"]) for row in rows.values()] == [(0, MS)] * 2
+
+
+def test_the_interval_contains_what_jitter_and_two_publishers_of_one_frame_hide(tmp_path):
+    rng = np.random.default_rng(2)
+    selected, half = rng.random(3750) > 0.15, N[:1500] * 4 + 1
+    exposed = np.sort(START_NS + (np.arange(3750) + rng.normal(0, 0.3, 3750)) * S / 30).astype(np.int64)[selected]
+    fast = N[1:3000][rng.random(2999) > 0.05] * 2
+    topics = {
+        "/camera": [(at, at) for at in exposed.tolist()],
+        "/tf": [(START_NS + at * 5 * MS,) * 2 for at in sorted([0, *fast.tolist(), *half.tolist()])],
+    }
+    _, _, rows = card(write(tmp_path / "x.mcap", topics))
+    for row, missing, rate_hz in zip(rows.values(), (3750 - sum(selected), 2999 - len(fast)), (30, 150), strict=True):
+        assert row["missing_low"] <= missing <= row["missing_high"]
+        assert row["missing"] == pytest.approx(missing, abs=5)
+        assert row["expected_rate_hz"] == pytest.approx(rate_hz, rel=0.01)
 
 
 LONG, SHORT = [(2, 5), (20, 22.5), (41, 47)], [(2, 20), (20.5, 30), (30.4, 47)]

@@ -19,8 +19,8 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.reports.terminal import print_report
 from dds_trace.reports.topics.report import BagReport
 from dds_trace.tracefile.mcapfile import blocks
-from dds_trace.tracefile.reading import recorded
-from dds_trace.tracefile.reading.recorded import Condition
+from dds_trace.tracefile.reading import source
+from dds_trace.tracefile.reading.source import Condition
 from dds_trace.tracefile.recordings.read import read_messages
 
 MS = 1_000_000
@@ -254,8 +254,8 @@ def test_a_file_of_small_bombs_is_not_unpacked_whole(tmp_path, monkeypatch):
 
 def test_messages_of_a_few_bytes_are_bounded_in_number(tmp_path, monkeypatch, sentences):
     write_mcap(tmp_path / "x.mcap", [("/a", t, t, b"{}") for t in range(300)])
-    monkeypatch.setattr(recorded, "_UNSUSPECTED_MESSAGES", 100)
-    monkeypatch.setattr(recorded, "_MESSAGE_BYTES", 1 << 40)
+    monkeypatch.setattr(source, "_UNSUSPECTED_MESSAGES", 100)
+    monkeypatch.setattr(source, "_LEAST_MESSAGE_BYTES", 1 << 40)
     report = analyze_topics(tmp_path / "x.mcap")
     assert report.topics["messages"].to_list() == [100]
     sentences(report.sources[0].detail)

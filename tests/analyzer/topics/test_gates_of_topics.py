@@ -1,14 +1,16 @@
 import pytest
+from card_bags import START_NS, write
 from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.base.errors import OptionError
 from dds_trace.cli.compare import app
-from dds_trace.cli.limits_file import read_limits
+from dds_trace.cli.limits_file import read_limits, topic_limits_text, write_limits
 from dds_trace.cli.topics import judge_tap
 
 SECONDS = 40
@@ -78,6 +80,23 @@ def test_a_tap_is_judged_at_its_end_by_a_file_of_limits(one_recording, tmp_path,
     gates = read_limits(tmp_path / "limits.toml", of_recording=True)
     assert judge_tap(one_recording / f"{device}0.mcap", gates) == code
     assert capsys.readouterr().err.count("/camera/image") == limits.count("=")
+
+
+def test_limits_written_from_a_good_bag_judge_a_tap_and_a_sweep(one_recording, tmp_path):
+    """With patterns; a sweep has ages of topics, and no rates."""
+    frames = [(START_NS + n * 33 * MS, START_NS + n * 33 * MS - 8 * MS) for n in range(300)]
+    good = analyze_topics(write(tmp_path / "good.mcap", {"/camera/image": frames, "/camera/info": frames}))
+    file = tmp_path / "limits.toml"
+    write_limits(topic_limits_text(good.topics).replace("/camera/i", "/camera/[i]"), file)
+    gates = read_limits(file, of_recording=True)
+    topics = [f"/camera/[i]{name}" for name in ("mage", "nfo")]
+    assert {(gate.results[0][1], gate.name) for gate in gates} == {
+        (topic, metric) for topic in topics for metric in ("rate", "missing", "age_p99")
+    }
+    tap = one_recording / "robot0.mcap"
+    assert judge_tap(tap, gates) == 20  # it has to hear /camera/info too
+    assert judge_tap(tap, [gate for gate in gates if gate.results[0][1] == topics[0]]) == 0
+    assert {gate.name for gate in read_limits(file)} == {"age_p99"}
 
 
 def test_limits_of_one_recording(one_recording):

@@ -97,7 +97,7 @@ def test_nobody_writes_to_the_topics_of_the_trace():
     bench = Bench("*", graph=[CAMERA, forged], keeps_payload=True)
     for topic in (CAMERA.topic, forged.topic):
         bench.hear(topic=topic)
-    assert [(kept.topic, data) for kept, data, _ in bench.sink.payloads] == [(CAMERA.topic, MESSAGE)]
+    assert [(kept.name, data) for kept, data, _ in bench.sink.payloads] == [(CAMERA.topic, MESSAGE)]
 
 
 @pytest.mark.parametrize(

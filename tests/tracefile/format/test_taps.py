@@ -8,11 +8,12 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from trace_files import ping_session
 
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage, TapColumns, hash_content
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
-from dds_trace.tracefile.writing.payloads import MOST_WAITING_BYTES, PayloadTopic
+from dds_trace.tracefile.writing.event_chunks import MOST_WAITING_BYTES
 from dds_trace.tracefile.writing.sink import TraceSink
 
 TAP = 5
@@ -74,8 +75,8 @@ def messages_of_others(path):
 
 @pytest.mark.parametrize("is_cut", [False, True])
 def test_payloads_are_read_by_others_and_survive_a_kill(tmp_path, is_cut):
-    image = PayloadTopic("/camera", "my_msgs/msg/Camera", "uint8[] data\n")
-    unknown = PayloadTopic("robot/speed", "", encoding="")
+    image = RecordedTopic("/camera", "my_msgs/msg/Camera", "cdr", "uint8[] data\n")
+    unknown = RecordedTopic("robot/speed", "", "")
     contents = [(image, b"\0\1\0\0" + bytes([number]) * 56) for number in range(40)]  # as long as an event
     contents += [(image, b"\0\1\0\0" + bytes(3 << 20)), (image, bytes(5 << 20)), (unknown, b"12 m/s")]
     file = tmp_path / "tap.mcap"
@@ -92,7 +93,7 @@ def test_payloads_are_read_by_others_and_survive_a_kill(tmp_path, is_cut):
         assert recover(file).file_events == len(EVENTS)
     read = messages_of_others(file)
     assert [one[:5] for one in read] == [
-        (topic.topic, topic.type_name, topic.definition.encode(), topic.encoding, data) for topic, data in contents
+        (topic.name, topic.message_type, topic.definition.encode(), topic.encoding, data) for topic, data in contents
     ]
     assert np.diff([one[5] for one in read]).tolist() == [1] * (len(contents) - 1)
     trace = read_trace(file)
@@ -101,7 +102,7 @@ def test_payloads_are_read_by_others_and_survive_a_kill(tmp_path, is_cut):
 
 
 def test_what_waits_for_the_disk_is_bounded(tmp_path):
-    sink, topic = open_tap(tmp_path / "tap.mcap"), PayloadTopic("/camera", "my_msgs/msg/Camera")
+    sink, topic = open_tap(tmp_path / "tap.mcap"), RecordedTopic("/camera", "my_msgs/msg/Camera", "cdr")
     sink.pause()
     for number in range(5):
         sink.keep_payload(topic, bytes(MOST_WAITING_BYTES // 4), number)

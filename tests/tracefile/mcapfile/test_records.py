@@ -8,13 +8,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema, Statistics
 
-import dds_trace.tracefile.mcapfile.channels
+import dds_trace.tracefile.mcapfile.records
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.encoding import MESSAGE_HEADER
-from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage
-from dds_trace.tracefile.mcapfile.channels import ChannelTable
+from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage, event_fault
 from dds_trace.tracefile.mcapfile.file import RecordFile, read_summary
-from dds_trace.tracefile.mcapfile.records import parse_record, record_name
+from dds_trace.tracefile.mcapfile.records import ChannelTable, parse_record, record_name
 from dds_trace.tracefile.mcapfile.scan import MESSAGES_AND_CHANNELS
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
 
@@ -78,8 +77,8 @@ def parsed(monkeypatch):
         contents.append(bytes(content))
         return parse_record(kind, content)
 
-    monkeypatch.setattr(dds_trace.tracefile.mcapfile.channels, "parse_record", parse)
-    dds_trace.tracefile.mcapfile.channels._parsed_once.cache_clear()
+    monkeypatch.setattr(dds_trace.tracefile.mcapfile.records, "parse_record", parse)
+    dds_trace.tracefile.mcapfile.records._parsed_once.cache_clear()
     return contents
 
 
@@ -104,6 +103,13 @@ def test_files_that_declare_an_id_differently_have_each_their_own(parsed):
     assert ours.get(3).fault is None
     assert other.get(3).fault == f"its schema is 'x/Y', not {EVENT_SCHEMA_NAME!r}"
     assert len(parsed) == 3
+
+
+@pytest.mark.parametrize("stage", Stage)
+def test_events_have_the_schema_of_their_stage_or_a_lost_one(stage):
+    assert event_fault(stage, "cdr", stage.schema_name) is event_fault(stage, "cdr", None) is None
+    others = {other.schema_name for other in Stage} - {stage.schema_name}
+    assert [name in event_fault(stage, "cdr", name) for name in sorted(others)] == [True] * len(others) == [True]
 
 
 def test_a_damaged_record_is_an_error_in_every_file(parsed):

@@ -14,7 +14,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.tracefile.mcapfile.file import RecordFile
-from dds_trace.tracefile.reading import mcap_source, recorded, sqlite_rows
+from dds_trace.tracefile.reading import mcap_source, source, sqlite_rows
 from dds_trace.tracefile.reading.reader import read_trace
 
 
@@ -138,7 +138,7 @@ def rows(count):
 @pytest.mark.parametrize(
     ("module", "name", "value"),
     [
-        (recorded, "_UNSUSPECTED_MESSAGES", -(10**9)),
+        (source, "_UNSUSPECTED_MESSAGES", -(10**9)),
         (sqlite_rows, "_UNSUSPECTED_STEPS", -(10**9)),
         (sqlite_rows, "_MOST_TOPICS", 0),
     ],

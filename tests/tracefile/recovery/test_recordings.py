@@ -1,5 +1,8 @@
 import random
 import re
+import sqlite3
+import struct
+from contextlib import closing
 
 import pytest
 from bags import imu, text, write_bag2
@@ -14,7 +17,7 @@ from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.cli.recover import recover_command
 from dds_trace.recorder.payloads import STRING
 from dds_trace.recorder.payloads.bag import load_payload
-from dds_trace.tracefile.reading.recorded import Condition
+from dds_trace.tracefile.reading.source import Condition
 from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
 
@@ -69,6 +72,37 @@ def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
     assert len(load_payload(f"{path}#/camera", {"std_msgs/msg/String": STRING}).messages) == len(of_topic)
     assert is_of_others(path)
     assert recover_recording(path).messages == len(whole) > 0
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "mcap lz4"])
+@pytest.mark.parametrize("claimed", [0, 2**40])
+def test_a_chunk_of_another_size_costs_no_message_of_it_or_of_a_second_file(tmp_path, kind, claimed):
+    good, more = (make_good(kind, tmp_path, seed) for seed in (7, 8))
+    content = bytearray(good.content)
+    second = sorted({need[0][0] for need in good.needs.values()})[1]
+    struct.pack_into("<Q", content, second + 25, claimed)
+    path = good.write(tmp_path, bytes(content) + more.content)
+    assert read_recovered(recover_recording(path).recovered) == good.needs.keys() | more.needs.keys()
+
+
+def test_data_of_a_bag_are_the_messages_that_can_be_parsed_of_a_topic_that_a_second_file_renames(tmp_path):
+    good = make_good("mcap without chunks", tmp_path, 7)
+    second = good.content.replace(b"/camera", b"/kamera")
+    data = next(data for topic, _, data in good.needs if topic == "/camera")
+    path = good.write(tmp_path, good.content.replace(data, data[:4] + b"\xff" * 4 + data[8:]) + second)
+    payload = load_payload(f"{path}#/camera", {"std_msgs/msg/String": STRING})
+    assert len(payload.messages) == 99
+    assert "damaged" in payload.notes[-1]
+
+
+@pytest.mark.parametrize("page_bytes", [512, 65536])
+def test_a_database_without_its_header_is_read_with_pages_of_any_size(tmp_path, page_bytes):
+    good = make_good("sqlite3", tmp_path, 7)
+    path = good.write(tmp_path, good.content)
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(f"PRAGMA page_size={page_bytes}; VACUUM")
+    path.write_bytes(bytes(100) + path.read_bytes()[100:])
+    assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
 
 
 DEFINITION = (b"string data", b"string\0data", -1)

@@ -16,8 +16,8 @@ from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
 from dds_trace.tracefile.format.ring import RING_HEADER, ring_path
 from dds_trace.tracefile.mcapfile import blocks
-from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.mcapfile.records import ChannelTable
 from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover

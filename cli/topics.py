@@ -111,7 +111,6 @@ def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gat
 
 
 def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> Sequence[float | None]:
-    """Return a value and the ends that it is certain within."""
     if metric in ("jitter", "rate"):
         return [row["jitter_ns" if metric == "jitter" else "rate_hz"]] * 3
     if metric.startswith("age"):

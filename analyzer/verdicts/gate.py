@@ -105,7 +105,7 @@ class Gate:
 
     @property
     def topics(self) -> str:
-        """The pattern of the topics that it names; empty if it names none."""
+        """Pattern of the topics it names."""
         named = self.topic or dict(self.results).get("data_type", "")
         return named if is_topic(named) else ""
 

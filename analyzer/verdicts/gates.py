@@ -68,7 +68,7 @@ def result_of(
     high: float | None = None,
     **more: Any,
 ) -> GateResult:
-    """Return the row of the frame that has what a gate makes of a result or a topic."""
+    """Return a row of the frame."""
     row = Claim.KEEPS, where, gate.name, gate.text, value, low, high
     return GateResult(*row, verdict=outcome.value, gate=gate, **more)
 
@@ -172,7 +172,7 @@ def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str])
     confidence, first = comparison.options.confidence, family[0]
     groups = [group for gate in family for group in _measured(comparison, gate, names)]
     topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
-    for gate in family if topics or first.topic else ():  # a file may have limits of topics for other recordings
+    for gate in family if topics or first.topic else ():  # else of other recordings
         if gate.topics and not fnmatch.filter(topics, gate.topics):
             reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
             outcome = GateOutcome.INCONCLUSIVE if gate.topic else GateOutcome.REGRESSED

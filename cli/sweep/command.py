@@ -130,7 +130,7 @@ def sweep_command(
         _refuse_crowded(requested, "--against")
         check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
         gates = []
-        if other.plan.thresholds or fail_if or limits_file:  # without them no analyzer is needed
+        if other.plan.thresholds or fail_if or limits_file:
             gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
         other = replace(other, looks=looks)
         if looks > 1 and not gates:

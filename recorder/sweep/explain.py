@@ -107,7 +107,7 @@ def _native(cell: Cell) -> Cell | None:
 def explain_size(plan: Plan, text: str) -> Explanation:
     """Return the sweep of each setup of a plan around a size (`SIZE`, or `LOW..HIGH`), each factor varied by itself.
 
-    An `OptionError` for a wrong size, and for a plan without data that has a size to choose.
+    An `OptionError` for a wrong size, and for data without a size to choose.
     """
     sizes = [parse_size(part, "SIZE") for part in text.split("..", 1)]
     low, high = sizes if len(sizes) > 1 else (round(share * sizes[0]) for share in AROUND)

@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import pytest
 from campaigns import write_run
-from processes import run as run_program
 from trace_files import evenly
 
 from dds_trace.cli.sweep.explain import answer, answer_lines
@@ -101,18 +100,6 @@ def test_a_size_whose_messages_are_lost_has_a_jump_and_the_factor_that_brings_th
     found = answer(explanation, tmp_path)[0][setup.name]
     assert found.rise.value == pytest.approx(2e9 / (102 * US), rel=0.1)
     assert found.cause == "buffer"
-
-
-@pytest.mark.parametrize(
-    ("words", "word"), [(("explain", "rates"), "two rates"), (("explain", "size", "big"), "SIZE 'big'")]
-)
-def test_what_cannot_be_explained_is_one_line(tmp_path, words, word):
-    plan = tmp_path / "p.toml"
-    plan.write_text('[axes]\nbackend = "socket"\n')
-    ended = run_program("dds-trace", *words, plan, "--out", tmp_path)
-    assert ended.status == 2
-    assert word in ended.stderr
-    assert len(ended.stderr.splitlines()) == 1
 
 
 def test_without_a_rise_there_are_no_shares(tmp_path):

@@ -51,7 +51,7 @@ def report_topics(
     if others := sorted({*exports} - {*_EXPORTS}):
         raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
-    judged = sorted(_judge(report.topics, report.holes, gates), key=lambda one: one.where)
+    judged = list(_judge(report.topics, report.holes, gates))
     contents = BagReport(report, judged)
     print_report(contents)
     for source in report.sources:

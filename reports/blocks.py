@@ -136,11 +136,10 @@ class Table(Block):
         return [self.columns[index] for index in indices], rows
 
     def parts(self, medium: Medium) -> list[tuple[str, list[tuple[Row, list[Words]]]]]:
-        _, rows = self.seen(medium)
-        return [
-            (part, [*part_rows])
-            for part, part_rows in groupby(rows, lambda row: row[0].part if medium in self.parted else "")
-        ]
+        parts: dict[str, list[tuple[Row, list[Words]]]] = {}
+        for row, cells in self.seen(medium)[1]:
+            parts.setdefault(row.part if medium in self.parted else "", []).append((row, cells))
+        return [*parts.items()]
 
     @property
     def heads(self) -> list[tuple[str, int]]:

@@ -162,18 +162,22 @@ def gate_blocks(gates: Sequence[words.Gated], most: int | None) -> Iterator[Bloc
 
 def result_table(info: ComparisonInfo, in_terminal: int | None, in_markdown: int | None) -> Table:
     names = [row["statistic"] for row in info.groups[0].shown()]
-    columns = [Column("Result"), Column(f"{info.metric}, base and new", media=PAGE)]
+    columns = [Column("Result", media=TERMINAL), Column("Result", media=MARKDOWN | PAGE)]
+    columns += [Column(f"{info.metric}, base and new", media=PAGE)]
     columns += [Column(f"{info.metric} {words.statistic_words(name)}") for name in names]
-    columns += [Column("Received"), Column("Verdict")]
+    media = (
+        blocks.EVERYWHERE if any("→" in received_words(group.delivery) for group in info.groups) else MARKDOWN | PAGE
+    )
+    columns += [Column("Received", media=media), Column("Verdict")]
     shown = {TERMINAL: in_terminal, MARKDOWN: in_markdown}
     rows = []
     for index, group in enumerate(info.groups):
-        media = (medium for medium, most in shown.items() if most is None or index < most)
-        rows.append(_row(group, reduce(or_, media, PAGE)))
+        others = (medium for medium, most in shown.items() if most is None or index < most)
+        rows.append(_row(group, reduce(or_, others, PAGE)))
     if len(info.groups) > 1:
         means = [words.change_words(mean_change(info.groups, name)) for name in names]
-        label = f"Geometric mean of {len(info.groups)} results"
-        rows.append(Row([label, "", *means, "", ""], media=TERMINAL))
+        mean = f"Geometric mean of {len(info.groups)} results"
+        rows.append(Row(["", "", "", *means, "", ""], part=mean, media=TERMINAL))
     return Table(columns, rows, label="Table of the results", opens="Distributions and every statistic")
 
 
@@ -191,8 +195,8 @@ def _row(group: ComparedGroup, media: blocks.Medium) -> Row:
     verdict = blocks.stack(Span(group.verdict, f"verdict {words.tone_of(group.verdict)}"), Span(group.where, "soft"))
     label = blocks.stack(Span(group.label, ""), Span(printable(group.unlike), "soft"))
     drawn = blocks.Figure(svg=next(map(strip, distributions), ""))
-    cells: list[blocks.Words] = [label, drawn, *changes, received_words(group.delivery), verdict]
-    return Row(cells, details=partial(_details, group), media=media)
+    cells: list[blocks.Words] = [group.message, label, drawn, *changes, received_words(group.delivery), verdict]
+    return Row(cells, part=group.setup, details=partial(_details, group), media=media)
 
 
 def _details(group: ComparedGroup) -> list[Block]:

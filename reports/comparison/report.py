@@ -165,10 +165,8 @@ def result_table(info: ComparisonInfo, in_terminal: int | None, in_markdown: int
     columns = [Column("Result", media=TERMINAL), Column("Result", media=MARKDOWN | PAGE)]
     columns += [Column(f"{info.metric}, base and new", media=PAGE)]
     columns += [Column(f"{info.metric} {words.statistic_words(name)}") for name in names]
-    media = (
-        blocks.EVERYWHERE if any("→" in received_words(group.delivery) for group in info.groups) else MARKDOWN | PAGE
-    )
-    columns += [Column("Received", media=media), Column("Verdict")]
+    is_changed = any("→" in received_words(group.delivery) for group in info.groups)
+    columns += [Column("Received", media=blocks.EVERYWHERE if is_changed else MARKDOWN | PAGE), Column("Verdict")]
     shown = {TERMINAL: in_terminal, MARKDOWN: in_markdown}
     rows = []
     for index, group in enumerate(info.groups):

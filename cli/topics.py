@@ -19,7 +19,7 @@ from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.card import topics_card, write_picture
-from dds_trace.reports.comparison.words import gate_rows
+from dds_trace.reports.comparison.words import gate_notes, gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
 from dds_trace.reports.topics.report import BagReport, JudgedTopic
@@ -88,8 +88,9 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
         *counts, pl.lit(str(trace)).alias("recording"), messages="received", age_bound_ns="bound_ns"
     )
     judged = list(_judge(topics, None, gates))
-    for _, cells in gate_rows(judged, shows_all=True):
-        say("  ".join(filter(None, cells)))
+    rows = ("  ".join(filter(None, cells)) for _, cells in gate_rows(judged, shows_all=True))
+    for line in (*rows, *gate_notes(judged)):
+        say(line)
     return overall_outcome(gated.result.outcome for gated in judged).exit_code
 
 
@@ -105,9 +106,11 @@ def _judge(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gat
             yield JudgedTopic(gate.topics, missing, "")
         for row in rows:
             value, low, high = _measured(row, holes, gate.name)
-            outcome, ends = gate.judge(low, low, high), () if low == high else (low, high)
+            measured = [value] if low == high else [value, low, high]
+            reason = "the value is not known" if value is None else ""
+            result = result_of(gate, row["topic"], gate.judge(low, low, high), *measured, reason=reason)
             where = f"{row['topic']} in {row['recording']}" if topics["recording"].n_unique() > 1 else row["topic"]
-            yield JudgedTopic(where, result_of(gate, row["topic"], outcome, value, *ends), row["recording"])
+            yield JudgedTopic(where, result, row["recording"])
 
 
 def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> Sequence[float | None]:

@@ -19,21 +19,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
 from .. import blocks
-from ..blocks import (
-    MARKDOWN,
-    PAGE,
-    TERMINAL,
-    Block,
-    Column,
-    Heading,
-    Medium,
-    Points,
-    Row,
-    Section,
-    Sentence,
-    Span,
-    Table,
-)
+from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
 from ..book.groups import format_ratio, joined, time_words
 from ..book.verdicts import VERDICTS, received_words, runs_words
 from . import words
@@ -152,7 +138,7 @@ def gate_blocks(gates: Sequence[words.Gated], most: int | None) -> Iterator[Bloc
         ]
         is_found = any(row.cells[3] for row in rows)
         mark, gate, measured, found, where = words.GATE_COLUMNS
-        columns = [*map(Column, (mark, gate, measured)), Column(found, media=media if is_found else Medium(0))]
+        columns = [*map(Column, (mark, gate, measured)), Column(found, media=media if is_found else blocks.Medium(0))]
         columns.append(Column(where, media=MARKDOWN | PAGE))
         yield Table(columns, rows[:shown], label="Table of the gates", gap=2, media=media)
         yield Points(notes[:shown], bullet="", media=media)

@@ -128,7 +128,7 @@ def analyze_topics(
             detail += f"; and {len(text) - _MOST_NOTES} more"
         sources.append(Source(str(recording), status, detail, sum(map(len, columns.values()))))
     if not any(source.status != "skipped" for source in sources):
-        names = [f"{source.path}: " if len(sources) > 1 else "" for source in sources[:3]]
+        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[:3]]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "

@@ -33,7 +33,7 @@ _LEAST_STALL, _QUEUED = 2.5, 0.75
 _OFF_GRID, _LEAST_ON_GRID, MOST_STEPS, _OFF_MEAN = 0.2, 0.95, 20, 0.002
 """Deviation of a stamp in periods, the least share within it, the longest step that is compared, the mean deviation of equal steps."""
 
-_MOST_PAUSED, _MOST_CHANGES = 2.5, 2
+_MOST_PAUSED, _MOST_CHANGES, _LEAST_MODE = 2.5, 2, 3
 _MOST_TWICE = 0.9
 """Least expected messages per message of a pattern."""
 
@@ -211,8 +211,8 @@ def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
 def with_rivals(grid: Regularity, steps: Int64) -> Regularity:
     """Return a grid as of a publisher that changes its rate, or of two at multiples, if it can be; one that loses messages is the other end."""
     changes = _rate_changes(steps.astype(float) / np.median(steps))
-    if 0 < len(changes) <= _MOST_CHANGES:
-        usual = np.concatenate([np.full(len(part), np.median(part)) for part in np.split(steps, changes)])
+    usual = np.concatenate([np.full(len(part), np.median(part)) for part in np.split(steps, changes)])
+    if changes and (len(changes) <= _MOST_CHANGES or usual.max() >= _LEAST_MODE):
         fewest = min(max(round(float((steps / usual - 1).sum())), 0), grid.missing)
         holes = [hole for hole in grid.holes if hole.missing >= usual.max()]
         return replace(grid, missing=fewest, low=fewest, holes=holes)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.limits import nearest
 from dds_trace.base.printable import printable
 
 from ...applied.vendors import VENDORS, ros_middleware
@@ -82,7 +83,7 @@ def check_installed() -> None:
     if running != rmw:
         reason = (completed.stderr.strip().splitlines() or [f"{running} runs here"])[-1]
         raise BackendUnavailableError(
-            f"RMW_IMPLEMENTATION={rmw} does not work here: {reason}; unset it, or install that middleware "
+            f"RMW_IMPLEMENTATION={rmw} does not work here: {reason}; unset it or leave --rmw out, or install that middleware "
             f"(apt install {_debian_name(rmw)}; the wheels only have Fast DDS)"
         )
 
@@ -187,8 +188,12 @@ def message_class(type_name: str) -> Any:
     spec = find_spec(package)
     folders = [] if spec is None else spec.submodule_search_locations or []
     if any(list(Path(folder).glob(f"{package}_s__rosidl_typesupport_c*.so")) for folder in folders):
-        with suppress(ImportError, AttributeError):
-            return getattr(import_module(f"{package}.{kind}"), name)
+        with suppress(ImportError):
+            classes = vars(import_module(f"{package}.{kind}"))
+            if name in classes:
+                return classes[name]
+            names = [known for known in classes if known[:1].isupper()]
+            raise BackendUnavailableError(f"{package} is here, and has no {kind}/{name}; {nearest(name, names)}")
     raise BackendUnavailableError(
         f"the message type {type_name} is not installed; apt install ros-$ROS_DISTRO-{package.replace('_', '-')}, or {INSTALL}"
     )

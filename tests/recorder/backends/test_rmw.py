@@ -2,7 +2,7 @@ from importlib import metadata
 
 import pytest
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES, VENDORS, ros_middleware
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.node import NodeOptions
@@ -22,6 +22,17 @@ Version: 0.2.6-1noble.20250701.012345
 Package: bash
 Version: 5.2
 """
+
+
+def test_a_type_that_an_installed_package_lacks_needs_another_name_and_no_installation(tmp_path, monkeypatch):
+    (tmp_path / "made_msgs/msg").mkdir(parents=True)
+    (tmp_path / "made_msgs/__init__.py").touch()
+    (tmp_path / "made_msgs/made_msgs_s__rosidl_typesupport_c.so").touch()
+    (tmp_path / "made_msgs/msg/__init__.py").write_text("class Image: pass")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert installation.message_class("made_msgs/msg/Image").__name__ == "Image"
+    with pytest.raises(BackendUnavailableError, match="has no msg/Imge; did you mean 'Image'"):
+        installation.message_class("made_msgs/msg/Imge")
 
 
 def test_each_vendor_of_an_rmw_is_in_the_table_of_vendors():

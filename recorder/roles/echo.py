@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -150,7 +151,7 @@ def _advice(
             "let both sides have one /dev/shm (containers: --ipc=host, or one volume at /dev/shm), or give both "
             "-o transport=udp"
         )
-    if view.subscriptions:
+    if view.subscriptions and plan.bridge == "none":  # else they are the bridge's
         return _advice_unheard(node, plan.payload.payload_bytes, causes)
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
@@ -158,11 +159,10 @@ def _advice(
     further += "" if data_type.name in data_types() else f"--type {data_type.type_name} "
     dds_backends = ", ".join(entry.name for entry in load_backends() if entry.speaks_dds)
     meeting = load_backend(backend).describe_meeting(domain_id, dds_backends)
-    crossing = (
-        ""
-        if plan.bridge == "none"
-        else f"; or the bridge {plan.bridge} does not reach it: a bridge of two halves needs its other half next to the relay"
+    reached = (
+        f"the bridge {plan.bridge} does not reach it: a bridge of two halves needs its other half next to the relay"
     )
+    crossing = "" if plan.bridge == "none" else f"; {'; '.join([*causes, f'or {reached}'])}"
     return (
         f"start `dds-trace record relay --backend {backend} --domain {domain_id} --discovery {options.discovery.value} "
         f"{_meeting_options(options)}{further}--out relay.mcap`; if it runs, check that {meeting}{crossing}"
@@ -204,7 +204,7 @@ def _meeting_options(options: NodeOptions) -> str:
             if (value := str(getattr(options.qos, policy))) != getattr(usual, policy)
         },
         "security": options.security.value if is_secured else "",
-        "keys": str(options.keys) if is_secured else "",
+        "keys": shlex.quote(str(options.keys)) if is_secured else "",
         "deadline": spell_duration(durations["deadline"], digits=9) if "deadline" in durations else "",
     }
     return "".join(

@@ -8,7 +8,7 @@ from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
-from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.recorder.choices import Discovery, Security, Transport
 from dds_trace.recorder.errors import RelayLostError
 from dds_trace.recorder.host.environment import kept_stdout
 from dds_trace.recorder.kernel.sockets import Socket, TcpState
@@ -30,7 +30,7 @@ def node():
 
 @pytest.fixture
 def plan():
-    return RunPlan(BINARY.make(4, 1), 10.0, 5, bridge="builtin", relay_domain_id=10)
+    return RunPlan(BINARY.make(4, 1), 10.0, 5)
 
 
 def see(node, *, listening=(), answering=(), incompatible=(), unassignable=()):
@@ -41,11 +41,15 @@ def see(node, *, listening=(), answering=(), incompatible=(), unassignable=()):
     }
 
 
-def test_nobody_there(node, plan, sentences):
+def test_nobody_there_but_a_bridge(node, plan, sentences):
     see(node)
-    text = explain_silence(node, plan, 20)
+    bridged = replace(plan, bridge="builtin", relay_domain_id=10)
+    text = explain_silence(node, bridged, 20)
     sentences(*text.splitlines())
     assert not look_for_relays(node, BINARY).is_hopeless
+    own = [Endpoint("dds_trace_bridge_5", IMAGE)]
+    see(node, listening=own, answering=own)
+    assert explain_silence(node, bridged, 20).splitlines()[-1] == text.splitlines()[-1]
 
 
 @pytest.mark.parametrize("backend", BACKEND_MODULES)
@@ -127,6 +131,8 @@ def test_the_printed_command_repeats_what_decides_whether_the_sides_meet(node, p
     node.options = replace(node.options, qos=qos, transport=Transport.SHM, rmw="rmw_fastrtps_cpp")
     options = "--rmw rmw_fastrtps_cpp -o transport=shm --reliability best_effort -o durability=transient_local -o deadline=20ms --out"
     assert options in explain_silence(node, plan, 20)
+    node.options = replace(node.options, security=Security.ENCRYPT_RTPS, keys="my keys")
+    assert "-o keys='my keys' " in explain_silence(node, plan, 20)
 
 
 def test_quality_of_service_that_never_matches_is_named_and_hopeless(node, plan):

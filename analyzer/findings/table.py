@@ -186,6 +186,7 @@ CHECKS: tuple[Check, ...] = (
         "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
     ),
     losses.losses,
+    losses.UNREACHED,
     losses.OUTAGES.warning(
         "outage",
         "Several messages in a row were lost",

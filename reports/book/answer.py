@@ -31,7 +31,7 @@ from .groups import (
     joined,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
-from .losses import FORGED, avoid_sentence, cure_sentence, few_lost_sentence, forged_sentence, loss_sentence
+from .losses import FORGED, UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
 from .numbers import Values
 from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
@@ -96,7 +96,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     cures = {group: finding.cure for finding in analysis.findings if finding.cure for group in finding.groups}
     forged = {group for finding in analysis.findings if finding.code == FORGED for group in finding.groups}
     usable = replace(groups, groups=tuple(group for group in groups.groups if group.index not in forged))
-    losses = loss_sentence(usable, values)
+    losses, unreached = loss_sentence(usable, values), found_sentence(analysis, groups, UNREACHED)
     remarks = (
         *_deadline_remarks(analysis.details, groups),
         *(
@@ -105,7 +105,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
             else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
         ),
         *_level_remarks(usable, values, metric),
-        *([] if losses or forged else ["Every message was received."]),
+        *([] if losses or forged or unreached else ["Every message was received."]),
     )
     verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
@@ -114,13 +114,14 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
-        (PointKind.FORGED, forged_sentence(analysis, groups)),
+        (PointKind.FORGED, found_sentence(analysis, groups)),
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
         *((PointKind.INTERFERENCE, text) for text in interference_sentences(judged, usable)),
         (PointKind.LOSS, losses),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
+        (PointKind.FEW_LOST, unreached),
         first,
         (
             PointKind.CLIENT_FLOOR,

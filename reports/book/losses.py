@@ -32,10 +32,15 @@ from .verdicts import contender_labels, place_of
 FORGED, DOUBTFUL = "forged_or_foreign", "doubtful_replies"
 
 
-def forged_sentence(analysis: Analysis, groups: Groups) -> str:
+_FORGED = {FORGED: "Do not use, as somebody else may have answered", DOUBTFUL: "Doubtful"}
+UNREACHED = {"unreached": "Lost on the way to the relay"}
+
+
+def found_sentence(analysis: Analysis, groups: Groups, words_of: Mapping[str, str] = _FORGED) -> str:
+    """Return the results of the findings of each code in `words_of`."""
     labels = group_labels(groups)
     sentences = []
-    for code, words in (FORGED, "Do not use, as somebody else may have answered"), (DOUBTFUL, "Doubtful"):
+    for code, words in words_of.items():
         whats = {
             group: finding.what for finding in analysis.findings if finding.code == code for group in finding.groups
         }

@@ -69,7 +69,7 @@ NO_CURE = {
         "impossible_times",
     ),
     *("falls_with_size", "jumps_with_size", "unlike_environments", "unlike_group_environments", "truncated_file"),
-    *("nothing_received", "settings_not_applied", "reader_note", "overlapping_pings", "unlike_versions"),
+    *("nothing_received", "unreached", "settings_not_applied", "reader_note", "overlapping_pings", "unlike_versions"),
     # what to look for
     *(
         "forged_or_foreign",

@@ -97,6 +97,19 @@ def test_messages_lost_while_a_relay_restarts_are_one_outage_that_ends_and_no_fa
     assert details.fan_out.is_empty()
 
 
+def test_messages_that_ended_at_the_relay_and_did_not_reach_it_are_named(tmp_path):
+    to_come = {False: {"t2": None, "t4": None}, True: {"t2": None, "t3": None, "t4": None}}
+    sent = [m if m.sequence % 4 == 0 else replace(m, t0=0, **to_come[m.sequence >= 20]) for m in drawn(count=40)]
+    extra = {**run().extra, "ping_every": 4}
+    write_pair(tmp_path, sent, runs=[run(planned_messages=40, published=40, rate_hz=0.0, extra=extra)])
+    analysis = analyze(tmp_path)
+    (found,) = [finding for finding in analysis.findings if finding.code == "unreached"]
+    assert numbers(found.what) == [25, 40, 62.5, 10]
+    answer = Book(analysis).answer
+    assert any("62.5" in text for _, text in answer.sentences)
+    assert not any("Every message" in text for text in answer.remarks)
+
+
 def write_restarted_relay(folder, first, second, **session):
     ping = merged_events([ping_events(first), ping_events(second, relay_id=2)])
     write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)

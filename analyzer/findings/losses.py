@@ -73,10 +73,13 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
     members: dict[int, list[_Member]] = defaultdict(list)
     for exchange, group, counts in evidence.counts_by_exchange():
         members[group].append((exchange, counts))
+    endless = evidence.details.outages.filter(pl.col("duration_ns").is_null()).group_by("group")
+    lost_at_end = dict(endless.agg(pl.col("messages").sum()).iter_rows())
     for group, row in evidence.rows_by_group("published", "received", "latency_max_ns", "rtt_max_ns", *_LOST):
         published, lost = row["published"], row["published"] - row["received"]
         if row["received"] and (where := _lost_where(row)):
-            cause = next(filter(None, (find(members[group], row) for find in _CAUSES)), None)
+            cause = _lost_with_relay(members[group], lost, lost_at_end.get(group, 0))
+            cause = cause or next(filter(None, (find(members[group], row) for find in _CAUSES)), None)
             seen = f"; {cause.seen}" if cause else ""
             cure = cause.cure if cause else _PERHAPS[members[group][0][0].run.qos.reliability]
             observation = evidence.result(
@@ -111,6 +114,16 @@ _PERHAPS = defaultdict(
 class _Cause(NamedTuple):
     seen: str
     cure: str
+
+
+def _lost_with_relay(members: Sequence[_Member], lost: int, at_end: int) -> _Cause | None:
+    has_ended = any(exchange.relay is not None and exchange.relay.state != "closed" for exchange, _ in members)
+    if not has_ended or 2 * at_end <= lost:
+        return None
+    return _Cause(
+        f"{at_end} of them from one moment on to the end of the run, and the relay's recording has no end",
+        "see what ended the relay, and record again",
+    )
 
 
 def _outlived_history(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:

@@ -110,6 +110,15 @@ def test_messages_that_ended_at_the_relay_and_did_not_reach_it_are_named(tmp_pat
     assert not any("Every message" in text for text in answer.remarks)
 
 
+def test_what_is_lost_with_a_killed_relay_needs_no_deeper_history(tmp_path):
+    sent = [replace(m, t2=None, t3=None, t4=None) if m.sequence >= 120 else m for m in drawn()]
+    write_pair(tmp_path, sent, relay=relay_session(state="open"))
+    loss = findings(tmp_path)["loss"]
+    assert "80 of them" in loss.what
+    assert "see what ended the relay" in loss.action
+    assert "depth" not in loss.action
+
+
 def write_restarted_relay(folder, first, second, **session):
     ping = merged_events([ping_events(first), ping_events(second, relay_id=2)])
     write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)

@@ -397,8 +397,8 @@ CHECKS: tuple[Check, ...] = (
         "truncated_file",
         "A file ends early",
         pl.col("truncated") != "",
-        "The file ends early ({truncated}); everything before that was used.",
-        "Messages near the end may count as lost though they were not: record again if that matters.",
+        "The file ends early ({truncated}); everything before that was used[, and {ring_events:# event} of its ring].",
+        "Messages near the end that its ring lacks may count as lost though they were not: record again if that matters.",
     ),
     sessions.TRACES.warning(
         "unreadable_messages",

@@ -232,7 +232,10 @@ def skipped_files(evidence: Evidence) -> Iterator[Observation]:
         if source.status == "skipped" and not source.path.endswith(".mcap")
     ]
     if others:
-        yield Observation(some(others, 10), f"{len(others)} of the files here are not traces and were not used.")
+        what = counted(
+            len(others), "file here is not a trace and was not used.", "files here are not traces and were not used."
+        )
+        yield Observation(some(others, 10), what)
 
 
 @check("overlapping_files", Severity.INFO, Subject.FILE, "Nothing to do; keep the more complete file to save time.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import json
+import shlex
 import signal
 import sys
 from contextlib import contextmanager
@@ -196,7 +197,7 @@ def _trace_error(trace: ClosedTrace, error: OutputError) -> OutputError:
         return OutputError(f"{error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
     return OutputError(
         f"{error}; {counted(trace.ring_events, 'event waits', 'events wait')} in its ring file: make "
-        f"room or copy both files to another disk, then `dds-trace recover {trace.path}`"
+        f"room or copy both files to another disk, then `dds-trace recover {shlex.quote(str(trace.path))}`"
     )
 
 

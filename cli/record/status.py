@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,7 +54,7 @@ def _lines(listed: Listed) -> list[str]:
     lines = [f"{first}{counted(entry.messages, 'message')}{files}", f"    since {since}, into {entry.path}"]
     if listed.state is State.KILLED:
         lines[0] = f"killed: {lines[0]}"
-        waits = f"its last events are in the ring: dds-trace recover {listed.waiting}"
+        waits = f"its last events are in the ring: dds-trace recover {shlex.quote(str(listed.waiting))}"
         lines.append(f"    {waits if listed.waiting else 'no events are left to recover'}")
     elif listed.state is State.UNSEEN:
         lines.append(f"    process {entry.pid} is not visible from here; it may run in a container")

@@ -336,9 +336,9 @@ def test_losses_above_the_limit_are_an_error(capsys, lost, allowed, fails):
 
 def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
     ended = recorded(OutputError("x.mcap: cannot write the trace: the disk is full"))
-    ended = replace(ended, trace=replace(ended.trace, ring_events=7))
+    ended = replace(ended, trace=replace(ended.trace, ring_events=7, path=Path("my x.mcap")))
     with pytest.raises(
-        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-trace recover x\.mcap`$"
+        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-trace recover 'my x\.mcap'`$"
     ):
         print_result(ended, as_json=False)
 

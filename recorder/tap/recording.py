@@ -53,7 +53,7 @@ class TapRecording(BaseRecording):
     def describe(self, role: str | None = None, *, session_id: int | None = None, **extra: Json) -> Session:
         if not isinstance(self.node, TapNode):
             raise OptionError(
-                f"--role tap: the backend {self.options.backend} only carries our own messages; use ros2, cyclonedds or zenoh"
+                f"a tap: the backend {self.options.backend} only carries our own messages; use ros2, cyclonedds or zenoh"
             )
         return super().describe(role, session_id=session_id, topics=list(self._tap_options.topics), **extra)
 

@@ -53,10 +53,6 @@ def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGr
     return _ORDERS[plan.run.order](groups, plan.run.seed, number)
 
 
-def _listed(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:  # noqa: ARG001 - the orders' signature
-    return groups
-
-
 def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
     chance = random.Random(f"{seed} {number}")  # noqa: S311 - an order, not a secret
     chance.shuffle(groups)
@@ -72,7 +68,7 @@ def _alternating(groups: list[CellGroup], seed: int, number: int) -> list[CellGr
 
 
 _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
-    Order.LISTED: _listed,
+    Order.LISTED: lambda groups, _seed, _number: groups,
     Order.SHUFFLED: _shuffled,
     Order.ALTERNATING: _alternating,
 }

@@ -64,11 +64,6 @@ _Read = Callable[["memoryview", int, int, int, _Order], Submessage]
 """Read a submessage: memory, index of its header, its flags, its length, its byte order."""
 
 
-def _read_plain(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
-    del flags, order
-    return Submessage(memory[at], length)
-
-
 def _read_data(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
     high, low = order.sequence.unpack_from(memory, at + 16)
     payload_at = _payload_at(memory, at, flags, length, order)
@@ -113,7 +108,10 @@ _READERS: dict[int, tuple[_Read, int]] = {
     ACKNACK: (_read_acknack, 24),
     NACK_FRAG: (_read_nack_frag, 28),
 }
-_PLAIN = (_read_plain, _SUBMESSAGE_BYTES)
+_PLAIN: tuple[_Read, int] = (
+    lambda memory, at, _flags, length, _order: Submessage(memory[at], length),
+    _SUBMESSAGE_BYTES,
+)
 LONGEST_FIELDS_BYTES = max(needed for _, needed in _READERS.values())
 
 

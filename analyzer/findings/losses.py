@@ -117,13 +117,11 @@ class _Cause(NamedTuple):
 
 
 def _lost_with_relay(members: Sequence[_Member], lost: int, at_end: int) -> _Cause | None:
-    has_ended = any(exchange.relay is not None and exchange.relay.state != "closed" for exchange, _ in members)
-    if not has_ended or 2 * at_end <= lost:
+    is_killed = any(exchange.relay is not None and exchange.relay.state != "closed" for exchange, _ in members)
+    if 2 * at_end <= lost or not (is_killed or any(exchange.ping.extra.get("error") for exchange, _ in members)):
         return None
-    return _Cause(
-        f"{at_end} of them from one moment on to the end of the run, and the relay's recording has no end",
-        "see what ended the relay, and record again",
-    )
+    seen = f"{at_end} of them from one moment on to the end of the run"
+    return _Cause(seen, "see what ended the relay or the link to it, and record again")
 
 
 def _outlived_history(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:

@@ -98,7 +98,7 @@ UNREACHED = RESULTS.warning(
     "{reached} of {sent:# message} ({reached:share of {sent}}) reached the relay; losses here are of the {published} that it had to send "
     "back.",
     "Compare reached_rate_hz, not achieved_rate_hz; a reliable writer with -o history=keep_all waits for its reader.",
-    effect=1 - pl.col("reached") / pl.col("sent"),
+    effect=(pl.col("sent") - pl.col("reached")) / pl.col("sent"),
 )
 
 _Member = tuple["Exchange", dict[str, int]]

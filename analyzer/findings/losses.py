@@ -17,7 +17,7 @@ from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
 from ..verdicts.judgements import exceeds_lossy_share
 from .evidence import Evidence, Observation, check, exchange_name, percent
-from .rows import RESULTS, Rows, in_result
+from .rows import Rows, in_result
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",
@@ -90,16 +90,6 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
             )
             yield replace(observation, cure=cure if cause else "")
 
-
-UNREACHED = RESULTS.warning(
-    "unreached",
-    "Messages that were not to be sent back were lost",
-    (pl.col("sent") > pl.col("published")) & (pl.col("reached") < pl.col("sent")),
-    "{reached} of {sent:# message} ({reached:share of {sent}}) reached the relay; losses here are of the {published} that it had to send "
-    "back.",
-    "Compare reached_rate_hz, not achieved_rate_hz; a reliable writer with -o history=keep_all waits for its reader.",
-    effect=(pl.col("sent") - pl.col("reached")) / pl.col("sent"),
-)
 
 _Member = tuple["Exchange", dict[str, int]]
 """An exchange of a group and its counts."""

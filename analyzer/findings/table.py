@@ -186,7 +186,14 @@ CHECKS: tuple[Check, ...] = (
         "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
     ),
     losses.losses,
-    losses.UNREACHED,
+    RESULTS.warning(
+        "unreached",
+        "Messages that were not to be sent back were lost",
+        (pl.col("sent") > pl.col("published")) & (pl.col("reached") < pl.col("sent")),
+        "{reached} of {sent:# message} ({reached:share of {sent}}) reached the relay; losses are of the {published} that it had to answer.",
+        "Compare reached_rate_hz, not achieved_rate_hz; a reliable writer with -o history=keep_all waits for its reader.",
+        effect=1 - pl.col("reached") / pl.col("sent"),
+    ),
     losses.OUTAGES.warning(
         "outage",
         "Several messages in a row were lost",

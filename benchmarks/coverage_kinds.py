@@ -31,9 +31,9 @@ MOST_FALSE_LEADERS, MOST_FALSE_ADVICE, MOST_FALSE_MEETS, MOST_FALSE_CHANGES = 0.
 LEAST_ADVICE = 0.80
 
 
-def two_modes(generator: np.random.Generator, shape: tuple[int, int, int], noise: float) -> Float64:
-    """Draw the logarithms of runs, half of which take 1.5 times as long; shape (kinds, setups, repeats)."""
-    return noise * generator.standard_normal(shape) + math.log(1.5) * (generator.random(shape) < 0.5)
+def two_modes(generator: np.random.Generator, shape: tuple[int, int, int], noise: float, ratio: float = 1.5) -> Float64:
+    """Draw the logarithms of runs, half of which take `ratio` times as long; shape (kinds, setups, repeats)."""
+    return noise * generator.standard_normal(shape) + math.log(ratio) * (generator.random(shape) < 0.5)
 
 
 def one_in_ten(generator: np.random.Generator, shape: tuple[int, int, int]) -> Float64:
@@ -63,6 +63,7 @@ def walk(generator: np.random.Generator, shape: tuple[int, int, int]) -> Float64
 KINDS: dict[str, Draw] = {
     "two modes, 1 and 1.5, each +-1 %": partial(two_modes, noise=0.01),
     "two modes, 1 and 1.5, each +-5 %": partial(two_modes, noise=0.05),
+    "two modes, 1 and 1.3, each +-5 %": partial(two_modes, noise=0.05, ratio=1.3),
     "one run in ten 3 times": one_in_ten,
     "levels skewed to the right": skewed,
 }

@@ -133,7 +133,8 @@ def _bar(value: float, longest: float, cells: int) -> str:
 
 
 def _command(block: blocks.Command) -> Drawn:
-    lines = textwrap.wrap(block.text, SCREEN_WIDTH - 6, break_on_hyphens=False, break_long_words=False)
+    width = SCREEN_WIDTH - len("      ") - len(" \\")
+    lines = textwrap.wrap(block.text, width, break_on_hyphens=False, break_long_words=False)
     return [Text(f"  on {block.device}:", style="dim"), Text(" \\\n      ".join(["    " + lines[0], *lines[1:]]))]
 
 

@@ -165,9 +165,9 @@ def _losers(judged: Sequence[Judgement]) -> frozenset[str]:
 
 
 def _judged_losses(case: Kind, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
-    for (name, setup), excess in zip(case.setups.items(), excesses, strict=False):
+    for name, setup in case.setups.items():
         is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
-        if row := judged_losses(name, excess, setup.group, is_requested=is_requested):
+        if row := judged_losses(name, next(excesses), setup.group, is_requested=is_requested):
             yield row
 
 

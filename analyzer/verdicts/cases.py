@@ -11,7 +11,7 @@ from typing import Protocol
 import polars as pl
 
 from ..model.names import tell_apart, where_alike, where_it_varies
-from ..model.parameters import CONTENDER_COLUMNS, ParameterValue
+from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS, ParameterValue
 from ..model.runs import with_unsent
 from ..model.setting import choice_of, condition_of
 from ..statistics.intervals import Interval
@@ -75,8 +75,14 @@ CONDITIONS = "conditions"
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
+    """Add what surrounded the runs; where nothing came back that names the relay's device, it is the only one that others have."""
     conditions = map(condition_of, groups["setting"].to_list())
-    return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
+    known = pl.col("relay_device").drop_nulls()
+    only = pl.when(known.n_unique() == 1).then(known.first())
+    others = [name for name in (*CASE_COLUMNS, CONDITIONS) if name != "relay_device"]
+    return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String)).with_columns(
+        pl.col("relay_device").fill_null(only.over(others))
+    )
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:

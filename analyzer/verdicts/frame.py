@@ -13,7 +13,7 @@ from dds_trace.base.units import format_duration
 
 from ..model.names import device_pair, group_words, varying_parameters
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
-from ..statistics.intervals import Basis
+from ..statistics.intervals import Basis, ranges_overlap
 from .answers import CaseAnswer
 from .comparison_rows import judged_change
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row
@@ -32,7 +32,7 @@ def judge_places(summary: pl.DataFrame, intervals: pl.DataFrame, forged: Collect
         .filter(pl.col("published") == pl.col("received"), pl.col("unsent").fill_null(0) == 0)
         .filter(~pl.col("group").is_in(list(forged)))
         .join(intervals.filter(**between).select("group", "low_ns", "high_ns"), on="group", maintain_order="left")
-        .with_columns(pl.col("latency_p50_ns", "low_ns").fill_null(0.0))
+        .with_columns(pl.col("latency_p50_ns").fill_null(0.0))
     )
     pings, relays = (set(summary[name].to_list()) for name in DEVICE_COLUMNS)
     has_one_relay = len(relays) == 1 and not relays & pings
@@ -51,20 +51,17 @@ def judge_places(summary: pl.DataFrame, intervals: pl.DataFrame, forged: Collect
         medians_ns = ({name: row["latency_p50_ns"] for name, row in by_name.items()} for by_name in compared)
         won = Counter(min(times_ns, key=times_ns.__getitem__) for times_ns in medians_ns)
         for fastest, _ in won.most_common(1):
-            for by_name in compared:
-                names = sorted(by_name.keys() - {fastest}) if fastest in by_name else ()
-                yield from (_judged_place(claim, name, by_name[name], fastest, by_name[fastest]) for name in names)
-
-
-def _judged_place(claim: Claim, name: str, slow: Row, fastest: str, base: Row) -> Judgement:
-    slow_ns, base_ns = slow["latency_p50_ns"], base["latency_p50_ns"]
-    is_apart = slow["low_ns"] > (base["high_ns"] or slow_ns) or (slow["high_ns"] or slow_ns) < base["low_ns"]
-    return Judgement(
-        *(claim, name, "latency_p50", fastest, slow_ns / base_ns if base_ns else None),
-        basis=Basis.BETWEEN_RUNS.value,
-        verdict=PROVEN if is_apart and slow_ns and base_ns else OPEN,
-        group=slow["group"],
-    )
+            for by_name in (by_name for by_name in compared if fastest in by_name):
+                base = by_name.pop(fastest)
+                for name, slow in sorted(by_name.items()):
+                    ratio = slow["latency_p50_ns"] / base["latency_p50_ns"] if base["latency_p50_ns"] else None
+                    ranges = [(side["low_ns"], side["high_ns"]) for side in (slow, base)]
+                    yield Judgement(
+                        *(claim, name, "latency_p50", fastest, ratio),
+                        basis=Basis.BETWEEN_RUNS.value,
+                        verdict=PROVEN if ratio and not ranges_overlap(*ranges) else OPEN,
+                        group=slow["group"],
+                    )
 
 
 _DIFFERENT = (Claim.FASTEST, Claim.SLOWER)

@@ -73,6 +73,7 @@ class Candidate:
         late_ratio_upper: upper limit of that share for further runs; None for a guess and below three runs.
         unseen_ratio: probability that these runs miss a kind of run that comes once in ten; None for a guess.
         needed: messages in all from which the tail is known; None where it is, and for a guess.
+        needed_runs: runs in all that would decide, where the deadline is within the interval; None elsewhere.
         latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal.
     """
 
@@ -98,6 +99,7 @@ class Candidate:
     late_ratio_upper: float | None = None
     unseen_ratio: float | None = None
     needed: int | None = None
+    needed_runs: int | None = None
     latency_ns: float | None = None
 
     @property
@@ -105,10 +107,11 @@ class Candidate:
         """Both ends of the interval, ns."""
         return self.lower_ns, self.upper_ns
 
-    def order(self) -> tuple[int, bool, float, float, str]:
+    def order(self) -> tuple[int, bool, float, float, float, str]:
         """Return the key by which candidates are ranked."""
         upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.value_ns))
-        return _FIT_ORDER[self.fit], not self.measured, upper, value, str(list(self.setting.items()))
+        received = -(self.received_ratio or 0.0)  # of two that lost too much for a time
+        return _FIT_ORDER[self.fit], not self.measured, upper, value, received, str(list(self.setting.items()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +158,7 @@ def recommend_settings(
     for alternatives in _alternatives(candidates):
         middlewares = [candidate for candidate in alternatives if candidate.setting["backend"] != "socket"]
         ordered = sorted(middlewares or alternatives, key=Candidate.order)
-        ranked += (replace(c, tied=c is ordered[0] or _is_tied(c, ordered[0])) for c in ordered)
+        ranked += (replace(c, tied=_is_tied(c, ordered[0])) for c in ordered)
     return Recommendation(job, tuple(sorted(ranked, key=Candidate.order)))
 
 
@@ -173,7 +176,7 @@ def _alternatives(candidates: Iterable[Candidate]) -> list[list[Candidate]]:
 
 def _is_tied(candidate: Candidate, best: Candidate) -> bool:
     is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (candidate, best))
-    return not is_between or ranges_overlap(candidate.range, best.range)
+    return candidate is best or not is_between or ranges_overlap(candidate.range, best.range)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +239,7 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
         late_ratio_upper=late.upper if late else None,
         unseen_ratio=(1 - RARE_KIND) ** interval.runs,
         needed=_needed_messages(interval, request),
+        needed_runs=_needed_runs(interval, request) if fit is Fit.INCONCLUSIVE else None,
     )
     return candidate, failure
 
@@ -292,6 +296,13 @@ def _needed_messages(interval: Interval, request: _Request) -> int | None:
     return samples + more if samples and more else None
 
 
+def _needed_runs(interval: Interval, request: _Request) -> int | None:
+    if _fit(interval.range, request.job.deadline_ns) is not Fit.INCONCLUSIVE or _needed_messages(interval, request):
+        return None
+    runs = runs_to_settle_value(interval, request.job.deadline_ns)
+    return None if runs is None else max(runs, interval.runs + 1)
+
+
 def _why_inconclusive(interval: Interval, request: _Request) -> str:
     job, needed = request.job, _needed_messages(interval, request)
     if not interval.samples:
@@ -299,8 +310,8 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
         return f"no {lacking}: these messages have no {job.metric}"
     if needed is not None:
         return f"to prove {100 * job.reliability:.6g} %, send {needed:,} messages; there are {interval.samples:,}"
-    runs = runs_to_settle_value(interval, job.deadline_ns)
-    advice = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would decide"
+    runs = _needed_runs(interval, request)
+    advice = "record more runs" if runs is None else f"about {runs} runs would decide"
     return f"the deadline is within the interval; {advice}"
 
 

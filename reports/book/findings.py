@@ -105,7 +105,10 @@ def finding_block(kind: FindingKind, labels: Sequence[str]) -> Fold:
     summary = [severity, Span(f" {kind.heading}: "), Span(f"{first.where}: {first.what}", "")]
     parts: list[Block] = [Sentence(first.action, "soft")]
     if len(kind.listed) > 1:
-        items = [_item(finding, has_action=not kind.common_action) for finding in kind.listed]
+        items = []
+        for finding in kind.listed:
+            action = [] if kind.common_action else [Span(f" {finding.action}", "soft")]
+            items.append([Span(f"{finding.where}:"), Span(f" {finding.what}", ""), *action])
         parts.append(Points(items))
     for finding in kind.listed:
         shown = finding.worst_first[:MOST_LINKED]
@@ -114,11 +117,6 @@ def finding_block(kind: FindingKind, labels: Sequence[str]) -> Fold:
         links += [Span(f"; and {hidden} more", "")] if hidden else []
         parts += [Sentence(links, "groups", media=PAGE)] if links else []
     return Fold(summary, parts, name=f"{kind.severity}-{kind.code}", tone=kind.severity)
-
-
-def _item(finding: OneFinding, *, has_action: bool) -> list[Span]:
-    action = [Span(f" {finding.action}", "soft")] if has_action else []
-    return [Span(f"{finding.where}:"), Span(f" {finding.what}", ""), *action]
 
 
 def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:

@@ -19,9 +19,6 @@ from dds_trace.base.units import counted, finite
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
 from .verdicts import VERDICTS, few_words, received_words, runs_words
 
-Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
-
-
 PLAIN_COLUMNS = (
     *("received_ratio", "achieved_rate_hz", "transfer_rate_bytes_per_s", "own_cost_ns", "own_share"),
     *("published", "received", "lost_outbound", "lost_in_relay", "lost_return", "lost_unknown"),
@@ -70,63 +67,42 @@ def whole_ns(value_ns: float | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """95 % intervals: metric -> percentile -> value per group, None without one."""
+    """95 % intervals: metric -> percentile -> group -> its row of `Details.intervals`, with ends in whole ns."""
 
-    low_ns: Ends
-    high_ns: Ends
-    episodes: Ends
-    is_between: Ends
-    runs: tuple[int, ...]
+    rows: Mapping[str, Mapping[str, Mapping[int, Mapping[str, Any]]]]
+
+    def row(self, metric: str, percentile: str, group: int) -> Mapping[str, Any] | None:
+        return self.rows.get(metric, {}).get(percentile, {}).get(group)
 
     def tail_episodes(self, metric: str, percentile: str, group: int) -> int | None:
-        return _value(self.episodes, metric, percentile, group) if percentile != "p50" else None
+        row = self.row(metric, percentile, group)
+        return None if row is None or percentile == "p50" else row["episodes"]
 
     def ends(self, metric: str, percentile: str, group: int) -> tuple[int | None, int | None]:
-        return _value(self.low_ns, metric, percentile, group), _value(self.high_ns, metric, percentile, group)
-
-    def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
-        return bool(_value(self.is_between, metric, percentile, group))
+        row = self.row(metric, percentile, group)
+        return (None, None) if row is None else (row["low_ns"], row["high_ns"])
 
     def is_within_runs(self, metric: str, percentile: str, group: int) -> bool:
-        return _value(self.is_between, metric, percentile, group) == 0
+        row = self.row(metric, percentile, group)
+        return row is not None and row["basis"] == Basis.WITHIN_RUN.value
 
     def rests_on(self, metric: str, percentile: str, group: int) -> str:
-        if _value(self.is_between, metric, percentile, group) is None:
+        row = self.row(metric, percentile, group)
+        if row is None:
             return ""
-        within = "" if self.is_between_runs(metric, percentile, group) else f" ({few_words(self.runs[group])})"
+        within = f" ({few_words(row['runs'])})" if self.is_within_runs(metric, percentile, group) else ""
         bursts = self.tail_episodes(metric, percentile, group)
-        return f"rests on {counted(self.runs[group], 'run')}{within}" + (
+        return f"rests on {counted(row['runs'], 'run')}{within}" + (
             "" if bursts is None else f", {counted(bursts, 'burst')}"
         )
 
 
-def _value(of_groups: Ends, metric: str, percentile: str, group: int) -> int | None:
-    values = of_groups.get(metric, {}).get(percentile, ())
-    return values[group] if values else None
-
-
 def intervals_info(analysis: Analysis) -> Intervals:
-    height = analysis.summary.height
-    low, high, episodes, is_between = (
-        {metric: dict[str, list[int | None]]() for metric in METRIC_LABELS} for _ in range(4)
-    )
-    runs = [0] * height
-    columns = ("group", "metric", "percentile", "low_ns", "high_ns", "episodes", "runs", "basis")
-    rows = analysis.details.intervals.select(columns).filter(pl.col("metric").is_in(list(METRIC_LABELS)))
-    for group, metric, percentile, low_ns, high_ns, bursts, count, basis in rows.iter_rows():
-        runs[group] = max(runs[group], count)
-        for column, value in (
-            (low, whole_ns(low_ns)),
-            (high, whole_ns(high_ns)),
-            (episodes, bursts),
-            (is_between, int(basis == Basis.BETWEEN_RUNS.value)),
-        ):
-            column[metric].setdefault(percentile, [None] * height)[group] = value
-    return Intervals(_frozen(low), _frozen(high), _frozen(episodes), _frozen(is_between), tuple(runs))
-
-
-def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
-    return {metric: {name: tuple(values) for name, values in columns.items()} for metric, columns in ends.items()}
+    rows: dict[str, dict[str, dict[int, Mapping[str, Any]]]] = {metric: {} for metric in METRIC_LABELS}
+    for row in analysis.details.intervals.filter(pl.col("metric").is_in(list(rows))).iter_rows(named=True):
+        ends = {name: whole_ns(row[name]) for name in ("low_ns", "high_ns")}
+        rows[row["metric"]].setdefault(row["percentile"], {})[row["group"]] = row | ends
+    return Intervals(rows)
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,12 +112,11 @@ def _own_nodes(recommendation: Recommendation, names: Sequence[str], summary: pl
 
 def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
-    runs = max(MIN_RUNS, *(candidate.runs for candidate in unclear))
+    runs = max(MIN_RUNS, *(candidate.needed_runs or candidate.runs for candidate in unclear))
     needed = max([planned_messages(recommendation.job.reliability), *(candidate.needed or 0 for candidate in unclear)])
-    enough = [
-        candidate.messages for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS
-    ]
-    return runs, math.ceil(max([needed, *(2 * messages for messages in enough)]) / runs)
+    long = [one for one in unclear if one.messages >= needed and one.runs >= MIN_RUNS]
+    enough = (one.messages / one.runs if one.needed_runs else 2 * one.messages / runs for one in long)
+    return runs, math.ceil(max([needed / runs, *enough]))
 
 
 def _missing(recommendation: Recommendation, names: Sequence[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
@@ -166,7 +165,7 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
     best = [name for candidate, name in candidates if candidate.fit is Fit.MEETS and candidate.tied]
     if best:
         verb = "meets" if len(best) == 1 else "meet"
-        tied = "" if len(best) == 1 else ", with no difference between them in these traces"
+        tied = "" if len(best) == 1 else ", and their intervals overlap"
         return f"{joined(best, comma='; ')} {verb} {deadline}{tied}."
     likely = [name for candidate, name in candidates if candidate.fit is Fit.LIKELY]
     if likely:
@@ -180,9 +179,11 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
 
 def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
     ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
-    share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), ["a guess"]
+    share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), list[str]()
     if candidate.value_ns is not None:
-        numbers.append(time if None in ends else f"{time} (95 %: {' to '.join(map(time_words, ends))})")
+        interval = f"{time} (95 %: {' to '.join(map(time_words, ends))})"
+        numbers.append(time if None in ends or {*map(time_words, ends)} == {time} else interval)
+        basis = ["a guess"]
     if share != MISSING:
         is_lost = time == LOST and candidate.survivors_ns is not None
         numbers.append(f"received {share}" + (f" (those in {time_words(candidate.survivors_ns)})" if is_lost else ""))

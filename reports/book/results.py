@@ -63,7 +63,7 @@ def results(book: Contents) -> Iterator[Block]:
         low, high = map(format_duration, ends_ns)
         yield Sentence(f"Each sparkline spans {low} to {high} (log scale).", "soft", media=TERMINAL)
         yield Sentence(_NOTE, "soft")
-    if book.intervals.low_ns.get(metric) or book.intervals.high_ns.get(metric):
+    if book.intervals.rows.get(metric):
         yield Sentence(_INTERVAL_NOTE, "soft", media=MARKDOWN)
     if any(share is not None for share in book.values.plain["own_share"]):
         yield Sentence(OWN_SHARE_NOTE, "soft", media=MARKDOWN)

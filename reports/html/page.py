@@ -186,10 +186,13 @@ def _policy(*scripts: str, connect: str) -> str:
 
 def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     groups, values, intervals = book.groups, book.values, book.intervals
-    rests_on = {
-        metric: {name: [intervals.rests_on(metric, name, group.index) for group in groups.groups] for name in columns}
-        for metric, columns in intervals.is_between.items()
-    }
+
+    def by_group(value: Callable[[str, str, int], object]) -> object:
+        return {
+            metric: {name: [value(metric, name, group.index) for group in groups.groups] for name in columns}
+            for metric, columns in intervals.rows.items()
+        }
+
     filters, styles = filters_info(groups), line_styles(book.facets)
     return {
         "title": printable(book.analysis.title),
@@ -266,7 +269,11 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             }
             for run in book.run_times
         ],
-        "intervals": {"low_ns": intervals.low_ns, "high_ns": intervals.high_ns, "rests_on": rests_on},
+        "intervals": {
+            "low_ns": by_group(lambda *where: intervals.ends(*where)[0]),
+            "high_ns": by_group(lambda *where: intervals.ends(*where)[1]),
+            "rests_on": by_group(intervals.rests_on),
+        },
         "figures": {
             figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": figure.plan}
             for figure in figures

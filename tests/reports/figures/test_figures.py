@@ -259,8 +259,8 @@ def test_intervals_are_by_group():
     mixed = [MS + n * 1000 for n in random.Random(1).sample(range(20), 20)]
     intervals = intervals_info(make_analysis(Measured(mixed), Measured([MS], rate_hz=20.0)))
     # Student's price leaves 16 of 20 independent: the 4th of 16 (binomial), so the 4th of 20, and the 4th from above.
-    assert intervals.low_ns["latency"]["p50"] == (1_003_000, None)
-    assert intervals.high_ns["latency"]["p50"] == (1_016_000, None)
+    assert intervals.ends("latency", "p50", 0) == (1_003_000, 1_016_000)
+    assert intervals.ends("latency", "p50", 1) == (None, None)
     assert all(intervals.is_within_runs("latency", "p50", group) for group in (0, 1))
 
 

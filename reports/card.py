@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -21,7 +21,7 @@ from .book.answer import PointKind
 from .book.book import Book
 from .book.fastest import shown_case
 from .book.groups import data_type_label
-from .book.verdicts import MODES, contender_labels, place_of
+from .book.verdicts import contender_labels, place_of
 from .html.styles import choice_styles
 from .topics.report import STRIP_WIDTH, facts_words, missing_words, strip_parts, topics_of, verdict_words
 
@@ -181,7 +181,6 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
 
 
 def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
-    groups = _groups_of_row(book, answer)
     labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
     styles = choice_styles(book.facets)
     message = (
@@ -189,9 +188,8 @@ def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
     )
     for setup in answer.contenders:
         label, at = labels[setup.name], setup.p50_ns
-        group = groups.get((MODES.get(answer.domain_mode, answer.domain_mode), label))
-        color = GREY if group is None else styles[book.facets.option("choice", group)].light
-        ends = (None, None) if group is None else book.intervals.ends("latency", "p50", group)
+        color = GREY if setup.group is None else styles[book.facets.option("choice", setup.group)].light
+        ends = (None, None) if setup.group is None else book.intervals.ends("latency", "p50", setup.group)
         bottom, top = ((at or 0) if end is None else end for end in ends)
         leads = answer.domain_mode == "same" and answer.leader_p50 == setup.name
         yield Measured(label, message, color, at, min(bottom, at or 0), max(top, at or 0), leads)
@@ -199,21 +197,6 @@ def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
 
 def _message(answer: CaseAnswer) -> tuple[object, ...]:
     return place_of(answer), answer.data_type, answer.payload_bytes, answer.rate_hz
-
-
-def _groups_of_row(book: Book, case: CaseAnswer) -> Mapping[tuple[str, str], int]:
-    if book.sizes is None:
-        return {}
-    modes = [mode for mode, count in book.sizes.modes for _ in range(count)]
-    size, rate = f"{data_type_label(case.data_type)} {format_size(case.payload_bytes)}", format_rate(case.rate_hz)
-    return {
-        (mode, choice): cell.group
-        for shown in book.sizes.places
-        for row in (*shown.rows, *shown.further)
-        if (shown.place, row.size, row.rate) == (place_of(case), size, rate)
-        for mode, choice, cell in zip(modes, book.sizes.choices, row.cells, strict=True)
-        if cell and cell.group is not None
-    }
 
 
 def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:

@@ -132,7 +132,9 @@ def find_answers(
             if wall_offsets_ns and run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
         ]
         return names[tuple(setting.values())], replace(
-            setup.without_rows(),
+            setup,
+            runs=(),
+            _made={},
             estimates=dict(zip(_STATISTICS, estimates, strict=True)),
             outside=tuple(_outside(run, (outages_ns or {}).get(run.run_id)) for run in setup.runs),
             repeats=tuple(repeats) if len(set(repeats)) == len(setup.runs) else (),

@@ -124,6 +124,10 @@ class Contender:
         return 1.0 - (self.received.value or 0.0)
 
     @property
+    def group(self) -> int | None:
+        return self.groups[0] if len(self.groups) == 1 else None
+
+    @property
     def is_usable(self) -> bool:
         return not (self.loses_more or exceeds_lossy_share(self.lost))
 

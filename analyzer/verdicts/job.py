@@ -97,18 +97,10 @@ class Guess:
     """An interpolated time, off by at most `error_factor` at all held-out measurements."""
 
     value_ns: float
+    lower_ns: float
+    upper_ns: float
     error_factor: float
     held_out: int
-
-    @property
-    def lower_ns(self) -> float:
-        """The value divided by its error factor."""
-        return self.value_ns / self.error_factor
-
-    @property
-    def upper_ns(self) -> float:
-        """The value times its error factor."""
-        return self.value_ns * self.error_factor
 
 
 def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
@@ -122,7 +114,8 @@ def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Gue
     ]
     if log_value is None or len(errors) < MIN_ERRORS:
         return None
-    return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
+    value_ns, factor = math.exp(log_value), math.exp(max(errors))
+    return Guess(value_ns, value_ns / factor, value_ns * factor, factor, len(errors))
 
 
 def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:

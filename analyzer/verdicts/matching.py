@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -99,9 +99,6 @@ class SetupRuns:
     @property
     def group(self) -> int | None:
         return self.groups[0] if self.groups else None
-
-    def without_rows(self) -> SetupRuns:
-        return replace(self, runs=(), _made={})
 
     def _once(self, key: object, make: Callable[[], Made]) -> Made:
         if key not in self._made:
@@ -214,13 +211,12 @@ def knows_relay(key: Key, match: Sequence[str]) -> bool:
 
 def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
     is_silent = not (knows_relay(key, match) and knows_relay(other, match))
-    return all(_equal(name, first, two, is_silent) for name, first, two in zip(match, key, other, strict=True))
-
-
-def _equal(name: str, first: ParameterValue, two: ParameterValue, is_silent: bool) -> bool:
-    if name == SETTING and is_silent:
-        return without_relay(str(first)) == without_relay(str(two))
-    return first == two or (name in RELAY_COLUMNS and (first is None or two is None))
+    return all(
+        without_relay(str(first)) == without_relay(str(two))
+        if name == SETTING and is_silent
+        else first == two or (name in RELAY_COLUMNS and None in (first, two))
+        for name, first, two in zip(match, key, other, strict=True)
+    )
 
 
 def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:

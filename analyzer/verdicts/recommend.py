@@ -6,9 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
-
-import polars as pl
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.units import SECOND_NS, counted, format_number, format_rate, format_size
 from dds_trace.tracefile.format.descriptions import Run
@@ -25,6 +23,9 @@ from ..statistics.power import messages_to_close
 from .cases import Setting, partition_groups
 from .job import Job, SizeAndRate, guess_time
 from .matching import SetupRuns
+
+if TYPE_CHECKING:
+    import polars as pl
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""
@@ -146,14 +147,9 @@ def recommend_settings(
 ) -> Recommendation:
     """Rank every setting whose time for a job was measured or can be guessed; a run without a description counts as finished."""
     request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
-    is_of_job = pl.col("data_type") == job.data_type
-    if job.domain_mode is not None:
-        is_of_job &= pl.col("domain_mode") == job.domain_mode
-    candidates = [
-        candidate
-        for rows in partition_groups(roundtrips.filter(is_of_job), SETTING_COLUMNS)
-        if (candidate := _candidate(rows, request)) is not None
-    ]
+    of_job = {"data_type": job.data_type, **({"domain_mode": job.domain_mode} if job.domain_mode else {})}
+    parts = partition_groups(roundtrips.filter(**of_job), SETTING_COLUMNS)
+    candidates = [candidate for rows in parts if (candidate := _candidate(rows, request)) is not None]
     ranked: list[Candidate] = []
     for alternatives in _alternatives(candidates):
         middlewares = [candidate for candidate in alternatives if candidate.setting["backend"] != "socket"]

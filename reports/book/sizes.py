@@ -146,14 +146,13 @@ def _place_rows(
 
 
 def _cell(case: CaseAnswer, setup: Contender) -> SizeCell:
-    lost = 1.0 - (1.0 if setup.received.value is None else setup.received.value)
     return SizeCell(
         p50=time_words(setup.p50_ns),
         p99=time_words(setup.p99_ns),
         leads_p50=case.leader_p50 == setup.name,
         leads_p99=case.leader_p99 == setup.name,
-        lost=f"{format_ratio(lost)} lost" if lost > 0 else "",
-        group=setup.groups[0] if len(setup.groups) == 1 else None,
+        lost=f"{format_ratio(setup.lost)} lost" if setup.received.value is not None and setup.lost > 0 else "",
+        group=setup.group,
         p50_ns=setup.p50_ns,
         p99_ns=setup.p99_ns,
     )

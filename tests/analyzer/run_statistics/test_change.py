@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pinned import PINNED, assert_pinned
 
-from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within
+from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs, interval_of_runs
+from dds_trace.analyzer.run_statistics.change import Change, Verdict, _change_within, least_variances
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
 from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
@@ -51,6 +51,13 @@ def test_the_ends_of_the_difference_by_hand():
     high = new[0] - base[0] + math.hypot(new[2] - new[0], base[0] - base[1])
     assert change.difference_low == pytest.approx(low, rel=1e-5)
     assert change.difference_high == pytest.approx(high, rel=1e-5)
+
+
+def test_of_many_groups_that_look_alike_none_is_quieter_than_their_mean():
+    values = np.exp(0.1 * np.random.default_rng(1).standard_normal((20, 2, 3)))
+    sides = [(*(estimates_of_runs(constant_runs(*side), [P50])[0] for side in pair), None) for pair in values]
+    assert least_variances(sides[:2]).run == 0
+    assert least_variances(sides).run == pytest.approx(np.log(values).var(axis=2, ddof=1).mean())
 
 
 def test_equal_runs_are_the_same():

@@ -40,6 +40,15 @@ def test_overlapping_intervals_are_inconclusive():
     assert {c.name for c in answer.leaders} == {"fastdds", "fastdds via builtin"}
 
 
+def test_a_setup_that_received_nothing_is_compared_where_only_one_relay_can_have_been_meant():
+    silent = {"relay_vendor": None, "relay_backend": None, "relay_device": None, "relay_domain_id": None}
+    lost = in_runs([None] * 60, vendor="cyclonedds", run_id=2, **silent)
+    (answer,) = find_answers(rows_by_group(pl.concat([in_runs(noisy(10 * MS)), lost])))
+    assert (answer.leader_p50, answer.relay_device) == ("fastdds", "relay-pi")
+    two = [in_runs(noisy(10 * MS)), in_runs(noisy(10 * MS), relay_device="other", run_id=9)]
+    assert len(find_answers(rows_by_group(pl.concat([*two, lost])))) == 3
+
+
 def test_sockets_are_the_floor_and_no_contender():
     floor = steady(noisy(MS), vendor="socket", backend="socket", run_id=3)
     (answer,) = find_answers(rows_by_group(pl.concat([steady(noisy(10 * MS)), floor])))

@@ -190,7 +190,8 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
     series_rows = [_series(row, vendors) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))
-    cells = tuple(sorted(set(cell_rows), key=_cell_order))
+    order = {cell: (*data_type_rank(cell.data_type), cell.payload_bytes, cell.rate_hz) for cell in cell_rows}
+    cells = tuple(sorted(order, key=order.__getitem__))
     series_index = {value: index for index, value in enumerate(series)}
     cell_index = {value: index for index, value in enumerate(cells)}
     groups = tuple(
@@ -368,9 +369,8 @@ def _series_order(series: Series) -> tuple[object, ...]:
     return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, fields)
 
 
-def _cell_order(cell: Cell) -> tuple[object, ...]:
-    types = [*DATA_TYPES, cell.data_type]
-    return (types.index(cell.data_type), cell.data_type, cell.payload_bytes, cell.rate_hz)
+def data_type_rank(data_type: str) -> tuple[int, str]:
+    return [*DATA_TYPES, data_type].index(data_type), data_type
 
 
 def drift_words(fit: Mapping[str, Any]) -> str:

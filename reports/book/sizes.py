@@ -20,9 +20,9 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_s
 
 from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
-from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, format_ratio, time_words
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, format_ratio, time_words
 from .numbers import Intervals
-from .verdicts import MODES, contender_labels, data_type_rank, place_of
+from .verdicts import MODES, contender_labels, place_of
 
 Late = Mapping[int, tuple[int, int, int]]
 """Group -> late messages, judged ones, and the ones that may be late."""

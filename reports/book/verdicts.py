@@ -18,7 +18,7 @@ from dds_trace.base.link_words import link_words
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from .groups import DATA_TYPES, VendorLabels, data_type_label, format_ratio, setting_word, way_words
+from .groups import VendorLabels, data_type_label, data_type_rank, format_ratio, setting_word, way_words
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -170,10 +170,6 @@ def _order(answer: CaseAnswer) -> tuple[object, ...]:
     relay = answer.relay_device
     where = answer.connectivity, answer.ping_device, relay is None, relay or "", answer.conditions
     return *data_type_rank(answer.data_type), answer.domain_mode != "same", *where
-
-
-def data_type_rank(data_type: str) -> tuple[int, str]:
-    return [*DATA_TYPES, data_type].index(data_type), data_type
 
 
 def runs_words(row: Mapping[str, Any]) -> str:

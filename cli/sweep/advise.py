@@ -15,7 +15,6 @@ import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
-from dds_trace.base.units import format_duration
 
 from ..program import command, make_app
 from .against import say_missing
@@ -225,9 +224,9 @@ def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
 
 
 def _response(row: Mapping[str, Any]) -> str:
-    before, after = (
-        "lost" if time_ns == math.inf else format_duration(time_ns) for time_ns in (row["base_ns"], row["new_ns"])
-    )
+    from dds_trace.reports.book.groups import time_words
+
+    before, after = map(time_words, (row["base_ns"], row["new_ns"]))
     ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
     is_known = "lost" not in (before, after) and None not in ratios
     times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if is_known else ""

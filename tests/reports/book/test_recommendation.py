@@ -94,11 +94,10 @@ def test_each_pair_of_devices_and_link_has_a_recommendation_of_its_own(sentences
     assert advice.rows[0][0] == "Fast DDS, on laptop, wired"
 
 
-def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
+def test_the_terminal_has_a_numbered_line_for_each_setup():
     book = book_of(WITH_LOSSES, replace(JOB, metric="response"))
     alone, whole = render_terminal(book), render_terminal(Book(book.analysis, shows_all=True))
     assert whole.endswith(alone)
-    assert max(map(len, alone.splitlines())) <= 80
     words = " ".join(alone.split())
     assert "from planned send to reply" in words
     assert "vendor=" not in alone

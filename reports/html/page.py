@@ -7,7 +7,7 @@ import gzip
 import hashlib
 import json
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, fields
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING

@@ -79,7 +79,7 @@ def test_a_tap_is_judged_at_its_end_by_a_file_of_limits(one_recording, tmp_path,
     (tmp_path / "limits.toml").write_text(f'[thresholds."/camera/*"]\n{limits}\n')
     gates = read_limits(tmp_path / "limits.toml", of_recording=True)
     assert judge_tap(one_recording / f"{device}0.mcap", gates) == code
-    assert capsys.readouterr().err.count("(/camera/image)") == limits.count("=")
+    assert capsys.readouterr().err.count("/camera/image") == limits.count("=")
 
 
 def test_limits_written_from_a_good_bag_judge_a_tap_and_a_sweep(one_recording, tmp_path):

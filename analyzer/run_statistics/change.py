@@ -77,7 +77,7 @@ class Change:
 
 
 MANY_SPREADS = 12
-"""Spreads of few runs from which on none is taken to be below their mean: modes that vary by a fifth look alike (12 % false of 20 groups)."""
+"""Spreads of which some agree by chance though all look alike."""
 
 
 @dataclass(frozen=True, slots=True)

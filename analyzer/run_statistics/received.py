@@ -122,8 +122,6 @@ def loss_test(base: Float64, new: Float64, least_variance: float) -> StudentTest
 
 @dataclass(frozen=True, slots=True)
 class DeliveryChange(Change):
-    """Received ratios of both sides."""
-
     smallest_drop: float | None = None
 
     def verdict(self, same_within: float = 0.0) -> Verdict:

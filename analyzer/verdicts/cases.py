@@ -75,10 +75,10 @@ CONDITIONS = "conditions"
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
-    """Add what surrounded the runs; where nothing came back that names the relay's device, it is the only one that others have."""
+    """Add what surrounded the runs; a relay's device that no reply names is the only one of the others."""
     conditions = map(condition_of, groups["setting"].to_list())
-    known = pl.col("relay_device").drop_nulls()
-    only = pl.when(known.n_unique() == 1).then(known.first())
+    devices = pl.col("relay_device").drop_nulls()
+    only = pl.when(devices.n_unique() == 1).then(devices.first())
     others = [name for name in (*CASE_COLUMNS, CONDITIONS) if name != "relay_device"]
     return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String)).with_columns(
         pl.col("relay_device").fill_null(only.over(others))

@@ -31,7 +31,6 @@ DELIVERY_SCHEMA = frame_schema(
     "difference_high:f64 verdict:str basis:str base_runs:u64 new_runs:u64 is_dead:bool environment:str smallest_drop:f64 "
     "p_value:f64 p_adjusted:f64"
 )
-"""Messages of one matched group on both sides."""
 
 DISTRIBUTION_SCHEMA: dict[str, type[pl.DataType] | pl.DataType] = {
     "metric": pl.String,

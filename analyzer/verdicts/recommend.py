@@ -32,7 +32,7 @@ LEAST_RATE = 0.98
 
 
 RARE_KIND = 0.1
-"""Share of the runs that are of a kind which may have been missed, as the answer states it."""
+"""Share of the runs of a kind that may have been missed."""
 
 
 class Fit(Enum):
@@ -74,7 +74,7 @@ class Candidate:
         late_ratio_upper: upper limit of that share for further runs; None for a guess and below three runs.
         unseen_ratio: probability that these runs miss a kind of run that comes once in ten; None for a guess.
         needed: messages in all from which the tail is known; None where it is, and for a guess.
-        needed_runs: runs in all that would decide, where the deadline is within the interval; None elsewhere.
+        needed_runs: runs that would decide; None where more of them do not.
         latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal.
     """
 
@@ -111,7 +111,7 @@ class Candidate:
     def order(self) -> tuple[int, bool, float, float, float, str]:
         """Return the key by which candidates are ranked."""
         upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.value_ns))
-        received = -(self.received_ratio or 0.0)  # of two that lost too much for a time
+        received = -(self.received_ratio or 0.0)
         return _FIT_ORDER[self.fit], not self.measured, upper, value, received, str(list(self.setting.items()))
 
 
@@ -147,8 +147,8 @@ def recommend_settings(
 ) -> Recommendation:
     """Rank every setting whose time for a job was measured or can be guessed; a run without a description counts as finished."""
     request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
-    of_job = {"data_type": job.data_type, **({"domain_mode": job.domain_mode} if job.domain_mode else {})}
-    parts = partition_groups(roundtrips.filter(**of_job), SETTING_COLUMNS)
+    accepted = {"data_type": job.data_type, **({"domain_mode": job.domain_mode} if job.domain_mode else {})}
+    parts = partition_groups(roundtrips.filter(**accepted), SETTING_COLUMNS)
     candidates = [candidate for rows in parts if (candidate := _candidate(rows, request)) is not None]
     ranked: list[Candidate] = []
     for alternatives in _alternatives(candidates):
@@ -280,7 +280,7 @@ def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) 
 
 
 _ROUNDING = 1e-12
-"""Error of `1 - reliability` in floats, and more."""
+"""Error of `1 - reliability` in floats."""
 
 
 def _needed_messages(interval: Interval, request: _Request) -> int | None:

@@ -131,7 +131,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     links: dict[str, dict[str, None]] = {}
     with_relay = {series.ping_device for series in groups.series if series.relay_device is not None}
     for series in groups.series:
-        if series.relay_device is None and series.ping_device in with_relay:  # nothing came back that would name it
+        if series.relay_device is None and series.ping_device in with_relay:
             continue
         pair = device_pair(series.ping_device, series.relay_device)
         if series.relay_device == series.ping_device:

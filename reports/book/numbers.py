@@ -67,7 +67,7 @@ def whole_ns(value_ns: float | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """95 % intervals: metric -> percentile -> group -> its row of `Details.intervals`, with ends in whole ns."""
+    """Metric -> percentile -> group -> row of `Details.intervals`, its ends in whole ns."""
 
     rows: Mapping[str, Mapping[str, Mapping[int, Mapping[str, Any]]]]
 

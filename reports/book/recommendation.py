@@ -114,7 +114,7 @@ def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
     runs = max(MIN_RUNS, *(candidate.needed_runs or candidate.runs for candidate in unclear))
     needed = max([planned_messages(recommendation.job.reliability), *(candidate.needed or 0 for candidate in unclear)])
-    long = [one for one in unclear if one.messages >= needed and one.runs >= MIN_RUNS]
+    long = [candidate for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS]
     enough = (one.messages / one.runs if one.needed_runs else 2 * one.messages / runs for one in long)
     return runs, math.ceil(max([needed / runs, *enough]))
 

@@ -14,13 +14,13 @@ from dds_trace.analyzer.recordings.card import VERDICTS
 from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, counted, format_duration
 from dds_trace.base.version import __version__
 
 from .book.answer import PointKind
 from .book.book import Book
 from .book.fastest import shown_case
-from .book.groups import data_type_label
+from .book.groups import Cell
 from .book.verdicts import contender_labels, place_of
 from .html.styles import choice_styles
 from .topics.report import STRIP_WIDTH, facts_words, missing_words, strip_parts, topics_of, verdict_words
@@ -183,9 +183,7 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
 def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
     labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
     styles = choice_styles(book.facets)
-    message = (
-        f"{data_type_label(answer.data_type)} {format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}"
-    )
+    message = Cell(answer.data_type, answer.payload_bytes, answer.rate_hz).label
     for setup in answer.contenders:
         label, at = labels[setup.name], setup.p50_ns
         color = GREY if setup.group is None else styles[book.facets.option("choice", setup.group)].light

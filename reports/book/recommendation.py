@@ -17,10 +17,10 @@ from dds_trace.analyzer.verdicts.cases import Setting
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size, spell_duration, spell_size
+from dds_trace.base.units import MISSING, counted, format_duration, spell_duration, spell_size
 
 from ..blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
-from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels, time_words
+from .groups import LOST, METRIC_LABELS, Cell, VendorLabels, format_ratio, joined, setting_labels, time_words
 from .verdicts import few_words, place_label
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the laten
 def _job_words(job: Job) -> str:
     metric = METRIC_LABELS.get(job.metric, printable(job.metric)).lower()
     words = (
-        f"{data_type_label(job.data_type)} {format_size(job.payload_bytes)} at {format_rate(job.rate_hz)}: "
+        f"{Cell(job.data_type, job.payload_bytes, job.rate_hz).label}: "
         f"{format_ratio(job.reliability)} of the messages within the deadline of {format_duration(job.deadline_ns)}, "
         f"{_JUDGED_BY.get(job.metric, f'by the {metric}')}"
     )

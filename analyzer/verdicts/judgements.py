@@ -124,6 +124,10 @@ def exceeds_lossy_share(lost: float) -> bool:
     return round(lost, 9) > LOSSY_SHARE
 
 
+def lossy_shares(received: Iterable[float | None]) -> tuple[float | None, ...]:
+    return tuple(share if share is not None and exceeds_lossy_share(1 - share) else None for share in received)
+
+
 def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
     """Adjust the p values of all rows by Benjamini and Hochberg; what is better or worse by chance is inconclusive."""
     tested = rows["p_value"].drop_nulls()

@@ -13,7 +13,7 @@ from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis
-from dds_trace.analyzer.verdicts.judgements import exceeds_lossy_share
+from dds_trace.analyzer.verdicts.judgements import lossy_shares
 from dds_trace.base.units import counted, finite
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
@@ -119,11 +119,11 @@ def curves_info(analysis: Analysis) -> Curves:
     drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
     shares = planned_shares(analysis.summary)
-    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, shares)))
+    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, lossy_shares(shares))))
 
 
 def _loss_text(share: float | None) -> str:
-    if share is None or not exceeds_lossy_share(1 - share):
+    if share is None:
         return ""
     return "< 1 %" if 0 < share < 0.01 else f"{math.floor(100 * share)} %"
 

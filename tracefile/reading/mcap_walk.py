@@ -384,7 +384,9 @@ class McapWalk:
 
     def _fits_next(self, source: Records, at: int) -> bool:
         try:
-            return _has_shape(source.header_at(at))
+            header = source.header_at(at)
+            is_private = header.opcode >= _PRIVATE  # as half of all bytes
+            return _has_shape(source.header_at(header.end) if is_private else header)
         except TornRecordError:
             remaining = source.read(at, min(max(source.size - at, 0), RECORD_HEADER.size))
             if not remaining or (remaining == MAGIC and source is self._file):

@@ -296,9 +296,9 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
-            condition.topics |= items.topics | {
-                topic_of(declaration.record, items.channels.schemas) for _, declaration in items.channels.items()
-            }
+            names = {topic.name for topic in items.topics}
+            silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
+            condition.topics |= items.topics | {topic_of(channel, items.channels.schemas) for channel in silent}
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
             for topic, count in [(declaration.topic, count) for declaration, count in claims if declaration]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count

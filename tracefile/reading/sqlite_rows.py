@@ -78,9 +78,9 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
         is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < size_bytes * _LEAST_REACHED
-        rows = _unreached_rows(
-            [file for file in files if is_in_doubt or file.name.endswith("-wal")], budget, seen, topics
-        )
+        has_wal = len(files) > 1 and files[1].name.endswith("-wal")  # perhaps of another database
+        doubtful = files if is_in_doubt else files[: 2 * has_wal]
+        rows = _unreached_rows(doubtful, budget, seen, topics)
         fault = fault or ("its tables do not reach all of its pages" if rows else "")
     if fault:
         topics = {row_id: topic for row_id, topic in topics.items() if topic.name.startswith("/")}

@@ -58,7 +58,7 @@ def test_each_backend_says_what_lets_its_sides_meet(node, backend):
     node.middleware = Middleware(backend, "vendor", None)
     node.options = replace(node.options, peers=("pi4", "pi5"))
     text = explain_silence(node, RunPlan(BINARY.make(4, 1), 10.0, 5), 20)
-    assert "discovery range localhost (this device only), at pi4, pi5" in text
+    assert "(this device only), at pi4, pi5" in text
     advice = text.splitlines()[-1]
     assert f"record relay --backend {backend} --domain 5 " in advice
     assert "bridge" not in advice
@@ -160,7 +160,8 @@ def test_another_type_on_the_topic_is_named_by_a_backend_that_cannot_count(node,
 def test_a_type_and_a_flow_that_the_relay_needs_as_options_are_named(node):
     payload = Payload(header_data_type("sensor_msgs/msg/PointCloud2"), (Message(bytearray(200), 136),), 136)
     text = explain_silence(node, RunPlan(payload.in_flow("left"), 10.0, 5, relay_domain_id=5), 20)
-    assert "--discovery localhost -o flow=left --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text
+    options = "--discovery localhost -o flow=left --type sensor_msgs/msg/PointCloud2 --out relay.mcap`"
+    assert options in text
 
 
 def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan, sentences):

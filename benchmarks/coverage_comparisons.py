@@ -7,9 +7,11 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 from simulated import (
     LOSSES,
     SEED,
@@ -23,6 +25,7 @@ from simulated import (
     unlike_losses,
 )
 
+from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import change_of_received
 from dds_trace.analyzer.statistics.power import confidence_at_each
@@ -34,7 +37,6 @@ from dds_trace.reports.comparison.info import comparison_info
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import polars as pl
     from simulated import DrawLosses
 
 MOST_FALSE_LOSSES, MOST_FALSE_SENTENCES, MOST_FALSE_GATES, MOST_FALSE_LOOKS = 0.07, 0.05, 0.05, 0.025
@@ -68,6 +70,11 @@ class Side:
     sessions: tuple[()] = ()
     runs: tuple[()] = ()
     findings: tuple[()] = ()
+
+    @property
+    def details(self) -> SimpleNamespace:
+        """No sample of the host."""
+        return SimpleNamespace(host_samples=pl.DataFrame(schema=HOST_SAMPLE_SCHEMA))
 
     @property
     def summary(self) -> pl.DataFrame:

@@ -286,7 +286,7 @@ class Result:
     ratios: tuple[float, ...]
     bar: float | None
     client_bound: int | None = None
-    """Rounds in which ours found that a throughput is the sending program's."""
+    """Rounds in which ours found that a throughput is our ping's or relay's."""
 
     @property
     def holds(self) -> bool:

@@ -7,14 +7,15 @@ from itertools import pairwise
 
 import polars as pl
 
-from dds_trace.base.units import counted, format_duration, format_rate
+from dds_trace.base.units import SECOND_NS, counted, format_duration, format_rate
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..clocks.boots import machine_of
+from ..groups.host_samples import node_percent
 from ..groups.sending import LATE_NS
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, percent
-from .rows import Rows, in_result
+from .rows import Rows, frame_of, in_result
 
 _RATE_TOLERANCE = 0.02
 """Share that may lack of the requested rate: a slower run measured another load."""
@@ -85,27 +86,43 @@ CLIENT_BYTES = 65_536
 """A message of so many takes four times the processor time of one of 64 B (Cyclone DDS), so three quarters are not Python's."""
 
 BUSY_SHARE = 0.9
-"""Of the time in which the sender had a processor; less is a sender that waits for the middleware or the link."""
+"""Of the time in which the sender had a processor, or of one processor for a relay: less waits for the middleware or the link."""
+
+_USE_OF_SENDER = ("cpu_ns", "waited_ns", "elapsed_ns")
 
 
-def _senders(evidence: Evidence) -> pl.DataFrame:
-    rows = []
-    for run_id, group in {(exchange.run.run_id, group) for exchange, group in evidence.exchanges_by_group()}:
-        run = evidence.campaign.runs[run_id]
+def _clients(evidence: Evidence) -> pl.DataFrame:
+    samples, rows = evidence.details.host_samples, []
+    for exchange, group in evidence.exchanges_by_group():
+        run = evidence.campaign.runs[exchange.run.run_id]
         sender = object_of(run.extra.get("sender"))
-        times_ns = [number_of(sender.get(name)) for name in ("cpu_ns", "waited_ns", "elapsed_ns")]
-        if not run.rate_hz and run.published and None not in times_ns:
-            cpu_ns, waited_ns, elapsed_ns = times_ns
-            row = {"group": group, "cpu_ns": cpu_ns, "waited_ns": waited_ns, "elapsed_ns": elapsed_ns}
-            rows.append({**row, "messages": run.published, "payload_bytes": run.payload_bytes})
+        times_ns = {name: number_of(sender.get(name)) for name in _USE_OF_SENDER}
+        if not run.rate_hz and run.published and None not in times_ns.values():
+            row = {"run_id": run.run_id, "group": group, "payload_bytes": run.payload_bytes, "messages": run.published}
+            # A sample is of the second before it.
+            during = exchange.start_ns + SECOND_NS, exchange.end_ns
+            relay_percent = node_percent(samples, [exchange.relay] if exchange.relay else [], *during)
+            rows.append({**row, **times_ns, "relay_percent": relay_percent})
     if not rows:
         return pl.DataFrame()
-    totals = pl.DataFrame(rows).group_by("group", "payload_bytes").sum().sort("group")
-    had_ns = (pl.col("elapsed_ns") - pl.col("waited_ns")).clip(1)
-    return totals.with_columns(busy=pl.col("cpu_ns") / had_ns, message_ns=pl.col("cpu_ns") / pl.col("messages"))
+    by_run = frame_of(rows).group_by("group", "payload_bytes", "run_id").max()
+    results = by_run.group_by("group", "payload_bytes").agg(
+        pl.col("messages", *_USE_OF_SENDER).sum(), relay_busy=pl.col("relay_percent").cast(float).mean() / 100
+    )
+    had_ns, busy = (pl.col("elapsed_ns") - pl.col("waited_ns")).clip(1), pl.col("busy")
+    message_ns, is_sender = pl.col("cpu_ns") / pl.col("messages"), busy >= BUSY_SHARE
+    return (
+        results.sort("group")
+        .with_columns(busy=pl.col("cpu_ns") / had_ns)
+        .with_columns(
+            sender_busy=pl.when(is_sender).then(busy),
+            message_ns=message_ns,
+            held=pl.when(~is_sender & (pl.col("relay_busy") >= BUSY_SHARE)).then(1 - busy),
+        )
+    )
 
 
-SENDERS = Rows(Subject.RESULT, _senders, in_result)
+CLIENTS = Rows(Subject.RESULT, _clients, in_result)
 
 
 _SAMPLES_NS = 2_000_000_000

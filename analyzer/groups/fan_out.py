@@ -15,6 +15,7 @@ from ..clocks.boots import machine_of
 from ..model.metrics import frame_schema
 from ..model.setting import parse_setting
 from ..statistics.percentiles import summarize_values
+from .host_samples import node_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -140,10 +141,9 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame, late: Mapp
     for exchanges in runs:
         run, ping = exchanges[0].run, exchanges[0].ping
         relays = {exchange.relay.session_id: exchange.relay for exchange in exchanges if exchange.relay}
-        during = samples.filter(pl.col("wall_ns").is_between(exchanges[0].start_ns, exchanges[0].end_ns))
-        for name, sessions in (("ping", [ping.session_id]), ("relay", list(relays))):
-            percent = during.filter(pl.col("session_id").is_in(sessions))["node_cpu_percent"].mean()
-            values[name] += [percent] if isinstance(percent, float) else []
+        for name, sessions in (("ping", [ping]), ("relay", relays.values())):
+            percent = node_percent(samples, sessions, exchanges[0].start_ns, exchanges[0].end_ns)
+            values[name] += [] if percent is None else [percent]
         classes = objects_of(object_of(run.extra.get("wire")).get("classes"))
         sent = sum(
             number_of(class_counts.get("bytes")) or 0

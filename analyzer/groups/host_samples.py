@@ -71,6 +71,13 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
     )
 
 
+def node_percent(samples: pl.DataFrame, sessions: Iterable[Session], start_ns: int, end_ns: int) -> float | None:
+    """Return the mean load of recording processes between two times of the wall clock, percent of one processor; None without samples."""
+    ids = [session.session_id for session in sessions]
+    during = samples.filter(pl.col("wall_ns").is_between(start_ns, end_ns) & pl.col("session_id").is_in(ids))
+    return number_of(during["node_cpu_percent"].mean())
+
+
 def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session | None:
     if wall_ns is None:
         return None

@@ -160,6 +160,6 @@ def limits_words(analysis: Analysis) -> str:
     words = ""
     if full and full >= BUSY_SHARE * recordings:
         words = f" The machine was busy in {full} of {counted(recordings, 'recording')}: these times include waiting for a processor."
-    if sent := counts["client_bound"]:
-        words += f" The throughput of {counted(sent, 'result')} is the sending program's, not the middleware's."
+    if bound := counts["client_bound"]:
+        words += f" The throughput of {counted(bound, 'result')} is that of our ping or relay, not the middleware's."
     return words

@@ -4,9 +4,9 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the first table of the Markdown report; `ratios node` and `ratios
-throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a sweep of
-plans/paper-claims.toml; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `ratios
+node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a
+sweep of plans/paper-claims.toml; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from dds_trace.cli.sweep.advise import proof_of, shown
 from dds_trace.cli.sweep.common import plan_of
 from dds_trace.cli.sweep.explain import answer, answer_lines
 from dds_trace.recorder.sweep import explain
+from dds_trace.reports import markdown
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.book.sizes import size_block
 from dds_trace.reports.terminal import render
 from dds_trace.reports.topics.report import BagReport
 
@@ -93,8 +94,9 @@ def quote(kind: str, campaign: str) -> str:
             lines = shown({"vendor": "fastdds", **proof_of(path.stem, folder / "base", folder / "new")})
         else:
             book = Book(analyze(folder))
-            if kind == "table":
-                return re.findall(r"(?:^\|.*\n)+", load_reporter("md").render(book), re.MULTILINE)[0]
+            if kind in ("table", "further"):
+                sizes = markdown._table(size_block(book.sizes, is_further=kind == "further"))  # noqa: SLF001
+                return re.findall(r"(?:^\|.*\n)+", f"{sizes}\n", re.MULTILINE)[0]
             lines = render(book).splitlines()
     return "".join(f"{line.rstrip()}\n" for line in ["```text", *lines, "```"])
 

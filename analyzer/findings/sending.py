@@ -112,7 +112,8 @@ def _clients(evidence: Evidence) -> pl.DataFrame:
     had_ns, busy = (pl.col("elapsed_ns") - pl.col("waited_ns")).clip(1), pl.col("busy")
     message_ns, is_sender = pl.col("cpu_ns") / pl.col("messages"), busy >= BUSY_SHARE
     return (
-        results.sort("group")
+        results.filter(pl.col("payload_bytes") <= CLIENT_BYTES)
+        .sort("group")
         .with_columns(busy=pl.col("cpu_ns") / had_ns)
         .with_columns(
             sender_busy=pl.when(is_sender).then(busy),

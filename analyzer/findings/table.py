@@ -238,12 +238,10 @@ CHECKS: tuple[Check, ...] = (
     sending.CLIENTS.warning(
         "client_bound",
         "The throughput is our programs', not the middleware's",
-        (pl.col("payload_bytes") <= sending.CLIENT_BYTES)
-        & pl.any_horizontal(pl.col("sender_busy", "held").is_not_null()),
+        pl.any_horizontal(pl.col("sender_busy", "held").is_not_null()),
         "[The sending thread was busy in {sender_busy:.0%} of the time that it had a processor, {message_ns:duration} a message, in Python "
         "and the middleware; it waited for neither the middleware nor the link.]"
-        "[The sending thread was held in {held:.0%} of the time that it had a processor, while our relay's process took {relay_busy:.0%} "
-        "of one: the middleware waits for the relay.]",
+        "[The sender was held in {held:.0%} of its time, our relay's process took {relay_busy:.0%} of a processor: it waits for the relay.]",
         "Do not rank by this throughput: a C program (ddsperf, iperf3) sends small messages up to ten times as fast. Messages of "
         "100 KB and more may help to see the middleware's.",
         effect=pl.max_horizontal("sender_busy", "held").clip(upper_bound=1),

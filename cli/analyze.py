@@ -253,9 +253,9 @@ def _analyze(
         files = [*reports, *exported, *derived]
         if card:
             from dds_trace.reports.book.book import Book
-            from dds_trace.reports.card import write_card
+            from dds_trace.reports.card import book_card, write_picture
 
-            files += write_card(Book(analysis), folder, say)
+            files += write_picture(*book_card(Book(analysis)), folder, say)
         written.extend(target / path.name for path in files if path is not None)
 
     earlier = read_provenance(target)

@@ -80,11 +80,7 @@ class Measured:
         return self.median_ns is not None and math.isfinite(self.median_ns)
 
 
-def render(book: Book) -> str:
-    return _svg_text(_verdict(book)[1], card_marks(book))
-
-
-def _svg_text(title: str, marks: Sequence[Mark]) -> str:
+def svg_text(title: str, marks: Sequence[Mark]) -> str:
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}"'
         f' role="img" font-family="{FAMILY}">\n<title>{escape(title)}</title>\n'
@@ -93,13 +89,9 @@ def _svg_text(title: str, marks: Sequence[Mark]) -> str:
     return head + "".join(f"{_svg(mark)}\n" for mark in marks) + "</svg>\n"
 
 
-def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    return write_picture(_verdict(book)[1], card_marks(book), folder, say)
-
-
 def write_picture(title: str, marks: Sequence[Mark], folder: Path, say: Callable[[str], None]) -> list[Path]:
     svg, png = folder / "card.svg", folder / "card.png"
-    svg.write_text(_svg_text(title, marks), encoding="utf-8")
+    svg.write_text(svg_text(title, marks), encoding="utf-8")
     try:
         _draw_png(marks, png)
     except ModuleNotFoundError:
@@ -108,7 +100,7 @@ def write_picture(title: str, marks: Sequence[Mark], folder: Path, say: Callable
     return [svg, png]
 
 
-def card_marks(book: Book) -> list[Mark]:
+def book_card(book: Book) -> tuple[str, list[Mark]]:
     facts = {fact.label: fact.value for fact in book.overview.facts}
     kind, sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
@@ -150,7 +142,7 @@ def card_marks(book: Book) -> list[Mark]:
     marks.append(Bar((EDGE, 558, WIDTH - EDGE, 558), GRID, 1))
     marks.append(_line(EDGE, 586, 20, where + more, wide))
     marks.append(_line(EDGE, 612, 16, versions, wide, SOFT))
-    return marks
+    return sentence, marks
 
 
 def topics_card(report: TopicReport) -> tuple[str, list[Mark]]:

@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
-import polars as pl
-
-from dds_trace.analyzer.analysis import Analysis, Details
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
@@ -33,8 +32,12 @@ from .groups import (
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
 from .losses import FORGED, UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
 from .numbers import Values
+from .sizes import late_by_group, late_share
 from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 class PointKind(str, Enum):
@@ -98,7 +101,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     usable = replace(groups, groups=tuple(group for group in groups.groups if group.index not in forged))
     losses, unreached = loss_sentence(usable, values), found_sentence(analysis, groups, UNREACHED)
     remarks = (
-        *_deadline_remarks(analysis.details, groups),
+        *_deadline_remarks(analysis, groups),
         *(
             []
             if has_latency
@@ -278,30 +281,24 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
 _DEADLINE_LABELS = {"response": "response (planned send to reply)", "outbound": "way out", "return": "way back"}
 
 
-def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
-    if details.deadline_ns is None or not details.freshness.height:
+def _deadline_remarks(analysis: Analysis, groups: Groups) -> list[str]:
+    details, late = analysis.details, late_by_group(analysis)
+    if not late:
         return []
-    counts = ("missed", "judged", "unsure")
-    by_group = details.freshness.group_by("group").agg(pl.col(*counts).sum()).sort("group")
-    missed, judged, unsure = (int(by_group[name].sum()) for name in counts)
+    missed, judged, unsure = map(sum, zip(*late.values(), strict=True))
     label = _DEADLINE_LABELS.get(details.deadline_metric) or METRIC_LABELS[details.deadline_metric].lower()
     share = f" ({format_ratio(missed / judged)})" if missed else ""
     remark = (
         f"Deadline of {format_duration(details.deadline_ns)} for the {label}: "
         f"{format_count(missed)} of {counted(judged, 'message', text=format_count(judged))} missed it{share}"
     )
-    if missed and len(by_group) > 1:
-        worst = max(by_group.iter_rows(named=True), key=_missed_ratio)
-        where = group_labels(groups)[worst["group"]]
-        remark += f", the largest share in {where} ({format_ratio(_missed_ratio(worst))} of its messages)"
+    if missed and len(late) > 1:
+        worst = max(sorted(late), key=lambda group: late_share(*late[group]))
+        remark += f", the largest share in {group_labels(groups)[worst]} ({format_ratio(late_share(*late[worst]))} of its messages)"
     if unsure:
         more = counted(unsure, "more message", text=format_count(unsure))
         remark += f". {more} may have, within the clock bound"
     return [f"{remark}."]
-
-
-def _missed_ratio(row: Mapping[str, int]) -> float:
-    return row["missed"] / max(1, row["judged"] + row["unsure"])
 
 
 _WITHOUT_LATENCY = "No relay's trace was found: the latency is unknown"

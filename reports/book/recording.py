@@ -18,7 +18,7 @@ from dds_trace.analyzer.model.applied import (
     udp_receive_buffer_bytes,
 )
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_duration
+from dds_trace.base.units import counted, format_duration
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
@@ -71,67 +71,22 @@ MOST_ROWS = 200
 FLEETING = "wifi"
 
 
-def record_tables(analysis: Analysis) -> tuple[Fold, ...]:
-    return tuple(table for table in (_sessions(analysis), _sources(analysis)) if table.blocks)
-
-
-def _sessions(analysis: Analysis) -> Fold:
-    alike: dict[tuple[str, ...], list[Session]] = {}
-    vendors = vendor_labels(analysis)
-    for session in analysis.sessions:
-        host = [f"{printable(name)} {printable(value)}" for name, value in session.host.items() if name != FLEETING]
-        key = (
-            printable(session.device),
-            printable(session.role),
-            vendors.of(session.vendor),
-            printable(session.backend),
-            printable(session.rmw or "-"),
-            str(session.domain_id),
-            printable(session.connectivity),
-            "clean" if session.state == "closed" else "cut off",
-            ", ".join([*host, *applied_words(session)]),
-        )
-        alike.setdefault(key, []).append(session)
-    rows = [
-        (*key[:-2], format_count(len(group)), format_count(sum(session.dropped_events for session in group)), *key[-2:])
-        for key, group in alike.items()
-    ]
-    columns = (
-        *("Device", "Role", "Vendor", "Backend", "RMW", "Domain", "Link"),
-        *("Sessions", "Dropped events", "End", "Host"),
-    )
-    return _folded("Recording sessions", columns, rows, len(analysis.sessions))
-
-
-def applied_words(session: Session) -> list[str]:
-    path = payload_path(session)
-    if path is None:
-        return []
-    buffer_bytes = udp_receive_buffer_bytes(session)
-    buffers = [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
-    controls = [f"TCP by {printable(name)}" for name in congestion_controls(session)]
-    return [f"payload carried by {_WAYS.get(path, printable(path))}", *controls, *buffers]
-
-
 _LONGEST_SETTING = 40
 
 _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 
 
-def _sources(analysis: Analysis) -> Fold:
-    ordered = sorted(analysis.sources, key=lambda source: source.status == "read")
+def file_table(analysis: Analysis) -> Iterator[Fold]:
     rows = [
-        (printable(source.path), printable(source.status), format_count(source.events), printable(source.detail))
-        for source in ordered
+        Row([printable(source.path), printable(source.status), format_count(source.events), printable(source.detail)])
+        for source in sorted(analysis.sources, key=lambda source: source.status == "read")
     ]
-    return _folded("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
-
-
-def _folded(title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], count: int) -> Fold:
-    parts: list[Block] = [Table([*map(Column, columns)], [*map(Row, rows[:MOST_ROWS])], label=title)] if rows else []
-    if len(rows) > MOST_ROWS:
-        parts.append(Sentence(f"{len(rows) - MOST_ROWS} more rows are in the JSON report (--report json).", "note"))
-    return Fold(f"{title} ({count})", parts)
+    if rows:
+        columns = [*map(Column, ("File", "Status", "Events", "Detail"))]
+        parts: list[Block] = [Table(columns, rows[:MOST_ROWS], label="Files")]
+        if len(rows) > MOST_ROWS:
+            parts.append(Sentence(f"{len(rows) - MOST_ROWS} more rows are in the JSON report (--report json).", "note"))
+        yield Fold(f"Files ({len(rows)})", parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +192,7 @@ def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
 MOST_COLUMNS = 16
 _MOST_VALUES = 4
 
-_VARIED = "Sessions"
+_VARIED, _USED = "Sessions", "Seen in use"
 _SECTIONS = {
     "versions": "Versions",
     "middleware": "Settings of the middleware",
@@ -262,15 +217,19 @@ _NAMES = {
 def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...]:
     vendors = vendor_labels(analysis)
     described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
-    columns: dict[str, None] = {}
+    own: dict[str, list[Session]] = {}
     for session in sorted(analysis.sessions, key=lambda member: (member.device, member.role)):
         column = f"{printable(session.device)} ({printable(session.role)})"
-        columns.setdefault(column)
         for section, name, value in _described(session, vendors):
             described.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
-    if not columns:
+        own.setdefault(column, []).append(session)
+    for column, sessions in own.items():
+        counts = {"sessions": len(sessions), "dropped events": sum(session.dropped_events for session in sessions)}
+        for name, count in counts.items():
+            described.setdefault((_VARIED, name), {})[column] = {format_count(count): None}
+    if not own:
         return ()
-    shown = tuple(columns)[:MOST_COLUMNS]
+    shown = [*own][:MOST_COLUMNS]
     sections: dict[str, list[Row]] = {}
     for (section, name), by_column in described.items():
         values = [_joined(by_column.get(column, {})) for column in shown]
@@ -279,10 +238,12 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...
         unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(texts) > 1 for texts in distinct))
         words = [Span("≠ ", "unlike"), Span(name, "")] if unlike else name
         sections.setdefault(section, []).append(Row([words, *values], part=section))
-    ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
+    ordered = [_VARIED, "Machine", _USED, *_SECTIONS.values()]
     rows = [row for section in ordered for row in sections.get(section, ())]
     quality = "; ".join(dict.fromkeys(qos_label(member) for member in groups.series))
     how = "Rows marked ≠ differ between devices or between sessions."
+    if more := len(own) - len(shown):
+        how += f" {counted(more, 'more column is', 'more columns are')} in the JSON report."
     label, look = "How it was recorded, by device and role", "data recorded keeps-1"
     return (
         Sentence(f"{how} Quality of service: {quality}." if quality else how, "how"),
@@ -297,9 +258,13 @@ def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, s
         yield _VARIED, "RMW", printable(session.rmw)
     yield _VARIED, "domain", str(session.domain_id)
     yield _VARIED, "link", printable(session.connectivity)
-    for words in applied_words(session):
-        what, _, used = words.rpartition(" by ") if " by " in words else words.rpartition(" granted ")
-        yield "Seen in use", what or words, used
+    yield _VARIED, "end", "clean" if session.state == "closed" else "cut off"
+    if (path := payload_path(session)) is not None:
+        yield _USED, "payload carried by", _WAYS.get(path, printable(path))
+        for control in congestion_controls(session):
+            yield _USED, "TCP congestion control", printable(control)
+        if (buffer_bytes := udp_receive_buffer_bytes(session)) is not None:
+            yield _USED, "UDP receive buffer (bytes)", format_count(buffer_bytes)
     for name, value in session.host.items():
         if name == FLEETING or value is None or value in ({}, []):
             continue

@@ -96,7 +96,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         key=lambda column: (column[0] != "same", column[0], labels[column[1]], column[1]),
     )
     rates = _shown_rates(answers)
-    late = _late_by_group(analysis)
+    late = late_by_group(analysis)
     answers_at: dict[str, list[CaseAnswer]] = {}
     for answer in sorted(answers, key=_order):
         answers_at.setdefault(place_of(answer), []).append(answer)
@@ -165,7 +165,11 @@ def _deadline_words(details: Details) -> str:
     return f"{metric} within {format_duration(details.deadline_ns)}"
 
 
-def _late_by_group(analysis: Analysis) -> Late:
+def late_share(missed: int, judged: int, unsure: int) -> float:
+    return missed / max(1, judged + unsure)
+
+
+def late_by_group(analysis: Analysis) -> Late:
     details = analysis.details
     if not _deadline_words(details):
         return {}
@@ -191,7 +195,7 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
     if not judged:
         return None
     all_results = f"of {counted(len(judged), 'result')}"
-    missing = [(case, missed / (count + unsure)) for case, (missed, count, unsure) in judged if missed]
+    missing = [(case, late_share(*counts)) for case, counts in judged if counts[0]]
     if missing:
         worst, share = max(missing, key=lambda pair: pair[1])
         where = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}"

@@ -115,6 +115,7 @@ _CONDITION_WORDS = {
     "link": "emulated link {}",
     "flows": "{} runs at once",
     "relays": "{} relays",
+    "outage_by": "by {}",
     "data": "data from {}",
 }
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from ..book.book import Book
 from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline, wire
-from .figure import Figure, FigureRow, LeftOut, Scope, is_few
+from .figure import Figure, Plan, Scope, is_few
 
-FIGURES: list[FigureRow] = [
+FIGURES: list[Figure] = [
     costs.DOTS,
     lines.LATENCY_BY_RATE,
     lines.LATENCY_BY_SIZE,
@@ -40,23 +40,28 @@ FIGURES: list[FigureRow] = [
 ]
 
 
-def drawn_figures(book: Book) -> list[tuple[FigureRow, Figure | LeftOut]]:
+def drawn_figures(book: Book) -> tuple[list[tuple[Figure, Plan]], list[tuple[Figure, str]]]:
+    """Return the figures with their plans, and those that are left out with the reason."""
     few = is_few(book)
-    figures = []
-    for maker in FIGURES:
-        if maker is costs.DOTS and not few:
+    drawn: list[tuple[Figure, Plan]] = []
+    left_out: list[tuple[Figure, str]] = []
+    for figure in FIGURES:
+        if figure is costs.DOTS and not few:
             continue
-        drawn = maker.draw(book)
-        if few and not maker.few and isinstance(drawn, Figure):
-            drawn = LeftOut(drawn.name, drawn.title, "so few results are in the first figure, all in one.")
-        figures.append((maker, drawn))
-    return figures
+        plan = figure.plan(book)
+        if plan is None:
+            left_out.append((figure, figure.nothing))
+        elif few and not figure.few:
+            left_out.append((figure, "so few results are in the first figure, all in one."))
+        else:
+            drawn.append((figure, plan))
+    return drawn, left_out
 
 
 MOST_OPENED_PANELS = 9
 
 
-def opened_figures(book: Book, drawn: Sequence[tuple[FigureRow, Figure]]) -> frozenset[str]:
+def opened_figures(book: Book, drawn: Sequence[Figure]) -> frozenset[str]:
     """Return the names of the figures that the page opens: the lines over what the campaign varies most, in few panels.
 
     On one device pair also those that are `opened`; on several these have a panel for each.
@@ -69,7 +74,5 @@ def opened_figures(book: Book, drawn: Sequence[tuple[FigureRow, Figure]]) -> fro
     )
     whole = options["place"] == 1 or is_few(book)
     return frozenset(
-        figure.name
-        for maker, figure in drawn
-        if maker is best or (maker.opened and (whole or maker.scope is Scope.CELL))
+        figure.name for figure in drawn if figure is best or (figure.opened and (whole or figure.scope is Scope.CELL))
     )

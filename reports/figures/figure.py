@@ -21,25 +21,6 @@ Test = Callable[[int], bool]
 Plan: TypeAlias = "Mapping[str, object]"
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    name: str
-    title: str
-    how_to_read: str
-    kind: str
-    plan: Plan
-    follows: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A figure without data, and the sentence that says why."""
-
-    name: str
-    title: str
-    reason: str
-
-
 class Scope(Enum):
     CAMPAIGN = "campaign"
     CELL = "cell"
@@ -47,8 +28,8 @@ class Scope(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FigureRow(ABC):
-    """A row of the table of figures: what every figure says of itself, and how the page draws its plan."""
+class Figure(ABC):
+    """A row of the table of figures: what each says of itself, and its plan, None where there is `nothing` to draw."""
 
     name: str
     title: str
@@ -63,16 +44,10 @@ class FigureRow(ABC):
     @abstractmethod
     def plan(self, book: Book) -> Plan | None: ...
 
-    def draw(self, book: Book) -> Figure | LeftOut:
-        plan = self.plan(book)
-        if plan is None:
-            return LeftOut(self.name, self.title, self.nothing)
-        return Figure(self.name, self.title, self.how_to_read, self.kind, plan, self.follows)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FigureMaker(FigureRow):
-    """A figure of its own: `make` returns its plan, None where there is `nothing` to draw."""
+class FigureMaker(Figure):
+    """A figure of its own: `make` returns its plan."""
 
     make: Callable[[Book], Plan | None]
     opened: bool = True
@@ -200,7 +175,7 @@ def spread_plan(book: Book, facet: Facet, drawn: Test, **settings: object) -> Pl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineFigure(FigureRow):
+class LineFigure(Figure):
     """Marks show `value`, a key of `VALUES` of the page's scripts and of `reports.plotting`."""
 
     x: str

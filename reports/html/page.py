@@ -31,11 +31,11 @@ from ..book.findings import finding_block, severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
 from ..book.overview import utc_words
 from ..book.recommendation import advice_blocks
-from ..book.recording import record_tables, recorded_environment
+from ..book.recording import file_table, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block
 from ..book.topics import topic_sections
 from ..figures import drawn_figures, opened_figures
-from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, LeftOut, Scope
+from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, Plan, Scope
 from .styles import line_styles
 
 if TYPE_CHECKING:
@@ -115,8 +115,8 @@ def without_plotly(page: str) -> str:
 
 
 def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> str:
-    figures = drawn_figures(book)
-    drawn = [(maker, figure) for maker, figure in figures if isinstance(figure, Figure)]
+    plans, left_out = drawn_figures(book)
+    drawn = [figure for figure, _ in plans]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
     facts, labels, sizes, answer = book.overview.facts, group_labels(book.groups), book.sizes, book.answer
     shown, folded = (
@@ -131,7 +131,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         unpack=Markup(unpack),  # noqa: S704 - our own file
         plotly=packed_script(plotly),
         script=packed_script(script),
-        island=packed(json_island(_island(book, [figure for _, figure in drawn]))),
+        island=packed(json_island(_island(book, plans))),
         title=book.title,
         kicker="Latency report",
         begins="figures" if labels else "answer",
@@ -155,11 +155,11 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         severities=severity_counts(book.findings),
         group_names=labels,
         worst=next(iter(worst_first(book.values)), None),
-        campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
-        cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
+        campaign_figures=[figure for figure in drawn if figure.scope is Scope.CAMPAIGN],
+        cell_figures=[figure for figure in drawn if figure.scope is Scope.CELL],
         opened=opened_figures(book, drawn),
-        left_out=[figure for _, figure in figures if isinstance(figure, LeftOut)],
-        recorded=[*recorded_environment(book.analysis, book.groups), *record_tables(book.analysis)],
+        left_out=left_out,
+        recorded=[*recorded_environment(book.analysis, book.groups), *file_table(book.analysis)],
         topic_sections=topic_sections(book.analysis),
     )
 
@@ -184,7 +184,7 @@ def _policy(*scripts: str, connect: str) -> str:
     )
 
 
-def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
+def _island(book: Book, plans: Sequence[tuple[Figure, Plan]]) -> dict[str, object]:
     groups, values, intervals = book.groups, book.values, book.intervals
 
     def by_group(value: Callable[[str, str, int], object]) -> object:
@@ -275,8 +275,8 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "rests_on": by_group(intervals.rests_on),
         },
         "figures": {
-            figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": figure.plan}
-            for figure in figures
+            figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": plan}
+            for figure, plan in plans
         },
     }
 
@@ -305,10 +305,6 @@ def packed_script(text: str) -> str:
 def packed(text: str) -> str:
     """Return text as gzip in base64: letters, digits, `+`, `/` and `=`, which cannot end an element."""
     return base64.b64encode(gzip.compress(text.encode("utf-8"), mtime=0)).decode("ascii")
-
-
-def unpacked(text: str) -> str:
-    return gzip.decompress(base64.b64decode(text)).decode("utf-8")
 
 
 def policy_hash(script: str) -> str:

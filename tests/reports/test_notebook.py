@@ -11,7 +11,6 @@ from visible_text import Page
 from dds_trace import OptionError, compare
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import drawn_figures
-from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
 from dds_trace.reports.plotting import NAMES
 
@@ -137,8 +136,8 @@ def test_a_figure_has_the_panels_names_and_numbers_of_the_report():
 
 def lines_of_page(analysis):
     """Name -> plan of every figure of lines or marks that the page has."""
-    made = (figure for _, figure in drawn_figures(Book(analysis)))
-    return {one.name: one.plan for one in made if isinstance(one, Figure) and one.kind == "lines"}
+    made, _ = drawn_figures(Book(analysis))
+    return {figure.name: plan for figure, plan in made if figure.kind == "lines"}
 
 
 def test_every_figure_of_lines_on_the_page_is_plotted_with_the_same_groups():

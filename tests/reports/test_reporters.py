@@ -16,7 +16,7 @@ import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 from jsonschema import Draft202012Validator
-from page_reader import rendered
+from page_reader import rendered, unpacked
 from report_schemas import REPORT, closed
 from wording import numbers, report_as
 
@@ -31,11 +31,10 @@ from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_
 from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.book.screen import MOST_LINES
 from dds_trace.reports.book.sizes import Threshold
-from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, render, write_card
+from dds_trace.reports.card import BOLD_CHARACTER, CHARACTER, EDGE, HEIGHT, WIDTH, book_card, svg_text, write_picture
 from dds_trace.reports.document import _lines
 from dds_trace.reports.figures import FIGURES
-from dds_trace.reports.figures.figure import Figure
-from dds_trace.reports.html.page import json_island, unpacked
+from dds_trace.reports.html.page import json_island
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 from dds_trace.reports.terminal import INLINE_BAR
 
@@ -367,7 +366,7 @@ def test_plotly_is_in_the_page_once():
 
 def test_a_campaign_of_the_paper_stays_below_three_and_a_half_mb():
     analysis = EVERY_ANALYSIS["500 groups"]()
-    plans = {f.name: f.plan for maker in FIGURES if isinstance(f := maker.draw(Book(analysis)), Figure)}
+    plans = {figure.name: plan for figure in FIGURES if (plan := figure.plan(Book(analysis))) is not None}
     for name in ("timeline", "host_load", "clock"):
         assert plans[name]["decimated"], f"the page is as large as it gets only with all of {name} in it"
     assert len(rendered("500 groups", "html").encode()) <= 3_500_000
@@ -469,13 +468,13 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def texts(book):
-    return ET.fromstring(render(book)).findall(f"{SVG}text")
+    return ET.fromstring(svg_text(*book_card(book))).findall(f"{SVG}text")
 
 
 @pytest.mark.parametrize("name", EVERY_CARD)
 def test_every_card_is_whole_and_within_its_edges(name):
     book = Book(EVERY_CARD[name]())
-    assert render(book) == render(Book(EVERY_CARD[name]()))
+    assert book_card(book) == book_card(Book(EVERY_CARD[name]()))
     bounds = []
     for text in texts(book):
         x, y, size = (float(text.get(key)) for key in ("x", "y", "font-size"))
@@ -489,7 +488,7 @@ def test_every_card_is_whole_and_within_its_edges(name):
         for other in bounds[place + 1 :]:
             apart = right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
             assert apart, (words, other[-1])
-    for circle in ET.fromstring(render(book)).findall(f"{SVG}circle"):
+    for circle in ET.fromstring(svg_text(*book_card(book))).findall(f"{SVG}circle"):
         assert EDGE < float(circle.get("cx")) <= WIDTH - EDGE
 
 
@@ -503,7 +502,7 @@ def test_the_card_has_sentence_losses_rows_place_and_date_and_ends_with_versions
 def test_the_fastest_is_first_and_farthest_left_and_what_was_lost_has_no_dot():
     book = Book(CAMPAIGNS["lossy machine"]())
     rows = [text for text in texts(book) if text.get("text-anchor") == "end"][1:]
-    dots = [float(dot.get("cx")) for dot in ET.fromstring(render(book)).findall(f"{SVG}circle")]
+    dots = [float(dot.get("cx")) for dot in ET.fromstring(svg_text(*book_card(book))).findall(f"{SVG}circle")]
     assert dots == sorted(dots)
     assert len(dots) == len(rows) - 1
     assert [bool(row.get("font-weight")) for row in rows] == [True, *[False] * 5]
@@ -511,14 +510,14 @@ def test_the_fastest_is_first_and_farthest_left_and_what_was_lost_has_no_dot():
 
 
 def test_hostile_names_stay_text():
-    drawn = render(Book(EVERY_ANALYSIS["hostile strings"]()))
+    drawn = svg_text(*book_card(Book(EVERY_ANALYSIS["hostile strings"]())))
     assert "<script" not in drawn
     assert not [text for text in HOSTILE if "<" in text and text in drawn]
 
 
 def test_both_files_have_the_size_that_a_preview_shows(tmp_path):
     said = []
-    svg, png = write_card(Book(CAMPAIGNS["demo"]()), tmp_path, said.append)
+    svg, png = write_picture(*book_card(Book(CAMPAIGNS["demo"]())), tmp_path, said.append)
     assert ET.parse(svg).getroot().attrib["viewBox"] == f"0 0 {WIDTH} {HEIGHT}" == "0 0 1200 630"
     assert struct.unpack(">II", png.read_bytes()[16:24]) == (WIDTH, HEIGHT)
     assert not said
@@ -527,6 +526,6 @@ def test_both_files_have_the_size_that_a_preview_shows(tmp_path):
 def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path, monkeypatch, sentences):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     said = []
-    assert write_card(Book(CAMPAIGNS["demo"]()), tmp_path, said.append) == [tmp_path / "card.svg"]
+    assert write_picture(*book_card(Book(CAMPAIGNS["demo"]())), tmp_path, said.append) == [tmp_path / "card.svg"]
     sentences(*said)
     assert not (tmp_path / "card.png").exists()

@@ -1,5 +1,7 @@
 """A page of the HTML report as a reader meets it, and the pages that tests open."""
 
+import base64
+import gzip
 import shutil
 from contextlib import contextmanager
 from functools import cache
@@ -19,6 +21,10 @@ EVERY_PAGE = {**EVERY_ANALYSIS, **CAMPAIGNS}
 @cache
 def rendered(name, kind):
     return kept(lambda: report_as(kind, EVERY_PAGE[name]()), f"{kind} of {name}")()
+
+
+def unpacked(text: str) -> str:
+    return gzip.decompress(base64.b64decode(text)).decode("utf-8")
 
 
 FLAGS = (

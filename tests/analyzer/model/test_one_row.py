@@ -8,10 +8,10 @@ from pathlib import Path
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
+from page_reader import unpacked
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.reports.html.page import unpacked
 
 ROOT = Path(__file__).resolve().parents[3]
 MS = 1_000_000

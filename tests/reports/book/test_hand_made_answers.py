@@ -259,6 +259,7 @@ def test_how_long_each_setup_took_to_come_back(sentences):
     details = replace(analysis.details, recoveries=pl.DataFrame(rows, RECOVERY_SCHEMA))
     answer = Book(replace(analysis, details=details)).answer
     said = [text for kind, text in answer.sentences if kind is PointKind.RECOVERY]
+    assert not [text for text in answer.points if "outage_by" in text]
     assert said[0] == answer.headline
     assert [["after 2s" in text, "never" in text, "at once" in text] for text in said] == [
         [True, True, False],

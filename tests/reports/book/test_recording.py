@@ -8,7 +8,7 @@ from dds_trace import Source, analyze
 from dds_trace.reports.blocks import plain_text
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import groups_info
-from dds_trace.reports.book.recording import MOST_ROWS, record_tables, recorded_environment, setting_words
+from dds_trace.reports.book.recording import MOST_ROWS, file_table, recorded_environment, setting_words
 from dds_trace.reports.html import page
 
 
@@ -21,52 +21,35 @@ def cells_of(fold):
     return [row.cells for row in fold.blocks[0].rows]
 
 
-def test_sessions_that_are_alike_are_one_row(analysis):
+def test_a_column_counts_its_sessions_and_what_they_dropped(analysis):
     ping, relay = analysis.sessions
-    again = [
-        replace(ping, session_id=n, dropped_events=n, host={**ping.host, "wifi": {"wlan0": {"signal_dbm": -n}}})
-        for n in (1, 2)
-    ]
-    elsewhere = replace(ping, session_id=3, host={**ping.host, "kernel": "6.8"}, state="open")
-    sessions, _ = record_tables(replace(analysis, sessions=(ping, relay, *again, elsewhere)))
-    assert (sessions.summary, len(sessions.blocks)) == ("Recording sessions (5)", 1)
-    rows = cells_of(sessions)
-    assert [(row[0], row[1], *row[7:10]) for row in rows] == [
-        ("pi-one", "ping", "3", "3", "clean"),
-        ("pi-two", "relay", "1", "0", "clean"),
-        ("pi-one", "ping", "1", "0", "cut off"),
-    ]
-    assert rows[2][-1].endswith("kernel 6.8")
+    again = replace(ping, session_id=1, dropped_events=3, state="open")
+    columns, rows = rows_of(replace(analysis, sessions=(ping, relay, again)))
+    assert columns == ["pi-one (ping)", "pi-two (relay)"]
+    values = [rows["Sessions", name][0] for name in ("sessions", "dropped events", "end")]
+    assert values == [("2", "1"), ("3", "0"), ("clean or cut off", "clean")]
 
 
-def test_what_a_process_was_seen_to_use_stands_beside_its_host(analysis, sentences):
+def test_what_a_process_was_seen_to_use_is_next_to_its_settings(analysis):
     sockets = [{"protocol": "udp", "receive_buffer_bytes": size} for size in (212_992, 8_000_000)]
-    applied = {"path": "lo", "begin": {"sockets": sockets}}
     ping, relay = analysis.sessions
-    sessions, _ = record_tables(
-        replace(
-            analysis,
-            sessions=(
-                replace(ping, extra={"applied": applied}),
-                replace(relay, extra={"applied": {"path": "shm", "begin": {"sockets": []}}}),
-            ),
-        )
+    sides = (
+        replace(ping, extra={"applied": {"path": "lo", "begin": {"sockets": sockets}}}),
+        replace(relay, extra={"applied": {"path": "shm", "begin": {"sockets": []}}}),
     )
-    of_ping, of_relay = (row[-1] for row in cells_of(sessions))
-    assert "carried by lo" in of_ping
-    assert of_ping.endswith(" 8,000,000 B")
-    assert of_relay.endswith("payload carried by shared memory")
-    sentences(of_ping, of_relay)
+    _, rows = rows_of(replace(analysis, sessions=sides))
+    assert rows["Seen in use", "payload carried by"] == (("lo", "shared memory"), True)
+    assert rows["Seen in use", "UDP receive buffer (bytes)"][0][0] == "8,000,000"
 
 
 def test_of_many_files_those_that_were_not_read_come_first(analysis):
     sources = [Source(f"{n}.mcap", "read", "", 5) for n in range(MOST_ROWS + 10)]
     sources.append(Source("notes.txt", "skipped", "no trace", 0))
-    _, files = record_tables(replace(analysis, sources=tuple(sources)))
-    assert cells_of(files)[0] == ("notes.txt", "skipped", "0", "no trace")
+    (files,) = file_table(replace(analysis, sources=tuple(sources)))
+    assert tuple(cells_of(files)[0]) == ("notes.txt", "skipped", "0", "no trace")
     assert (files.summary, len(cells_of(files))) == (f"Files ({MOST_ROWS + 11})", MOST_ROWS)
     assert files.blocks[1].words.startswith("11 more rows")
-    assert record_tables(make_analysis()) == ()
+    assert [*file_table(make_analysis())] == []
 
 
 def test_settings_show_no_xml_and_nothing_empty():

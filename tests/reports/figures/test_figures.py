@@ -1,5 +1,6 @@
 import random
 from dataclasses import replace
+from itertools import chain
 
 import polars as pl
 import pytest
@@ -14,7 +15,7 @@ from dds_trace.reports.figures.breakdown import MeanPart, breakdown_plan
 from dds_trace.reports.figures.clocks import ClockPair, clock_plan, one_way_plan
 from dds_trace.reports.figures.costs import bridge_cost_plan, domain_difference_plan, dots_plan
 from dds_trace.reports.figures.distribution import HeatmapPanel, distribution_plan, heatmap_plan, run_spread_plan
-from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Figure, LeftOut, Line, Panel, facet_panels
+from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Line, Panel, facet_panels
 from dds_trace.reports.figures.host_load import DeviceLoad, host_load_plan
 from dds_trace.reports.figures.lines import (
     BY_DEVICE,
@@ -225,14 +226,14 @@ def test_the_spread_of_runs_is_how_far_their_interval_reaches():
 
 def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign):
     assert dots_plan(Book(campaign))["groups"] == [1, 0, 4, 2, 3], "by message, then setup"
-    made = {figure.name: figure for _, figure in drawn_figures(Book(campaign))}
-    assert isinstance(made["dots"], Figure)
-    assert {name for name, figure in made.items() if isinstance(figure, LeftOut) and "so few results" in figure.reason} >= {
+    made, left_out = drawn_figures(Book(campaign))
+    assert made[0][0].name == "dots"
+    assert {figure.name for figure, reason in left_out if "so few results" in reason} >= {
         "latency_by_rate", "latency_by_size", "domain_difference", "vendor_comparison", "received",
     }  # fmt: skip
     many = Book(EVERY_ANALYSIS["small campaign"]())
     assert dots_plan(many) is None
-    assert "dots" not in {figure.name for _, figure in drawn_figures(many)}
+    assert "dots" not in {figure.name for figure, _ in chain(*drawn_figures(many))}
 
 
 def test_clock_shows_offsets_since_the_first():
@@ -274,7 +275,7 @@ def test_outages_are_marked_on_the_timeline():
 
 def test_without_details_the_figures_that_need_them_say_so(campaign):
     plain = replace(campaign, details=details_not_requested())
-    left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
+    left_out = {figure.name for figure in FIGURES if figure.plan(Book(plain)) is None}
     of_wire = "first_message sent_again wire_cost"
     of_details = "breakdown bridge_cost clock fan_out host_load interference one_way recovery run_spread"
     assert left_out == {"by_device", *of_wire.split(), *of_details.split()}
@@ -331,28 +332,23 @@ def test_a_thinned_timeline_keeps_extremes_and_counts_losses(monkeypatch):
 @pytest.mark.parametrize("name", EVERY_ANALYSIS)
 def test_every_figure_accepts_every_analysis(name):
     analysis = EVERY_ANALYSIS[name]()
-    for maker in FIGURES:
-        drawn = maker.draw(Book(analysis))
-        if isinstance(drawn, Figure):
-            json_island(drawn.plan)
-            assert drawn.how_to_read.endswith(".")
-            assert drawn.how_to_read.count(". ") == 0, "one sentence"
-        else:
-            assert drawn.reason.endswith(".")
+    for figure in FIGURES:
+        json_island(figure.plan(Book(analysis)))
+
+
+def test_every_figure_says_in_a_sentence_how_to_read_it_and_why_it_is_left_out():
+    for figure in FIGURES:
+        assert figure.how_to_read.endswith(".")
+        assert figure.how_to_read.count(". ") == 0, "one sentence"
+        assert figure.nothing.endswith(".")
 
 
 def test_nothing_empty_is_drawn_and_names_are_unique():
     empty, lost = (Book(EVERY_ANALYSIS[name]()) for name in ("empty folder", "nothing came back"))
-    assert all(isinstance(maker.draw(empty), LeftOut) for maker in FIGURES)
-    made = [maker.draw(lost) for maker in FIGURES]
-    assert len({figure.name for figure in made}) == len(made)
-    assert [figure.name for figure in made if isinstance(figure, Figure)] == ["received", "timeline", "host_load"]
-
-
-def test_a_figure_left_out_says_why(sentences):
-    left_out = LATENCY_BY_RATE.draw(Book(EVERY_ANALYSIS["one message"]()))
-    assert isinstance(left_out, LeftOut)
-    sentences(left_out.reason)
+    assert not [figure.name for figure in FIGURES if figure.plan(empty) is not None]
+    assert len({figure.name for figure in FIGURES}) == len(FIGURES)
+    drawn_of_lost = [figure.name for figure in FIGURES if figure.plan(lost) is not None]
+    assert drawn_of_lost == ["received", "timeline", "host_load"]
 
 
 def drawn(*rows):

@@ -13,6 +13,15 @@ SAMPLES_IN_PAGE = 30_000
 """Most samples in a page (about 300 KB of JSON); of more, every n-th is drawn."""
 
 
+LOADS = {
+    "cpu_percent": ("Busiest processor", "%"),
+    "signal_dbm": ("Wi-Fi signal", "dBm"),
+    "delay_ms": ("Delay of the link", "ms"),
+    "rate_mbit_s": ("Rate of the link", "Mbit/s"),
+}
+"""Field of `DeviceLoad` -> its label and unit."""
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceLoad:
     """Samples of one device during the runs of one group; `elapsed_s` since the planned first message, rounded to 0.1 s."""
@@ -38,7 +47,8 @@ def host_load_plan(book: Book) -> Plan | None:
         drawn = rows.gather_every(step)
         load = DeviceLoad(role, *(tuple(drawn[column.name].to_list()) for column in fields(DeviceLoad)[1:]))
         loads_of_group[group] = (*loads_of_group.get(group, ()), load)
-    return {"groups": loads_of_group, "decimated": step > 1} if loads_of_group else None
+    loads = [(name, *words) for name, words in LOADS.items()]
+    return {"groups": loads_of_group, "loads": loads, "decimated": step > 1} if loads_of_group else None
 
 
 FIGURE = FigureMaker(

@@ -4,28 +4,9 @@ const GROUP_FIGURES = ["timeline", "ecdf", "breakdown"];
 
 const groupName = (group) => `${cellOf(group).label}, ${seriesOf(group).label}`;
 
-const hoverKey = (text) =>
-  String(text ?? "")
-    .split("<br>")
-    .slice(0, 2)
-    .join("<br>");
-
-/** The group that the first two lines of a hover name (`groupHover`): how a mark is traced back to its group. */
-function groupOfHover(text) {
-  const named = hoverKey(text);
-  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find(
-    (place) => hoverKey(groupHover(place)) === named,
-  );
-  return group ?? null;
-}
-
-/** The group of a mark, bar or tile that plotly says was clicked. */
-function groupOfPoint({ data, pointNumber, hovertext }) {
-  const of = Array.isArray(pointNumber)
-    ? data.hovertext?.[pointNumber[0]]?.[pointNumber[1]]
-    : (hovertext ?? (Array.isArray(data.hovertext) ? data.hovertext[pointNumber] : data.hovertext));
-  return groupOfHover(of);
-}
+/** The group of a mark, bar or tile that plotly says was clicked; null where it has none. */
+const groupOfPoint = ({ data, pointNumber }) =>
+  [pointNumber].flat().reduce((of, at) => of?.[at], data.customdata) ?? null;
 
 const sheet = document.getElementById("group");
 

@@ -328,6 +328,10 @@ function shorten(text, most) {
   return text.length > room ? `${text.slice(0, room - 1)}…` : text;
 }
 
+/** Least width of panels: so many px for each position of the one with most. */
+const widthFor = (panels, width, least, each) =>
+  Math.min(width - 80, Math.max(least, each * Math.max(1, ...panels.map(({ weight }) => weight))));
+
 /** An axis that names only measured positions, as many as have room. `room` is the px that one label takes. */
 function tickedAxis(positions, labels, { log = true, room = 34, title = "" } = {}) {
   return (width) => {
@@ -353,7 +357,7 @@ function tickedAxis(positions, labels, { log = true, room = 34, title = "" } = {
       tickvals: kept.map((place) => positions[place]),
       ticktext: kept.map((place) => plain(labels[place])),
       tickangle: 0,
-      title: { text: plain(title), font: { size: 12, color: theme().soft }, standoff: 4 },
+      title: axisTitle(title),
       zeroline: false,
     };
   };
@@ -377,7 +381,7 @@ function loadAxis(values, title = "") {
     zeroline: false,
     tickangle: 0,
     range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12],
-    title: { text: plain(title), font: { size: 12, color: theme().soft }, standoff: 4 },
+    title: axisTitle(title),
   };
 }
 

@@ -158,10 +158,8 @@ const groupsSorting = { column: -1, descending: false };
 /** The rows whose names, as they are shown, contain every word of a search. */
 function foundRows(columns, rows, search) {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
-  const shown = (row, at) =>
-    typeof row[at] === "number" && columns[at].format ? columns[at].format(row[at], row) : String(row[at] ?? MISSING);
   return rows.filter((row) => {
-    const name = GROUP_COLUMNS.map((_, at) => shown(row, at))
+    const name = GROUP_COLUMNS.map((_, at) => cellText(columns[at], row, at))
       .join(" ")
       .toLowerCase();
     return words.every((word) => name.includes(word));

@@ -79,6 +79,7 @@ KINDS.bars = function bars(plan, width, all) {
           textangle: -90,
           cliponaxis: false,
           constraintext: "none",
+          customdata: line.points.map((point) => point.group),
           hoverinfo: "text",
           hovertext: line.points.map((point) =>
             groupHover(
@@ -268,11 +269,10 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
       };
     }),
   );
-  const most = Math.max(1, ...panels.map((panel) => panel.weight));
   return {
     ...gridOf(panels, width, {
       yTitle: `Latency, ${label}`,
-      minWidth: Math.min(width - 80, Math.max(260, most * 12)),
+      minWidth: widthFor(panels, width, 260, 12),
       height: 190,
       columns: 2,
       all,

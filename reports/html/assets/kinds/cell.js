@@ -36,8 +36,8 @@ const messageDots = (timelines, groups, metric, size, hover) =>
     });
   });
 
-// Panels of a link that a file drives.
-const LINK_PANELS = { delay_ms: ["Delay of the link", "ms"], rate_mbit_s: ["Rate of the link", "Mbit/s"] };
+// Axes of what is sampled; what a file drives has steps from 0.
+const LOAD_AXES = { cpu_percent: { range: [-3, 105], nticks: 5 }, signal_dbm: { nticks: 4 } };
 
 Object.assign(KINDS, {
   percentile_curve(_, width, all) {
@@ -154,7 +154,7 @@ Object.assign(KINDS, {
     const timed = groups.filter((group) => latency[group] && latency[group][metric].some((value) => value !== null));
     const values = timed.flatMap((group) => latency[group][metric].filter((value) => value !== null));
     const dots = messageDots(latency, timed, metric, 4, (group, point) => groupHover(group, formatNs(point.value)));
-    const lines = (key, format) =>
+    const lines = (key, unit) =>
       groups.flatMap((group) =>
         plan.groups[group]
           .filter((load) => load[key].some((value) => value !== null))
@@ -166,55 +166,28 @@ Object.assign(KINDS, {
               x: (point) => point.at,
               y: (point) => point.value,
               size: 6,
-              ...(key in LINK_PANELS ? { mode: "lines" } : {}),
-              hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`),
+              ...(key in LOAD_AXES ? {} : { mode: "lines" }),
+              hover: (point) => groupHover(group, `${load.role}: ${digits(point.value)} ${unit}`),
             });
-            if (key in LINK_PANELS) trace.line = { ...trace.line, shape: "hv" };
+            if (!(key in LOAD_AXES)) trace.line = { ...trace.line, shape: "hv" };
             else if (load.role === "relay")
               Object.assign(trace.marker, { size: 8, line: { color: theme().ink, width: 1.6 } });
             return trace;
           }),
       );
-    const [cpu, signal] = [
-      lines("cpu_percent", (value) => `${digits(value)} %`),
-      lines("signal_dbm", (value) => `${digits(value)} dBm`),
-    ];
-    const panels = [];
-    if (dots.length)
-      panels.push({
-        title: metric === "latency_ns" ? "Latency" : "Round trip",
-        traces: dots,
+    const loads = plan.loads
+      .map(([key, label, unit]) => ({
+        title: `${label} (${unit})`,
+        traces: lines(key, unit),
         x: secondsAxis,
-        y: timeAxis(values),
-        height: 110,
-      });
-    if (cpu.length)
-      panels.push({
-        title: "Busiest processor (%)",
-        traces: cpu,
-        x: secondsAxis,
-        y: { type: "linear", range: [-3, 105], nticks: 5 },
+        y: { type: "linear", ...(LOAD_AXES[key] ?? { rangemode: "tozero", nticks: 4 }) },
         height: 90,
-      });
-    if (signal.length)
-      panels.push({
-        title: "Wi-Fi signal (dBm)",
-        traces: signal,
-        x: secondsAxis,
-        y: { type: "linear", nticks: 4 },
-        height: 90,
-      });
-    const steps = Object.entries(LINK_PANELS).map(([key, [title, unit]]) => ({
-      title: `${title} (${unit})`,
-      traces: lines(key, (value) => `${digits(value)} ${unit}`),
-      x: secondsAxis,
-      y: { type: "linear", rangemode: "tozero", nticks: 4 },
-      height: 90,
-    }));
-    const link = steps.filter((panel) => panel.traces.length);
-    panels.push(...link);
-    const hasLines = cpu.length || signal.length || link.length;
-    const drawn = gridOf(hasLines ? panels : [], width, { minWidth: width, below: 46 });
+      }))
+      .filter((panel) => panel.traces.length);
+    const title = metric === "latency_ns" ? "Latency" : "Round trip";
+    const times = dots.length ? [{ title, traces: dots, x: secondsAxis, y: timeAxis(values), height: 110 }] : [];
+    const panels = [...times, ...loads];
+    const drawn = gridOf(loads.length ? panels : [], width, { minWidth: width, below: 46 });
     panels.forEach((_, place) => {
       if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x";
     });
@@ -229,21 +202,12 @@ Object.assign(KINDS, {
         ...GROUP_COLUMNS,
         { label: "Device" },
         { label: "Time", unit: "s", format: digits },
-        { label: "Busiest processor", unit: "%", format: digits },
-        { label: "Wi-Fi signal", unit: "dBm", format: digits },
-        ...Object.values(LINK_PANELS).map(([label, unit]) => ({ label, unit, format: digits })),
+        ...plan.loads.map(([, label, unit]) => ({ label, unit, format: digits })),
       ],
       rows: groups.flatMap((group) =>
         plan.groups[group].flatMap((load) =>
           load.elapsed_s.map((at, place) =>
-            groupRow(
-              group,
-              load.role,
-              at,
-              load.cpu_percent[place],
-              load.signal_dbm[place],
-              ...Object.keys(LINK_PANELS).map((key) => load[key][place]),
-            ),
+            groupRow(group, load.role, at, ...plan.loads.map(([key]) => load[key][place])),
           ),
         ),
       ),

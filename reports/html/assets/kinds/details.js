@@ -51,6 +51,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
             opacity: points.map((point) => (isLossy(point.group) ? 0.5 : 1)),
             line: { color: tint < 1 ? color : colors.ground, width: 1 },
           },
+          customdata: points.map((point) => point.group),
           hoverinfo: "text",
           hovertext: points.map((point) => hover(point)),
         };
@@ -59,10 +60,9 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
       y: grid.y,
     };
   });
-  const most = Math.max(1, ...panels.map((panel) => panel.weight));
   const drawn = gridOf(panels, width, {
     all,
-    minWidth: Math.min(width - 80, Math.max(150, most * 13)),
+    minWidth: widthFor(panels, width, 150, 13),
     height: 130,
     ...grid,
   });
@@ -191,12 +191,11 @@ Object.assign(KINDS, {
         y,
       };
     });
-    const most = Math.max(1, ...panels.map((panel) => panel.weight));
     return {
       ...gridOf(panels, width, {
         all,
         yTitle: timeTitle(`One way, ${statistic}`),
-        minWidth: Math.min(width - 80, Math.max(200, most * 18)),
+        minWidth: widthFor(panels, width, 200, 18),
         height: 150,
       }),
       legend: choicesOf(found.points.map((point) => point.group)),

@@ -56,7 +56,7 @@ function lookOf(dimension, option) {
   const own = DATA.dimensions[dimension].options[option];
   return { ...own, key: `${dimension}/${option}`, color: theme().dark ? own.dark : own.light };
 }
-const choiceLook = (group) => lookOf("choice", optionOf("choice", group));
+const choiceLook = (group) => ({ ...lookOf("choice", optionOf("choice", group)), group });
 const isHidden = (dimension, option) => view.hidden.has(`${dimension}/${option}`);
 
 /** How a plan's groups are spread, under the reader's choice where the figure can follow it. */
@@ -165,7 +165,7 @@ function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
   return found;
 }
 
-/** One line of marks; those of groups that lost messages are hollow. */
+/** One line of marks, each with its group; those of groups that lost messages are hollow. */
 function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, symbol = look.symbol }) {
   const lossy = points.map((point) => point.group !== undefined && isLossy(point.group));
   return {
@@ -175,6 +175,7 @@ function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, sy
     meta: look.key,
     x: points.map(x),
     y: points.map(y),
+    customdata: points.map((point) => point.group ?? look.group),
     hovertext: points.map(hover),
     hoverinfo: "text",
     line: { color: look.color, dash: look.dash, width: 1.8 },

@@ -63,6 +63,7 @@ KINDS.dots = function dots(plan, width) {
       color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)),
       opacity: passing.map((group) => (isLossy(group) ? 0.5 : 1)),
     },
+    customdata: passing,
     hoverinfo: "text",
     hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
   };

@@ -208,7 +208,6 @@ KINDS.lines = function lines(plan, width, all) {
     const labels = x === "place" ? undefined : panel.labels;
     return { ...along, title: panel.title, labels, traces, ends, beside, ...axisOf(panel) };
   });
-  const most = Math.max(1, ...panels.map((panel) => panel.weight));
   const names =
     every.length && dimension
       ? Math.max(...found.legend.options.map((option) => lookOf(dimension, option).short.length))
@@ -219,10 +218,9 @@ KINDS.lines = function lines(plan, width, all) {
       columns: found.columns,
       all,
       below: ["cell", "plane"].includes(x) ? 40 : 42 + Math.max(0, ...panels.map((panel) => panel.below || 0)),
-      minWidth: Math.min(
-        width - 80,
-        ["size", "rate"].includes(x) ? (isNarrow(width) ? 110 : Math.max(150, 26 * most)) : Math.max(240, most * 13),
-      ),
+      minWidth: ["size", "rate"].includes(x)
+        ? widthFor(panels, width, isNarrow(width) ? 110 : 150, isNarrow(width) ? 0 : 26)
+        : widthFor(panels, width, 240, 13),
       height: value.unit === "ratio" ? 130 : 180,
       right: panels.some((panel) => panel.ends.length) ? Math.min(172, 14 + 6.7 * names) : 16,
     }),
@@ -338,6 +336,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
               format(valueOf(group)).replace(" ", "\u00a0") +
               (isLossy(group) && view.tiles === "statistic" ? `<br>${lossText(group)}` : ""),
           ),
+          customdata: grid((group) => group),
           hovertext: grid((group) => groupHover(group, `${label}: ${format(valueOf(group))}`, sampleHover(group))),
           hoverinfo: "text",
           texttemplate: minWidth / rates.length >= 46 ? "%{text}" : undefined,

@@ -48,10 +48,6 @@ class SizeCell:
     p50_ns: float | None = field(default=None, compare=False)
     p99_ns: float | None = field(default=None, compare=False)
 
-    @property
-    def times(self) -> tuple[tuple[str, bool], tuple[str, bool]]:
-        return (self.p50, self.leads_p50), (self.p99, self.leads_p99)
-
 
 @dataclass(frozen=True, slots=True)
 class SizeRow:
@@ -239,10 +235,13 @@ TINTS = (1.05, 1.25, 1.6, 2.5)
 def _times(cell: SizeCell | None, row: SizeRow) -> Words:
     if cell is None:
         return ""
-    (p50, leads), (p99, leads_p99) = cell.times
-    tones = [f"tint-{_tint(cell, row)}", *(["strong"] if leads else []), *(["bad"] if p50 == LOST else [])]
-    tail = "p99 strong" if leads_p99 else "p99"
-    lines = [[Span(p50, " ".join(tones), cell.group), Span(" / ", "p99"), Span(p99, tail)]]
+    tones = [
+        f"tint-{_tint(cell, row)}",
+        *(["strong"] if cell.leads_p50 else []),
+        *(["bad"] if cell.p50 == LOST else []),
+    ]
+    tail = "p99 strong" if cell.leads_p99 else "p99"
+    lines = [[Span(cell.p50, " ".join(tones), cell.group), Span(" / ", "p99"), Span(cell.p99, tail)]]
     return Stack([*lines, *([[Span(cell.lost, "bad lost")]] if cell.lost else [])])
 
 

@@ -21,6 +21,9 @@ const secondsAxis = () => ({
   zeroline: false,
 });
 
+/** The field and the name of the time that is drawn of each message. */
+const messageTime = () => (view.metric === "latency" ? ["latency_ns", "Latency"] : ["rtt_ns", "Round trip"]);
+
 /** A dot for each received message of some groups, at its time within the run. */
 const messageDots = (timelines, groups, metric, size, hover) =>
   groups.map((group) => {
@@ -50,8 +53,7 @@ Object.assign(KINDS, {
   timeline(plan, width, all) {
     const inCell = cellGroups().filter((group) => plan.groups[group]);
     const groups = seenInCell(inCell);
-    const metric = view.metric === "latency" ? "latency_ns" : "rtt_ns";
-    const label = metric === "latency_ns" ? "Latency" : "Round trip";
+    const [metric, label] = messageTime();
     const values = groups.flatMap((group) => plan.groups[group][metric].filter((value) => value !== null));
     const lossy = groups.filter((group) => plan.groups[group].lost_elapsed_s.length);
     const dots = messageDots(plan.groups, groups, metric, 4.5, (group, point) =>
@@ -150,7 +152,7 @@ Object.assign(KINDS, {
     const inCell = cellGroups().filter((group) => plan.groups[group]);
     const groups = seenInCell(inCell);
     const latency = DATA.figures.timeline ? DATA.figures.timeline.plan.groups : {};
-    const metric = view.metric === "latency" ? "latency_ns" : "rtt_ns";
+    const [metric, title] = messageTime();
     const timed = groups.filter((group) => latency[group] && latency[group][metric].some((value) => value !== null));
     const values = timed.flatMap((group) => latency[group][metric].filter((value) => value !== null));
     const dots = messageDots(latency, timed, metric, 4, (group, point) => groupHover(group, formatNs(point.value)));
@@ -184,7 +186,6 @@ Object.assign(KINDS, {
         height: 90,
       }))
       .filter((panel) => panel.traces.length);
-    const title = metric === "latency_ns" ? "Latency" : "Round trip";
     const times = dots.length ? [{ title, traces: dots, x: secondsAxis, y: timeAxis(values), height: 110 }] : [];
     const panels = [...times, ...loads];
     const drawn = gridOf(loads.length ? panels : [], width, { minWidth: width, below: 46 });

@@ -66,6 +66,17 @@ def test_texts_of_the_chart_of_dots_are_level_and_of_one_size(read_with, pages, 
     turned = tab.evaluate(texts)
     assert len(turned) >= 2
     assert not [text for text in turned if re.search(r"rotate\((?!0\D)|scale\(0", text)]
+    assert tab.evaluate("(e => e.scrollWidth - e.clientWidth)(document.querySelector('#recording .scroll'))") <= 0
+
+
+def test_without_scripts_no_heading_is_empty_and_no_link_leads_nowhere(chromium, pages):
+    tab = chromium.new_page(java_script_enabled=False)
+    tab.goto(pages("demo"))
+    headings = tab.locator("h2:visible").all_inner_texts()
+    assert headings == ["What was measured", "The answer", "How it was recorded"]
+    for link in tab.locator("nav a:visible").all():
+        assert tab.locator(link.get_attribute("href")).is_visible()
+    tab.close()
 
 
 def test_hostile_strings_stay_text(reader, pages):

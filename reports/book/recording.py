@@ -174,14 +174,14 @@ def setting_words(analysis: Analysis) -> str:
 
 def version_words(analysis: Analysis) -> str:
     versions = [object_of(session.host.get("versions")).items() for session in analysis.sessions]
-    return ", ".join(_each((printable(name), printable(value)) for own in versions for name, value in own))
+    return ", ".join(_each((printable(name), printable(value)) for packages in versions for name, value in packages))
 
 
 def _each(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     values: dict[str, dict[str, None]] = {}
     for name, value in pairs:
         values.setdefault(name, {})[value] = None
-    return (f"{name} {' or '.join(own)}" for name, own in values.items())
+    return (f"{name} {' or '.join(texts)}" for name, texts in values.items())
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
@@ -217,19 +217,19 @@ _NAMES = {
 def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...]:
     vendors = vendor_labels(analysis)
     described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
-    own: dict[str, list[Session]] = {}
+    columns: dict[str, list[Session]] = {}
     for session in sorted(analysis.sessions, key=lambda member: (member.device, member.role)):
         column = f"{printable(session.device)} ({printable(session.role)})"
         for section, name, value in _described(session, vendors):
             described.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
-        own.setdefault(column, []).append(session)
-    for column, sessions in own.items():
+        columns.setdefault(column, []).append(session)
+    for column, sessions in columns.items():
         counts = {"sessions": len(sessions), "dropped events": sum(session.dropped_events for session in sessions)}
         for name, count in counts.items():
             described.setdefault((_VARIED, name), {})[column] = {format_count(count): None}
-    if not own:
+    if not columns:
         return ()
-    shown = [*own][:MOST_COLUMNS]
+    shown = [*columns][:MOST_COLUMNS]
     sections: dict[str, list[Row]] = {}
     for (section, name), by_column in described.items():
         values = [_joined(by_column.get(column, {})) for column in shown]
@@ -242,7 +242,7 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...
     rows = [row for section in ordered for row in sections.get(section, ())]
     quality = "; ".join(dict.fromkeys(qos_label(member) for member in groups.series))
     how = "Rows marked ≠ differ between devices or between sessions."
-    if more := len(own) - len(shown):
+    if more := len(columns) - len(shown):
         how += f" {counted(more, 'more column is', 'more columns are')} in the JSON report."
     label, look = "How it was recorded, by device and role", "data recorded keeps-1"
     return (

@@ -112,8 +112,8 @@ def _topic_row(row: Mapping[str, Any]) -> tuple[Words, ...]:
         MISSING if row["rate_hz"] is None else format_rate(float(f"{row['rate_hz']:.3g}")),
         MISSING if row["message_bytes"] is None else format_size(round(row["message_bytes"])),
         format_ratio(row["received_ratio"]),
-        *(Stack([[Span(time, "")] for time in of_metric]) for of_metric in times),
-        *(time for of_metric in times for time in of_metric),
+        *(Stack([[Span(time, "")] for time in pair]) for pair in times),
+        *(time for pair in times for time in pair),
         bound,
         interval,
     )

@@ -35,7 +35,7 @@ def breakdown_plan(book: Book) -> Plan | None:
     rows = book.analysis.details.breakdown.sort("group", "order").select(columns)
     for group, part, mean_ns, bound_ns in rows.iter_rows():
         parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), whole_ns(bound_ns)))
-    used = {part.name for own in parts.values() for part in own}
+    used = {part.name for group_parts in parts.values() for part in group_parts}
     names = {name: label for name, label in PART_LABELS.items() if name in used}
     return spread_plan(book, plane_facet(book), parts.__contains__, names=names, order=[*names], parts=parts)
 

@@ -50,7 +50,7 @@ def wire_cost_plan(book: Book) -> Plan | None:
         group: tuple(WirePart(name, share * ratios[group], share) for name, share in parts.items() if share)
         for group, parts in shares.items()
     }
-    used = {part.name for own in parts.values() for part in own}
+    used = {part.name for group_parts in parts.values() for part in group_parts}
     return spread_plan(
         book,
         plane_facet(book),

@@ -31,7 +31,9 @@ function showTable(
   { sorting = { column: -1, descending: false }, stay = 0, most = MOST_ROWS } = {},
 ) {
   // A column without any value is left to the CSV file.
-  const seen = columns.map((_, at) => at < stay || !rows.length || rows.some((row) => (row[at] ?? "") !== ""));
+  const seen = columns.map(
+    ({ stays }, at) => stays || at < stay || !rows.length || rows.some((row) => (row[at] ?? "") !== ""),
+  );
   if (seen.includes(false)) {
     const kept = (list) => Object.assign(list.filter((_, at) => seen[at]), { size: list.size, group: list.group });
     return showTable(place, caption, kept(columns), rows.map(kept), { sorting, stay, most });
@@ -182,7 +184,7 @@ function showGroups({ most = MOST_ROWS } = {}) {
     ...shown.flatMap((key) => {
       const label = DATA.statistics.find((one) => one.key === key).label;
       return [
-        { label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs },
+        { label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs, stays: rested(key) },
         ...(bounded(key)
           ? [
               { ...LOW, label: `${label} 95 % low` },

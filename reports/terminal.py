@@ -153,14 +153,14 @@ def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], g
 def _table(block: blocks.Table) -> Iterator[RenderableType]:
     columns, rows = block.seen(TERMINAL)
     if block.caption:
-        yield Text(plain_text(block.caption), style="bold")
+        yield _text(plain_text(block.caption), "strong")
     for number, sheet in enumerate(_sheets(columns, block.gap)):
         yield from [Text()] if number else []
         yield from _sheet(block, [columns[index] for index in sheet], sheet)
     for row, cells in rows:
         if row.notes:
             yield Text(printable(plain_text(cells[0])), style="bold")
-            yield from (Text(f"  {line}") for line in (*([row.figure.text] if row.figure else []), *row.notes))
+            yield from (_text(f"  {line}") for line in (*([row.figure.text] if row.figure else []), *row.notes))
 
 
 def _sheets(columns: Sequence[blocks.Column], gap: int) -> list[list[int]]:
@@ -197,7 +197,7 @@ def _sheet(block: blocks.Table, columns: Sequence[blocks.Column], sheet: Sequenc
         return
     yield grid([], has_names=True)
     for part, rows in parts:
-        yield from [Text(part, style="bold")] if part else []
+        yield from [_text(part, "strong")] if part else []
         yield grid(rows, has_names=False)
 
 

@@ -87,7 +87,7 @@ FAN_OUT = FigureMaker(
     name="fan_out",
     title="One message to several relays",
     how_to_read=(
-        "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last. On "
+        "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last; on "
         "the right: the time from the start of the ping to the first answer of the last relay, which were all running."
     ),
     nothing="no message went to several relays, and no pings sent at the same time.",

@@ -163,7 +163,7 @@ document.addEventListener("click", (event) => {
 
 function showFilters() {
   const paper = document.getElementById("paper");
-  paper.hidden = !blocks.some((block) => PAPER_FIGURES.includes(block.name));
+  paper.hidden = !paperChoices().length || !blocks.some((block) => PAPER_FIGURES.includes(block.name));
   paper.setAttribute("aria-pressed", String(isPaper()));
   for (const filter of DATA.filters) {
     const menu = document.querySelector(`[data-filter="${filter.key}"]`);

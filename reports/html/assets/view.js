@@ -54,10 +54,13 @@ const view = {
   hidden: new Set(), // lines that the reader switched off in a legend, as `dimension/option`
 };
 
+/** What the paper chooses that this campaign has and that the page does not choose anyway. */
+const paperChoices = () =>
+  Object.entries(PAPER).filter(([name, key]) => CHOICES[name].findIndex((choice) => choice.key === key) > 0);
+
 function isPaper() {
-  return Object.entries(PAPER).every(
-    ([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key),
-  );
+  const chosen = paperChoices();
+  return chosen.length > 0 && view.bars === PAPER.bars && chosen.every(([name, key]) => view[name] === key);
 }
 
 function choosePaper(on) {

@@ -55,6 +55,7 @@ def test_without_a_result_no_heading_and_no_button_is_without_its_part(reader, p
     tab = reader.open(pages("empty folder"))
     assert tab.locator("h2:visible").all_inner_texts() == ["What was measured", "The answer"]
     assert tab.locator("button:visible").all_inner_texts() == ["Dark"]
+    assert not tab.evaluate("isPaper()"), "nothing varies as the paper's figures do"
 
 
 @pytest.mark.parametrize("width", [390, 1360])

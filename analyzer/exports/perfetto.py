@@ -121,13 +121,11 @@ def _roundtrips(analysis: Analysis, clock: _Reference) -> Iterator[Slice]:
         for row in shifted.iter_rows(named=True):
             kind = f"{row['data_type']} {row['payload_bytes']} B"
             message = hash((row["run_id"], row["sequence"])) & (1 << 63) - 1
-            name = f"{kind} {row['sequence']}"
-            yield Slice(
-                row["ping_device"], f"{row['vendor']} {kind}", name, row["publish_ns"], row["receive_ns"], message
-            )
+            track, name = f"{row['vendor']} {kind}", f"{kind} {row['sequence']}"
+            yield Slice(row["ping_device"], track, name, row["publish_ns"], row["receive_ns"], message)
             if row["relay_device"] is not None and row["outbound_ns"] is not None:
                 begin_ns, end_ns = row["publish_ns"] + row["outbound_ns"], row["receive_ns"] - row["return_ns"]
-                yield Slice(row["relay_device"], f"{row['vendor']} {kind}", name, begin_ns, end_ns, message)
+                yield Slice(row["relay_device"], track, name, begin_ns, end_ns, message)
 
 
 def _topics(analysis: Analysis, clock: _Reference) -> Iterator[Slice]:
@@ -142,17 +140,10 @@ def _topics(analysis: Analysis, clock: _Reference) -> Iterator[Slice]:
             topic, publish_ns = row["data_type"], row["publish_ns"]
             name = f"{topic} {row['sequence']}"
             if (row["stamp_to_publish_ns"] or 0) > 0:
-                yield Slice(
-                    row["ping_device"],
-                    topic,
-                    f"{name} stamp",
-                    publish_ns - row["stamp_to_publish_ns"],
-                    publish_ns,
-                    message,
-                )
-            yield Slice(
-                row["relay_device"], topic, f"{name} one way", publish_ns, publish_ns + row["one_way_ns"], message
-            )
+                stamped_ns = publish_ns - row["stamp_to_publish_ns"]
+                yield Slice(row["ping_device"], topic, f"{name} stamp", stamped_ns, publish_ns, message)
+            taken_ns = publish_ns + row["one_way_ns"]
+            yield Slice(row["relay_device"], topic, f"{name} one way", publish_ns, taken_ns, message)
 
 
 def _thinned(rows: pl.DataFrame) -> pl.DataFrame:

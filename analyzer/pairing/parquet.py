@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dds_trace.base.errors import OutputError
-from dds_trace.base.files import replacing
+from dds_trace.base.files import output_errors, replacing
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
@@ -55,7 +54,7 @@ def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -
     # Texts are written as dictionaries; readers get the schema with texts, units and meanings.
     schema = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
     with ExitStack() as stack:
-        with _output_errors(path):
+        with output_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             draft = stack.enter_context(replacing(path))
             stream = stack.enter_context(pa.OSFile(str(draft), "wb"))
@@ -74,11 +73,11 @@ def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -
             writer.add_key_value_metadata({"ARROW:schema": schema, **(provenance or {})})
 
         def write(table: pa.Table) -> None:
-            with _output_errors(path):
+            with output_errors(path):
                 writer.write_table(table, row_group_size=max(len(table), 1))
 
         yield write
-        with _output_errors(path):
+        with output_errors(path):
             writer.close()
             stack.close()
 
@@ -131,7 +130,7 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
-    with _output_errors(path):
+    with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:
             pq.write_table(summary_table(summary, provenance), draft, compression="zstd")
@@ -157,14 +156,6 @@ _WRITTEN_SCHEMA = pa.schema(
     pa.field(f.name, pa.dictionary(pa.int32(), pa.string()) if pa.types.is_string(f.type) else f.type)
     for f in ROUNDTRIPS_SCHEMA
 )
-
-
-@contextmanager
-def _output_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as err:
-        raise OutputError(f"{path} cannot be written ({err.strerror or err}); give another folder with --out") from err
 
 
 MOST_NAMED = 1000

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from dds_trace.base.errors import OutputError
-from dds_trace.base.files import folder_lock, remove_drafts
+from dds_trace.base.files import folder_lock, output_errors, remove_drafts
 
 RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
@@ -43,12 +43,12 @@ def replacing_results(folder: Path) -> Iterator[Path]:
         OutputError: the folder cannot be written.
     """
     with ExitStack() as stack:
-        with _output_errors(folder):
+        with output_errors(folder):
             missing = [path for path in (folder, *folder.parents) if not path.exists()]
             drafts = _open_drafts(folder, stack)
         try:
             yield drafts
-            with _output_errors(folder):
+            with output_errors(folder):
                 for target in (folder / draft.name for draft in drafts.iterdir()):
                     if target.is_dir() and not target.is_symlink():
                         raise OutputError(f"{target} is a folder; give another folder with --out")
@@ -62,14 +62,6 @@ def replacing_results(folder: Path) -> Iterator[Path]:
             for path in missing:
                 with suppress(OSError):  # it has the results
                     path.rmdir()
-
-
-@contextmanager
-def _output_errors(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as err:
-        raise OutputError(f"{folder} cannot be written ({err.strerror}); give another folder with --out") from err
 
 
 def _open_drafts(folder: Path, stack: ExitStack) -> Path:

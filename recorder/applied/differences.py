@@ -154,9 +154,8 @@ def _buffer(
     )
     limit_bytes = applied.latest.limits.get(limit_name)
     if limit_bytes is not None and granted_bytes == GRANTED_PER_REQUESTED * limit_bytes:
-        return Difference(
-            Setting.KERNEL_LIMIT, str(requested_bytes), str(limit_bytes), f"{words}: {limit_name} is {limit_bytes:,}"
-        )
+        words += f": {limit_name} is {limit_bytes:,}"
+        return Difference(Setting.KERNEL_LIMIT, str(requested_bytes), str(limit_bytes), words)
     return Difference(Setting.TUNED, str(expected_bytes), str(granted_bytes), words)
 
 
@@ -165,12 +164,8 @@ def _interface(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
         return None
     path = payload_path(applied, traffic)
     way = {UNKNOWN: "another way", SHARED_MEMORY: "through shared memory"}.get(path, f"through {path}")
-    return Difference(
-        Setting.INTERFACE,
-        requested.interface,
-        path,
-        f"asked for the interface {requested.interface}, the bytes went {way}",
-    )
+    words = f"asked for the interface {requested.interface}, the bytes went {way}"
+    return Difference(Setting.INTERFACE, requested.interface, path, words)
 
 
 def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
@@ -185,13 +180,8 @@ def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) 
         used = "none is mapped"
         return Difference(Setting.SHARED_MEMORY, "on", used, f"asked for shared memory, {used}")
     if requested.shared_memory and path not in (UNKNOWN, SHARED_MEMORY):
-        return Difference(
-            Setting.MEMORY_NAMESPACE,
-            "on",
-            path,
-            f"asked for shared memory, the bytes went through {path}: the other side's /dev/shm is another one, or it has "
-            "shared memory off",
-        )
+        words = f"asked for shared memory, the bytes went through {path}: the other side's /dev/shm is another one, or it has shared memory off"
+        return Difference(Setting.MEMORY_NAMESPACE, "on", path, words)
     return None
 
 
@@ -199,12 +189,8 @@ def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | Non
     memory = _memory_of(requested, applied)
     elsewhere = [file.name for file in memory if not file.is_here]
     if elsewhere:
-        return Difference(
-            Setting.MEMORY_NAMESPACE,
-            requested.transport,
-            elsewhere[0],
-            f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
-        )
+        words = f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm"
+        return Difference(Setting.MEMORY_NAMESPACE, requested.transport, elsewhere[0], words)
     # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a missing port.
     # Nobody serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on
     # belong to all domains of a machine, so only the domain's own count. A segment of a dead owner may be the
@@ -213,13 +199,11 @@ def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | Non
     ports = domain_port_range(requested.domain_id)
     unserved = [file.name for file in memory if file.is_unserved_port and file.port_number in ports]
     if in_vain and unserved and not any(file.is_foreign_segment and not file.is_served for file in memory):
-        return Difference(
-            Setting.MEMORY_NAMESPACE,
-            requested.transport,
-            unserved[0],
+        words = (
             f"messages for a receiver on this host go to {unserved[0]} in /dev/shm, where nobody reads them: "
-            "the other side has a /dev/shm of its own (a container?), or has just left; share it, or ask for UDP",
+            "the other side has a /dev/shm of its own (a container?), or has just left; share it, or ask for UDP"
         )
+        return Difference(Setting.MEMORY_NAMESPACE, requested.transport, unserved[0], words)
     return None
 
 

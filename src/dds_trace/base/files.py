@@ -204,6 +204,17 @@ _ADVICE = {
 }
 
 
+@contextmanager
+def output_errors(folder: Path) -> Iterator[None]:
+    """Raise an error of the system as one of a folder for results."""
+    try:
+        yield
+    except OSError as err:
+        raise OutputError(
+            f"{folder} cannot be written ({err.strerror or err}); give another folder with --out"
+        ) from err
+
+
 def output_error(path: Path, err: OSError, what: str = "the trace") -> OutputError:
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
     return OutputError(f"{path}: cannot write {what}: {advice}")

@@ -11,6 +11,7 @@ from pathlib import Path
 import polars as pl
 
 from dds_trace.base.errors import OutputError
+from dds_trace.base.files import real_path
 
 from .analysis import Analysis
 from .details import collect_details, details_not_requested
@@ -172,7 +173,7 @@ def _analyze(
         write_summary(merged.summary.frame, drafted["summary"], origin)
     timeline = merged.frames["timeline"]
     return Analysis(
-        title=location.folder.resolve().name,
+        title=real_path(location.folder).name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         # Runs with messages in the order of their rows, then runs without.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.errors import MissingEventsError, OptionError, TraceFormatError
+from dds_trace.base.files import real_path
 from dds_trace.base.units import counted
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
@@ -217,12 +218,12 @@ def _read_sources(
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    skipped = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
+    skipped = {real_path(entry) for entry in (*traces, *skip) if entry.is_dir()}
     stems = {os.fspath(entry) for entry in traces}
     lengths = {len(stem) for stem in stems}  # few, for thousands of stems
     for where, folders, files in os.walk(folder):
         folders[:] = sorted(
-            name for name in folders if not name.startswith(".") and (Path(where) / name).resolve() not in skipped
+            name for name in folders if not name.startswith(".") and real_path(Path(where) / name) not in skipped
         )
         for name in sorted(files):
             path = Path(where) / name

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dds_trace.base.files import output_errors, replacing
+from dds_trace.base.files import output_errors, real_path, replacing
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
@@ -183,7 +183,7 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
     spans = spans or [(session.wall_anchor_ns, session.wall_anchor_ns) for session in sessions]  # only taps
     recorded = {"first": utc_text(min(first for first, _ in spans)), "last": utc_text(max(last for _, last in spans))}
     values = {
-        "sources": {"folder": campaign.folder.resolve().name, "count": len(read), "names": read[:MOST_NAMED]},
+        "sources": {"folder": real_path(campaign.folder).name, "count": len(read), "names": read[:MOST_NAMED]},
         "recorded": recorded,
         "clocks": {"count": len(sessions), "sessions": clocks},
     }

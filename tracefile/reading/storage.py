@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.files import real_path
 
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
@@ -54,18 +55,18 @@ def find_storage(
     cure: str,
 ) -> list[Path]:
     """Find files and folders as `find_traces` does."""
-    folder, left_out = Path(path), {Path(other).resolve() for other in skip}
+    folder, left_out = Path(path), {real_path(other) for other in skip}
     if folder.is_file() or (folder.is_dir() and is_one(folder)):
         return [folder]
     if not folder.is_dir():
         raise MissingEventsError(f"{folder}: no such file or folder; give {cure}")
     recordings: list[Path] = []
     for name, folders, files in os.walk(folder):
-        parent, real = Path(name), Path(name).resolve()
+        parent, real = Path(name), real_path(name)
 
         def is_left_out(child: Path, real: Path = real) -> bool:
             # Only a link leads elsewhere, and resolving every path is slow.
-            return (child.resolve() if child.is_symlink() else real / child.name) in left_out
+            return (real_path(child) if child.is_symlink() else real / child.name) in left_out
 
         searched = [child for child in folders if not is_left_out(parent / child)]
         recordings += [parent / child for child in searched if is_one(parent / child)]

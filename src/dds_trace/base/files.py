@@ -172,6 +172,11 @@ OWNER_AND_GROUP = 0o640
 """Mode of a new trace and its ring; the umask may reduce it."""
 
 
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path that links lead to; one in a loop stays, where `Path.resolve` raises before Python 3.13."""
+    return Path(os.path.realpath(path))
+
+
 def create_file(path: Path, mode: int = OWNER_AND_GROUP) -> BinaryIO:
     """Create a file that must not exist (nor a dangling link), with at most the rights of `mode`."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)

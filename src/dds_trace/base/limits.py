@@ -115,8 +115,8 @@ class FilePath:
         if self.is_input and isinstance(value, str):
             value = value.encode(errors="replace").decode()  # undecodable bytes of a name are lone surrogates
         fault = Words(self.what, most=4095).fault(value)
-        if fault is not None:
-            return fault
+        if fault is not None or not value:  # an empty path is the working folder, which nobody named
+            return fault or f"write {self.what}"
         parts = str(value).rstrip("/").split("/")
         if not self.is_folder and parts[-1] in {"", ".", ".."}:
             return f"{self.what} ends with a name"

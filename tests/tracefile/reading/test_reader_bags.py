@@ -247,6 +247,11 @@ def test_skipped_folders_and_files_are_left_out(tmp_path):
     skip = [tmp_path / "analysis", tmp_path / "x" / ".." / "drop.mcap"]
     assert find_traces(tmp_path / "by_a_link", skip=skip) == [tmp_path / "by_a_link" / "keep.mcap"]
     assert find_traces(tmp_path, skip=skip) == [tmp_path / "keep.mcap"]
+    (tmp_path / "loop.mcap").symlink_to("loop.mcap")
+    loops = [tmp_path / "loop.mcap" / "analysis", tmp_path / "loop.mcap"]
+    assert find_traces(tmp_path, skip=[*skip, *loops]) == [tmp_path / "keep.mcap"]
+    with pytest.raises(MissingEventsError, match="no such file or folder"):
+        find_traces(tmp_path / "loop.mcap", skip=loops)
 
 
 def test_a_trace_is_found_in_itself_and_nothing_nowhere(tmp_path):

@@ -118,6 +118,8 @@ def compare_command(
     files: list[Path | None] = [*out] if out else [None for _ in reports]
     if len(files) != len(reports):
         raise OptionError(f"{len(reports)} --report and {len(files)} --out: give one file for each report, or none")
+    if out and len({*out}) < len(out):
+        raise OptionError(f"--out {out[-1]}: two reports would be one file; give each its own")
     inputs = {"BASE": base, "NEW": new}
     outputs = [("--limits", limits_file), ("--write-limits", write_limits), *(("--out", file) for file in files)]
     for bound, paths in ((limits.INPUT, inputs.items()), (limits.PATH, outputs)):

@@ -1,4 +1,5 @@
 import os
+from pathlib import Path
 
 import pytest
 
@@ -104,3 +105,13 @@ def test_settings_are_a_regular_file_of_bounded_size(tmp_path, path):
         read_regular(tmp_path / path)
     (tmp_path / "small").write_bytes(b"<dds/>")
     assert read_regular(tmp_path / "small") == b"<dds/>"
+
+
+def test_a_device_and_a_pipe_are_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/null"), Path("/dev/stdout")):
+        before = path.lstat().st_mode
+        with pytest.raises(OSError, match="device or a pipe"), replacing(path):
+            pass
+        assert path.lstat().st_mode == before

@@ -30,6 +30,8 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     Raises:
         OSError: the draft cannot be flushed to the disk, or cannot replace `path`.
     """
+    if real_path(path.parent) == Path("/dev") or (path.exists() and not (path.is_file() or path.is_dir())):
+        raise OSError(errno.EEXIST, "It is a device or a pipe", os.fspath(path))  # replaced, it would be gone
     # Random, so that no other process and no link in a shared folder has the same name.
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
     with folder_lock(path.parent, fcntl.LOCK_SH, _DRAFT_LOCK_S):  # `remove_drafts` sees that somebody writes

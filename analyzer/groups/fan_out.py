@@ -87,7 +87,7 @@ def _is_crowded(exchanges: Sequence[Exchange]) -> bool:
 
 
 def _joined_late(rows: pl.DataFrame) -> dict[int, int]:
-    """Return the number of relays of each run that began within it, so that no earlier message could meet them."""
+    """Return how many relays of each run began within it."""
     first = rows.group_by("run_id", "relay_id").agg(pl.col("sequence").min())
     late = first.filter(pl.col("sequence") > pl.col("sequence").min().over("run_id"))
     return dict(late.group_by("run_id").len().iter_rows())

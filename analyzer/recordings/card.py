@@ -125,7 +125,6 @@ def _resolution_ns(stamp_ns: Int64) -> int | None:
 
 
 def bursts(log_ns: Int64) -> Row:
-    """Return how many messages typically come at once, in what time, and the pause that follows."""
     steps_ns = np.diff(log_ns)
     if len(steps_ns) < _FEWEST_STAMPS:
         return {}

@@ -31,8 +31,6 @@ TAP_ROLE = "tap"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """One publisher's messages at one tap."""
-
     session: Session
     topic: str
     message_type: str

@@ -227,14 +227,14 @@ def _memory_of(requested: Asked, applied: Applied) -> list[SharedMemory]:
 
 
 def _sized_sockets(requested: Asked, applied: Applied) -> list[Socket]:
-    """Return the UDP sockets, or the TCP connections where both of their buffers were requested."""
+    """Of UDP, or of TCP where both buffers were requested."""
     if requested.buffer_is_exact and requested.send_buffer_bytes:
         return [read for read in _carrying(applied) if read.tcp is not None]
     return [read for read in applied.latest.sockets or () if read.protocol == "udp"]
 
 
 def _carrying(applied: Applied) -> list[Socket]:
-    """Return those of the start, too: a connection may end with the other side."""
+    # A connection may end with the other side.
     return [*(applied.latest.sockets or ()), *(applied.begin.sockets or ())]
 
 

@@ -279,7 +279,6 @@ def domain_label(series: Series) -> str:
 
 
 def in_domain(label: str) -> str:
-    """Put a domain's label into a sentence."""
     return {"same domain": "in the same domain", "different domains": "across domains"}.get(label, label)
 
 

@@ -22,10 +22,10 @@ from dds_trace.analyzer.verdicts.gates import (
     _advice,
     _advice_on_received,
     _Measured,
-    _result,
     judge_gates,
     options_for,
     overall_outcome,
+    result_of,
 )
 from dds_trace.analyzer.verdicts.sides import SideError, errors_of
 from dds_trace.base.errors import OptionError
@@ -245,7 +245,7 @@ Z = 1.959963984540054  # standard errors that an interval of 95 % reaches
 )
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
     gate = replace(parse_gate("latency_p50 > +10%"), limit=limit)
-    result = _result(gate, "", GateOutcome.REGRESSED, value, low, high)
+    result = result_of(gate, "", GateOutcome.REGRESSED, value, low, high)
     judged = _Measured(result, (), None, _Advice(""))
     assert judged.p_beyond(0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
     few = replace(judged, degrees=2).p_beyond(0.95, is_ratio=is_ratio)

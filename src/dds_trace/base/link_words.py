@@ -10,13 +10,13 @@ _WRITTEN = re.compile(r"(?P<name>[^()]+)\((?P<values>[^()]*)\)")
 _WORDS = {
     "rate_mbit_s": "{rate_mbit_s} Mbit/s",
     "shared": "shared by both directions",
-    "queue_ms": "queue {queue_ms} ms",
     "delay_ms": "delay {delay_ms} ms",
     "jitter_ms": "jitter {jitter_ms} ms",
     "loss_percent": "loss {loss_percent} %",
     "loss_burst": "in bursts of {loss_burst}",
     "outage_ms": "outage {outage_ms} ms every {outage_every_s} s",
     "outage_every_s": "",
+    "queue_ms": "queue {queue_ms} ms",
     "file": "as {file} says",
 }
 

@@ -82,7 +82,7 @@ def test_it_is_in_the_help_and_among_the_defaults(ran):
 
 def test_it_is_checked(ran):
     refused = ran(*RECORD, "--role", "relay", "--out", "x.mcap", "--toy-level", "0")[1]
-    assert "-o toy_level=0: " in refused
+    assert "--toy-level 0: " in refused
 
 
 def test_it_reaches_recordings_plans_and_the_reference(ran):

@@ -69,7 +69,8 @@ function keepPlace() {
     return part.id || `${within.id}: ${[...within.querySelectorAll("details")].indexOf(part)}`;
   };
   const open = new Map(parts().map((part) => [nameOf(part), part.open]));
-  const marks = () => [...document.querySelectorAll("main :is([id], h2, .headline)")];
+  // The filters stay at the top of the window.
+  const marks = () => [...document.querySelectorAll("main :is([id], h2, .headline):not(#filters, #filters *)")];
   const name = (mark) => mark.id || mark.textContent;
   const top = marks().find((mark) => mark.getClientRects().length && mark.getBoundingClientRect().top >= 0);
   const [topName, topAt] = top ? [name(top), top.getBoundingClientRect().top] : [null, 0];

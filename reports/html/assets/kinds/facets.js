@@ -11,7 +11,8 @@
 // two).
 const KINDS = {};
 
-const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES, titles: AXIS_TITLES, lost_much: LOST_MUCH } = DATA.facets;
+const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
+const { titles: AXIS_TITLES, lost_much: LOST_MUCH } = DATA.facets;
 
 const GROUP_COLUMNS = [
   { label: "Data" },

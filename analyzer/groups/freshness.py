@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from itertools import pairwise
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from dds_trace.base.units import SECOND_NS
 
@@ -122,10 +119,10 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         in_time = value + bound <= deadline_ns
         missed = pl.col("code").is_in(never) | (value - bound > deadline_ns).fill_null(False)
     exchange, first_of = roundtrips.exchange_of_row(), _first_of_restarted(batch, roundtrips)
-    rows = roundtrips.measured.with_columns(
-        pl.Series("exchange", first_of[exchange]), pl.Series("code", roundtrips.outcome)
-    )
-    return (rows if np.array_equal(first_of[exchange], exchange) else rows.sort("exchange", "sequence")).select(
+    for restarted, first in first_of.items():
+        exchange[roundtrips.bounds[restarted] : roundtrips.bounds[restarted + 1]] = first
+    rows = roundtrips.measured.with_columns(pl.Series("exchange", exchange), pl.Series("code", roundtrips.outcome))
+    return (rows.sort("exchange", "sequence") if first_of else rows).select(
         "exchange",
         "sequence",
         "receive_ns",
@@ -139,21 +136,24 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     )
 
 
-def _first_of_restarted(batch: Batch, roundtrips: RoundTrips) -> NDArray[np.uint32]:
-    """Return for each exchange the one that it goes on with: of a relay that was restarted within the run, the first."""
+def _first_of_restarted(batch: Batch, roundtrips: RoundTrips) -> dict[int, int]:
+    """Return exchange -> the first one of its relay, for relays that were restarted within the run."""
+    relays = {
+        at: exchange.relay
+        for at, exchange in enumerate(batch.exchanges)
+        if exchange.relay is not None and exchange.relays > 1
+    }
     sequence, bounds = roundtrips.measured["sequence"], roundtrips.bounds.tolist()
-    spans = [
-        (sequence[first], sequence[end - 1], at) for at, (first, end) in enumerate(pairwise(bounds)) if first < end
-    ]
-    first_of = np.arange(len(batch.exchanges), dtype=np.uint32)
+    ends = ((bounds[at], bounds[at + 1], at) for at in relays)
+    spans = [(sequence[first], sequence[end - 1], at) for first, end, at in ends if first < end]
+    first_of: dict[int, int] = {}
     latest: dict[Hashable, tuple[int, int]] = {}
     for first_sequence, last_sequence, at in sorted(spans):
-        exchange = batch.exchanges[at]
-        if exchange.relay is not None and exchange.relays > 1:
-            key = batch.group_of_exchange[at], exchange.run.run_id, machine_of(exchange.relay)
-            relay, ended = latest.get(key, (at, -1))
-            first_of[at] = relay if ended < first_sequence else at
-            latest[key] = int(first_of[at]), last_sequence
+        key = batch.group_of_exchange[at], batch.exchanges[at].run.run_id, machine_of(relays[at])
+        first, ended = latest.get(key, (at, -1))
+        if first != at and ended < first_sequence:
+            first_of[at] = first
+        latest[key] = first_of.get(at, at), last_sequence
     return first_of
 
 

@@ -78,8 +78,8 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
     for group, row in evidence.rows_by_group("published", "received", "latency_max_ns", "rtt_max_ns", *_LOST):
         published, lost = row["published"], row["published"] - row["received"]
         if row["received"] and (where := _lost_where(row)):
-            cause = _lost_with_relay(members[group], lost, lost_at_end.get(group, 0))
-            cause = cause or next(filter(None, (find(members[group], row) for find in _CAUSES)), None)
+            shown = {**row, "lost_at_end": lost_at_end.get(group, 0)}
+            cause = next(filter(None, (find(members[group], shown) for find in _CAUSES)), None)
             seen = f"; {cause.seen}" if cause else ""
             cure = cause.cure if cause else _PERHAPS[members[group][0][0].run.qos.reliability]
             observation = evidence.result(
@@ -106,7 +106,8 @@ class _Cause(NamedTuple):
     cure: str
 
 
-def _lost_with_relay(members: Sequence[_Member], lost: int, at_end: int) -> _Cause | None:
+def _lost_with_relay(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:
+    at_end, lost = row["lost_at_end"], row["published"] - row["received"]
     is_killed = any(exchange.relay is not None and exchange.relay.state != "closed" for exchange, _ in members)
     if 2 * at_end <= lost or not (is_killed or any(exchange.ping.extra.get("error") for exchange, _ in members)):
         return None
@@ -155,7 +156,7 @@ def _dropped_by_zenoh(members: Sequence[_Member], _row: Mapping[str, int]) -> _C
     )
 
 
-_CAUSES = (_outlived_lifespan, _dropped_by_zenoh, _outlived_history)
+_CAUSES = (_lost_with_relay, _outlived_lifespan, _dropped_by_zenoh, _outlived_history)
 """The first one that the trace shows is named."""
 
 

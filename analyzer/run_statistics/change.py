@@ -77,7 +77,7 @@ class Change:
 
 
 MANY_SPREADS = 12
-"""Spreads of which some agree by chance though all look alike."""
+"""Of so many spreads a few are small by chance."""
 
 
 @dataclass(frozen=True, slots=True)

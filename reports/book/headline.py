@@ -114,7 +114,7 @@ def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
 
 def _cost_words(rows: pl.DataFrame) -> str:
     parts = []
-    for name, label in (("p50", "at the median"), ("p99", "at p99")):
+    for name, label in PERCENTILES:
         is_slower, is_known = pl.col("verdict") == "worse", pl.col("ratio").is_not_null()
         costs = rows.filter(is_slower | is_known, statistic=name)  # others have too few messages
         is_lost = ~pl.col("ratio").is_finite().fill_null(value=False)

@@ -128,7 +128,7 @@ def conditions_label(conditions: str) -> str:
 
 
 def link_label(connectivity: str, conditions: str, between: str = ", ") -> str:
-    """An emulated link is named by its condition alone."""
+    """The condition has an emulated link's name already."""
     emulated = parse_setting(conditions).get("link", "").partition("(")[0]
     way = "" if connectivity == f"emulated-{emulated}" else printable(connectivity)
     return between.join(filter(None, (way, conditions_label(conditions))))

@@ -166,7 +166,7 @@ function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
   return found;
 }
 
-/** One line of marks, each with its group; those of groups that lost messages are hollow. */
+/** One line of marks, each with its group; a mark is hollow where messages were lost. */
 function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, symbol = look.symbol }) {
   const lossy = points.map((point) => point.group !== undefined && isLossy(point.group));
   return {

@@ -24,7 +24,7 @@ else:
 
 ROOT = Path(__file__).parents[1]
 BARS = ROOT / "scripts" / "house.toml"
-ROOMS = ("src", "tracefile", "recorder", "analyzer", "reports", "cli")
+ROOMS = ("src", "tracefile", "recorder", "analyzer", "reports", "cli", "extensions")
 
 WORDS = re.compile(
     r"\b(anew|begun|behind|beside|lies|mends?|mended|of which|of whom|seldom|stands|tells?|telling|that of|those of|told|unto"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.extension import offers
 from dds_trace.base.streams import say
 from dds_trace.base.threads import tune_gc
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "dds-trace"
 
-COMMANDS = {
+_COMMANDS = {
     "record ping": "record.command:ping",
     "record relay": "record.command:relay",
     "record tap": "record.command:tap",
@@ -41,6 +43,9 @@ COMMANDS = {
     "bridge": "bridge:app",
     "doctor": "doctor:app",
 }
+
+_ORDER = ("record", "sweep", "capacity", "explain", "advise", "analyze", "choose", "compare", "watch", "bag", "recover")
+"""First words of commands as `--help` lists them; others follow."""
 
 _GROUPS = {
     "record": "Record a ping, a relay, topics or clocks; list what records now.",
@@ -103,13 +108,28 @@ def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
     """
 
 
+def commands() -> dict[str, Callable[[], typer.Typer]]:
+    """Return the words of each command, an extension's too, with the call that imports its app."""
+    own: dict[str, Callable[[], typer.Typer]] = {name: partial(_load_app, home) for name, home in _COMMANDS.items()}
+    rank = {word: number for number, word in enumerate(_ORDER)}
+    every = {**own, **offers("commands")}
+    return {name: every[name] for name in sorted(every, key=lambda name: rank.get(name.partition(" ")[0], len(rank)))}
+
+
+def _load_app(home: str) -> typer.Typer:
+    module, _, name = home.partition(":")
+    app: typer.Typer = getattr(import_module(f".{module}", __package__), name)
+    return app
+
+
 def build(words: Sequence[str]) -> typer.Typer:
-    chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in COMMANDS][:1]
-    chosen = chosen or [name for name in COMMANDS if words and name.startswith(f"{words[0]} ")]
+    every = commands()
+    chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in every][:1]
+    chosen = chosen or [name for name in every if words and name.startswith(f"{words[0]} ")]
     root = make_app(completes=True)
     root.callback(context_settings=SETTINGS)(_show_help)
     groups: dict[str, typer.Typer] = {}
-    for name in chosen or [name for name in COMMANDS if name != "sweep new"]:
+    for name in chosen or [name for name in every if name != "sweep new"]:
         group = name.rpartition(" ")[0]
         if group and group not in groups:
             groups[group] = make_app()
@@ -117,14 +137,8 @@ def build(words: Sequence[str]) -> typer.Typer:
             root.add_typer(
                 groups[group], name=group, help=_GROUPS[group], no_args_is_help=True, context_settings=settings
             )
-        (groups[group] if group else root).add_typer(app_of(name))
+        (groups[group] if group else root).add_typer(every[name]())
     return root
-
-
-def app_of(name: str) -> typer.Typer:
-    module, _, app = COMMANDS[name].partition(":")
-    loaded: typer.Typer = getattr(import_module(f".{module}", __package__), app)
-    return loaded
 
 
 def _words_to_complete() -> list[str]:

@@ -20,7 +20,7 @@ COLUMNS = 100
 def _commands() -> Iterator[tuple[str, Any]]:
     """Yield name and command, in the order of a measurement, and the two names of programs that stay."""
     yield trace.PROGRAM, typer.main.get_command(trace.build([]))
-    for name in trace.COMMANDS:
+    for name in trace.commands():
         command: Any = typer.main.get_command(trace.build(name.split()))
         for word in name.split():
             command = command.commands[word]

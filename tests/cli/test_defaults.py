@@ -112,7 +112,7 @@ def test_options_of_the_other_role_are_passed_over_and_the_rest_is_taken(home, r
     monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", lambda options, **_: taken.append(options))
 
     def take(role):
-        run(lambda: trace.app_of(f"record {role}")(["--out", "x.mcap"]))
+        run(lambda: trace.commands()[f"record {role}"]()(["--out", "x.mcap"]))
         return taken.pop()
 
     relay = take("relay")

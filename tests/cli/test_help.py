@@ -32,7 +32,7 @@ MODULES = {
     "dds-record": "dds_trace.cli.record",
     "dds-analyze": "dds_trace.cli.analyze",
 }
-COMMANDS = [*MODULES, *(f"dds-trace {name}" for name in ("record", "explain", *trace.COMMANDS))]
+COMMANDS = [*MODULES, *(f"dds-trace {name}" for name in ("record", "explain", *trace.commands()))]
 CALL = """
 import importlib, json, sys
 module, words, heavy, name = json.loads(sys.argv[1])
@@ -181,7 +181,7 @@ def test_an_option_that_went_names_the_command_that_does_it(words, now, capsys, 
         assert trace.follow_moved([words[0], "a", words[1], "b"]) == [now.split()[0], "a", "b"]
     else:
         assert (ended.value.code, capsys.readouterr().err) == (2, f"dds-trace: {said}")
-    assert " ".join(now.split()[:2]) in trace.COMMANDS or now.split()[0] in {*trace.COMMANDS, "record"}
+    assert " ".join(now.split()[:2]) in trace.commands() or now.split()[0] in {*trace.commands(), "record"}
 
 
 def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
@@ -232,7 +232,7 @@ def strings_of(text):
 
 
 def test_a_sentence_and_a_page_name_no_option_that_is_a_setting_or_went():
-    commands = map(command_of, ["dds-record", "dds-analyze", *(f"dds-trace {name}" for name in trace.COMMANDS)])
+    commands = map(command_of, ["dds-record", "dds-analyze", *(f"dds-trace {name}" for name in trace.commands())])
     shown = {option for command in commands for row in command.params if not row.hidden for option in row.opts}
     gone = {*(row.name for row in OPTIONS.values()), *(moved.split()[1] for moved in trace.MOVED)} - shown
     assert {"--buffer", "--rotate", "--no-own-cost", "--explain-rates"} <= gone

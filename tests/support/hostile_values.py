@@ -18,8 +18,8 @@ COMMANDS = {
     "dds-record": record.app,
     "dds-analyze": analyze.app,
     **{
-        f"dds-trace {name}": trace.app_of(name)
-        for name in trace.COMMANDS
+        f"dds-trace {name}": trace.commands()[name]()
+        for name in trace.commands()
         if not name.startswith(("record ", "analyze"))
     },
 }

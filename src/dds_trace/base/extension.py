@@ -1,0 +1,51 @@
+"""The door of `extensions/`: what a building adds to the main house, which imports none of them and loads it at use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from .errors import OptionError
+
+EXTENSIONS: tuple[str, ...] = ()
+"""Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extension:
+    """`EXTENSION` of each package in `EXTENSIONS`; a value is the home of an object, `module:name` below the package.
+
+    Attributes:
+        commands: words of a command -> its typer app.
+    """
+
+    commands: Mapping[str, str] = field(default_factory=dict)
+
+
+def offers(kind: str) -> dict[str, Callable[[], Any]]:
+    """Return what all extensions offer in the field `kind`: name -> a call that imports and returns the object."""
+    homes: dict[str, Callable[[], Any]] = {}
+    for extension in EXTENSIONS:
+        package = f"{__package__.rpartition('.')[0]}.extensions.{extension}"
+        for name, home in getattr(import_module(package).EXTENSION, kind).items():
+            homes[name] = partial(_load, f"{package}.{home.partition(':')[0]}", home.partition(":")[2])
+    return homes
+
+
+def load(kind: str, name: str) -> Any:
+    """Return the object `name` of the field `kind`.
+
+    Raises:
+        OptionError: no extension offers it.
+    """
+    offered = offers(kind)
+    if name not in offered:
+        raise OptionError(f"there is no {name!r} among the {kind}; choose one of {', '.join(offered)}")
+    return offered[name]()
+
+
+def _load(module: str, name: str) -> Any:
+    return getattr(import_module(module), name)

@@ -1,0 +1,51 @@
+"""The door of `extensions/`: a building is a package and its name in a list."""
+
+import sys
+from types import ModuleType
+
+import pytest
+
+from dds_trace.base import extension
+from dds_trace.base.errors import OptionError
+from dds_trace.base.extension import Extension, load, offers
+from dds_trace.cli import trace
+from dds_trace.cli.program import command, make_app
+
+app = make_app()
+
+
+@command(app, "toy")
+def toy_command() -> None:
+    """Say that the toy ran."""
+    print("the toy ran")
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    """An extension `toy` whose home `command` is this module."""
+    package, home = ModuleType("dds_trace.extensions.toy"), ModuleType("dds_trace.extensions.toy.command")
+    package.EXTENSION, home.app = Extension(commands={"toy": "command:app"}), app
+    monkeypatch.setitem(sys.modules, package.__name__, package)
+    monkeypatch.setattr(extension, "EXTENSIONS", (*extension.EXTENSIONS, "toy"))
+    return home
+
+
+def test_a_package_and_its_name_are_all_that_an_extension_takes(toy, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, toy.__name__, toy)
+    with pytest.raises(SystemExit, match="0"):
+        trace.main(["toy"])
+    assert capsys.readouterr().out == "the toy ran\n"
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_home_is_imported_at_use():
+    """The package alone is there: what it offers can be listed, and its home is missed at the call."""
+    assert "toy" in offers("commands")
+    with pytest.raises(ModuleNotFoundError):
+        load("commands", "toy")
+
+
+@pytest.mark.usefixtures("toy")
+def test_what_nobody_offers_is_named_with_what_there_is():
+    with pytest.raises(OptionError, match=r"'tot'.*toy"):
+        load("commands", "tot")

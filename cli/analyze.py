@@ -78,9 +78,6 @@ Out = Annotated[
     Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces")
 ]
 ShowsAll = Annotated[bool, option("--all", "Print findings and tables of all results, too, and the answer last.")]
-Card = Annotated[
-    bool, option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card.")
-]
 Opens = Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")]
 
 
@@ -130,7 +127,6 @@ def analyze_command(
             "--fail-if LIMIT", "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; repeatable."
         ),
     ] = None,
-    card: Card = False,
     open_it: Opens = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
@@ -155,15 +151,7 @@ def analyze_command(
         "trust_order": trust_order,
     }
     analysis = _analyze(
-        paths,
-        out,
-        report,
-        more,
-        exports=export,
-        derived_mcap=derived_mcap,
-        card=card,
-        open_it=open_it,
-        shows_all=shows_all,
+        paths, out, report, more, exports=export, derived_mcap=derived_mcap, open_it=open_it, shows_all=shows_all
     )
     if gates:
         from .compare import ReportKind, judge_sides
@@ -228,7 +216,6 @@ def _analyze(
     *,
     exports: Sequence[str] | None = None,
     derived_mcap: bool = False,
-    card: bool = False,
     open_it: bool = False,
     shows_all: bool = False,
 ) -> Analysis:
@@ -251,11 +238,6 @@ def _analyze(
         exported = [path for kind in exports or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         files = [*reports, *exported, *derived]
-        if card:
-            from dds_trace.reports.book.book import Book
-            from dds_trace.reports.card import book_card, write_picture
-
-            files += write_picture(*book_card(Book(analysis)), folder, say)
         written.extend(target / path.name for path in files if path is not None)
 
     earlier = read_provenance(target)

@@ -10,7 +10,7 @@ import typer
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
 
-from .analyze import Card, Opens, expand_paths, kinds_of, show_page
+from .analyze import Opens, expand_paths, kinds_of, show_page
 from .program import argument, ask_about_folder, command, make_app, option
 
 _REPORTS = ("html", "md", "json", "terminal")
@@ -45,7 +45,6 @@ def bag_command(
             "recorded=laptop topics=/camera/*'.",
         ),
     ] = None,
-    card: Card = False,
     open_it: Opens = False,
 ) -> None:
     """Say whether a recording of other tools is whole, topic by topic.
@@ -75,7 +74,7 @@ def bag_command(
         measured = analyze(request.folder, details=False)
         stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows).corrections
     kinds = [*(report or []), *(["html"] if open_it else [])]
-    code, written = report_topics(recordings, folder, kinds, export or [], gates, stamp_clock, write_limits, card=card)
+    code, written = report_topics(recordings, folder, kinds, export or [], gates, stamp_clock, write_limits)
     for path in written:
         print(f"Wrote {path}")
     show_page([path for path in written if path.suffix == ".html"], open_it=open_it)

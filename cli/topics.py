@@ -18,7 +18,6 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
 from dds_trace.reports.book.groups import joined
-from dds_trace.reports.card import topics_card, write_picture
 from dds_trace.reports.comparison.words import gate_notes, gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
@@ -45,8 +44,6 @@ def report_topics(
     gates: Sequence[Gate],
     clock: StampCorrector | None = None,
     limits_out: Path | None = None,
-    *,
-    card: bool = False,
 ) -> tuple[int, list[Path]]:
     if others := sorted({*exports} - {*_EXPORTS}):
         raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
@@ -67,9 +64,6 @@ def report_topics(
             written.append(write_file(folder / "topics.pftrace", partial(write_slices, topic_slices(report))))
         else:
             written.append(write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())))
-    if card:
-        folder.mkdir(parents=True, exist_ok=True)
-        written += write_picture(*topics_card(report), folder, say)
     if limits_out is not None:
         write_limits(topic_limits_text(report.topics), limits_out)
     if report.verdict == DAMAGED:

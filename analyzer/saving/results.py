@@ -21,7 +21,6 @@ from dds_trace.base.files import folder_lock, output_errors, remove_drafts
 RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
-    *("card.svg", "card.png"),
     *("openmetrics.txt", "latency.hlog", "timeline.pftrace"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",

@@ -62,7 +62,7 @@ def test_a_second_analysis_replaces_the_first(runs):
 
 
 def test_an_error_of_a_report_leaves_all_earlier_files(runs, monkeypatch, capsys):
-    every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap", "--card")
+    every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap")
     assert analyze(runs, *every) == 0
     before = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
     write_pair(runs / "more", TWELVE, runs=[run(run_id=0xB2)])

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from damaged_bags import HOWS, KINDS, Good, damage, make_good, read_recovered
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.tracefile.recovery.recordings import recover_recording
+from dds_trace.extensions.bags.recover import recover_recording
 
 
 def main() -> int:

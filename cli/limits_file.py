@@ -114,7 +114,7 @@ def limits_text(comparison: Comparison) -> str:
 def topic_limits_text(topics: pl.DataFrame) -> str:
     import polars as pl  # not of a sweep
 
-    from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
+    from dds_trace.extensions.bags.card import OTHER_CLOCK_NS
 
     sections: dict[str, list[str]] = {}
     high = pl.col("missing_high")

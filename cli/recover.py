@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from dds_trace.base import limits
+from dds_trace.base.extension import load
 
 from .program import argument, command, make_app, option
 
@@ -18,12 +19,11 @@ def recover_command(
     out: Annotated[Path | None, option("--out PATH", "File or folder to write. Default: next to FILE")] = None,
 ) -> None:
     """Make a whole copy of what a killed recorder left, or of a bag."""
-    from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
     from dds_trace.tracefile.recovery.recover import recover
 
     limits.check(limits.INPUT, str(path), "FILE")
     limits.check(limits.PATH, None if out is None else str(out), "--out")
-    report = recover_recording(path, out) if is_of_others(path) else recover(path, out)
+    report = (load("parts", "recover") if load("parts", "is_recording")(path) else recover)(path, out)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
     print("\n".join(report.lines()))

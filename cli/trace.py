@@ -38,7 +38,6 @@ _COMMANDS = {
     "choose": "analyze:choose",
     "compare": "compare:app",
     "watch": "watch:app",
-    "bag": "bag:app",
     "recover": "recover:app",
     "bridge": "bridge:app",
     "doctor": "doctor:app",

@@ -14,7 +14,7 @@ from setuptools import setup
 
 PACKAGE = "dds_trace"
 ROOT = Path(__file__).resolve().parents[1]  # resolved: with --symlink-install colcon runs a link to this file
-ROOMS = ("src/dds_trace/base", "analyzer", "cli", "recorder", "reports", "tracefile")
+ROOMS = ("src/dds_trace/base", "analyzer", "cli", "extensions", "recorder", "reports", "tracefile")
 
 
 def version() -> str:

@@ -24,16 +24,16 @@ from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
 from stored_tables import RATIOS, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.cli.sweep.advise import proof_of, shown
 from dds_trace.cli.sweep.common import plan_of
 from dds_trace.cli.sweep.explain import answer, answer_lines
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.report import BagReport
 from dds_trace.recorder.sweep import explain
 from dds_trace.reports import markdown
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import size_block
 from dds_trace.reports.terminal import render
-from dds_trace.reports.topics.report import BagReport
 
 TOP = Path(__file__).parents[1]
 PAGES = (TOP / "README.md", TOP / "benchmarks" / "performance.md", *sorted((TOP / "docs").rglob("*.md")))

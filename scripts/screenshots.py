@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 from playwright.sync_api import sync_playwright
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.report import BagReport
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
-from dds_trace.reports.topics.report import BagReport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,8 +6,8 @@ import pytest
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import TraceError
-from dds_trace.cli import topics
 from dds_trace.cli.sweep import common as sweep_command
+from dds_trace.extensions.bags import printing as topics
 from dds_trace.recorder import errors as recorder_errors
 from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.figures import FIGURES
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = sorted(
     [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md"), *ROOT.glob("benchmarks/*.md")]
 )
-ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
+ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli", "extensions")
 READING, GLOSSARY, TROUBLESHOOTING = (
     ROOT / "docs" / name for name in ("reading-the-report.md", "glossary.md", "troubleshooting.md")
 )

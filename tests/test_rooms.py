@@ -7,7 +7,7 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
+ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli", "extensions")
 MOST_LINES = 450
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("analyzer", "base", "cli", "recorder", "reports", "tracefile")
+ROOMS = ("analyzer", "base", "cli", "extensions", "recorder", "reports", "tracefile")
 LISTED = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "src/dds_trace/base", *ROOMS]
 
 

@@ -17,11 +17,11 @@ import polars as pl
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
+from dds_trace.extensions.bags.analyze import TopicReport
 
 from ..analysis import Analysis
 from ..clocks.boots import ping_wall_offsets
 from ..clocks.lines import Int64
-from ..recordings.topics import TopicReport
 
 MOST_SLICES = 100_000
 """More messages are thinned evenly."""

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.extensions.bags.periods import spread
 from dds_trace.tracefile.format.json_fields import number_of
 
 from ..clocks.lines import Int64
@@ -20,7 +21,6 @@ from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
 from ..pairing.rows import RowStore
-from ..recordings.periods import spread
 from .device_clocks import DeviceClocks, Machine, WallReadings, follow_wall_clocks
 from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, has_taps, heard_by_taps, with_ages
 

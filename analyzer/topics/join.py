@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from dds_trace.extensions.bags.clocks import DAY_NS
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
 from dds_trace.tracefile.format.json_fields import JsonObject, object_of
@@ -23,7 +24,6 @@ from ..clocks.lines import Int64
 from ..clocks.track import UNKNOWN_NS
 from ..loading.campaign import Campaign
 from ..loading.event_index import EventPart, merge_parts
-from ..recordings.clocks import DAY_NS
 from .device_clocks import DeviceClocks, Machine, machine_of_session
 
 TAP_ROLE = "tap"

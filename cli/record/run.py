@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.base.errors import OutputError, TraceError
+from dds_trace.base.extension import load
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import MISSING, counted, format_duration
@@ -132,9 +133,7 @@ def record_until_stopped(
                 try:
                     print_result(end, as_json=as_json, fail_if_lost=fail_if_lost)
                     if gates and end.trace is not None:
-                        from ..topics import judge_tap
-
-                        judged_code = judge_tap(end.trace.path, gates)
+                        judged_code = load("parts", "judge_tap")(end.trace.path, gates)
                 except TraceError as found:
                     error = found
                 sys.stdout.flush()

@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager, nullcontext
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.extension import offers
 
 from ..backends.node import Node
-from .bag import BAG
 from .base import DataType, Payload, PayloadContext, Source
 from .binary import BINARY, FILE
 from .header import header_data_type
@@ -20,7 +20,7 @@ from .topic import TOPIC
 
 PAYLOADS: dict[str, DataType | Source] = {
     **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},
-    **{source.usage: source for source in (IMU_FILE, FILE, BAG, TOPIC)},
+    **{source.usage: source for source in (IMU_FILE, FILE, TOPIC)},
 }
 
 
@@ -66,11 +66,13 @@ def check_data(data: str) -> None:
 
 
 def is_live(data: str) -> bool:
-    return _split_source(data)[0] is TOPIC
+    source = _split_source(data)[0]
+    return source is not None and source.is_live
 
 
 def sources() -> dict[str, Source]:
-    return {payload.name: payload for payload in PAYLOADS.values() if isinstance(payload, Source)}
+    own = (payload for payload in PAYLOADS.values() if isinstance(payload, Source))
+    return {source.name: source for source in (*own, *(load() for load in offers("payloads").values()))}
 
 
 def _split_source(data: str) -> tuple[Source | None, str]:

@@ -137,12 +137,14 @@ class Source:
     Attributes:
         usage: form of `--data`, such as `file:PATH`; `name` is the text before the colon.
         open: opens the payload for the text after the colon; `check` raises an `OptionError` for a wrong one.
+        is_live: whether the messages come while they are sent.
     """
 
     name: str
     usage: str
     open: Callable[[str, PayloadContext], AbstractContextManager[Payload]]
     check: Callable[[str], object] = str
+    is_live: bool = False
 
 
 def check_stop(stop: threading.Event | None) -> None:

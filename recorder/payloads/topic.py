@@ -170,4 +170,4 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
     )
 
 
-TOPIC = Source(name="topic", usage="topic:/NAME", open=open_payload, check=check_name)
+TOPIC = Source(name="topic", usage="topic:/NAME", open=open_payload, check=check_name, is_live=True)

@@ -15,10 +15,10 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.printable import printable
 from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.extensions.bags.header_stamps import Field, Fields, known_definition, plain_name, stamp_reader
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, TOPIC_PREFIX, hash_content
-from dds_trace.tracefile.format.header_stamps import Field, Fields, known_definition, plain_name, stamp_reader
 from dds_trace.tracefile.writing.event_chunks import MOST_TOPICS
 from dds_trace.tracefile.writing.sink import TraceSink
 

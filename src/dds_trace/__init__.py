@@ -58,12 +58,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from dds_trace.extensions.bags.analyze import analyze_topics
+
     from .analyzer.analysis import Analysis, Details, load_analysis
     from .analyzer.exports.foxglove import write_derived
     from .analyzer.exports.kinds import export_tables
     from .analyzer.model.finding import Finding, Severity, Source
     from .analyzer.pipeline import analyze
-    from .analyzer.recordings.topics import analyze_topics
     from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
     from .analyzer.verdicts.gate import Gate, GateOutcome, parse_gate
     from .analyzer.verdicts.gates import judge_gates

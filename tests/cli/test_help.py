@@ -45,7 +45,7 @@ except SystemExit as end:
 print(json.dumps({"code": code, "loaded": [name for name in heavy if name in sys.modules]}))
 """
 ROOT = Path(__file__).parents[2]
-ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli")
+ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli", "extensions")
 SAMPLES = ROOT / "sample_traces"
 
 

@@ -8,9 +8,9 @@ from bags import ROS1, imu, text, write_bag1, write_bag2
 from fuzz_shapes import changed, shaped, shaped_seeds
 from rosbags.rosbag2 import StoragePlugin
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import TraceError
-from dds_trace.recorder.payloads.bag import load_payload
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.payload import load_payload
 
 TOPIC = "/imu"
 

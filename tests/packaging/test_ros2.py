@@ -20,7 +20,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 
 ROOT = Path(__file__).parents[2]
 ROS2 = ROOT / "ros2"
-ROOMS = ("src/dds_trace/base", "analyzer", "cli", "recorder", "reports", "tracefile")
+ROOMS = ("src/dds_trace/base", "analyzer", "cli", "extensions", "recorder", "reports", "tracefile")
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import struct
 
 from mcap.writer import CompressionType, Writer
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.extensions.bags.analyze import analyze_topics
 
 MS, S = 1_000_000, 10**9
 START_NS = 1_700_000_000 * 10**9

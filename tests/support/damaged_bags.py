@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 
-from dds_trace.tracefile.reading.sqlite_rows import SQLITE_TABLES
+from dds_trace.extensions.bags.sqlite_rows import SQLITE_TABLES
 
 START_NS = 1_700_000_000 * 10**9
 MAGIC_BYTES = 8

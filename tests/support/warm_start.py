@@ -51,7 +51,7 @@ Nor rclpy itself, whose library ends with a segmentation fault in a process that
 """
 READING = (
     *("dds_trace.cli.sweep.command", "dds_trace.cli.sweep.against"),
-    *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.cli.bag"),
+    *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.extensions.bags.command"),
     *("dds_trace.analyzer.analysis", "dds_trace.analyzer.saving.folder", "dds_trace.reports.comparison"),
     *("dds_trace.analyzer.verdicts.gates", "dds_trace.reports.html.page", "dds_trace.cli.analyze"),
     *("dds_trace.analyzer.pipeline", "dds_trace.analyzer.engines", "dds_trace.analyzer.findings"),

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.extension import load, offers
 from dds_trace.base.files import real_path
 
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
-from .sqlite_rows import SqliteSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -27,12 +27,6 @@ if TYPE_CHECKING:
 
 ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES = 1 << 20
-
-
-_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {
-    ".mcap": McapSource,
-    ".db3": lambda path, _pool, shown_as: SqliteSource(path, shown_as),
-}
 
 
 def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
@@ -102,14 +96,15 @@ def is_bag(folder: Path) -> bool:
 
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
-    opener = _OPENERS[_opener_suffix(file) or ".mcap"]
-    with unpacked(file) as path, closing(opener(path, pool, file)) as source:
+    suffix = _opener_suffix(file) or ".mcap"
+    open_file: Callable[[Path, Executor, Path], Source] = McapSource if suffix == ".mcap" else load("storages", suffix)
+    with unpacked(file) as path, closing(open_file(path, pool, file)) as source:
         yield source
 
 
 def _opener_suffix(file: Path) -> str | None:
     suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
-    return suffix if suffix in _OPENERS else None
+    return suffix if suffix == ".mcap" or suffix in offers("storages") else None
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS: tuple[str, ...] = ()
+EXTENSIONS = ("bags",)
 """Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
 
 
@@ -20,9 +20,15 @@ class Extension:
 
     Attributes:
         commands: words of a command -> its typer app.
+        payloads: data that `--data` reads -> its `Source`.
+        storages: suffix of a file with our events -> its reader.
+        parts: what the main house asks for by a name of its own.
     """
 
     commands: Mapping[str, str] = field(default_factory=dict)
+    payloads: Mapping[str, str] = field(default_factory=dict)
+    storages: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, str] = field(default_factory=dict)
 
 
 def offers(kind: str) -> dict[str, Callable[[], Any]]:

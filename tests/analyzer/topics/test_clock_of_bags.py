@@ -9,8 +9,8 @@ from rosbags.typesys import Stores, get_typestore
 from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, SECOND, Clock, arrivals, camera, write_beacon
 from typer.testing import CliRunner
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
-from dds_trace.cli.bag import app
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.command import app
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 AGE_NS = FAR_NS * 4 // 3 + 5 * MS

@@ -4,14 +4,14 @@ from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, Hearing, arrivals, ca
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.base.errors import OptionError
 from dds_trace.cli.compare import app
 from dds_trace.cli.limits_file import read_limits, topic_limits_text, write_limits
-from dds_trace.cli.topics import judge_tap
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.printing import judge_tap
 
 SECONDS = 40
 

@@ -202,7 +202,7 @@ def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch)
 
 
 def test_without_rosbags_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.payloads.bag.find_spec", lambda _: None)
+    monkeypatch.setattr("dds_trace.extensions.bags.payload.find_spec", lambda _: None)
     with pytest.raises(BackendUnavailableError, match=r"pip install 'dds-trace\[bags\]'"):
         load("bag:x#/y")
 

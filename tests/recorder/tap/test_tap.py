@@ -5,7 +5,7 @@ from fake_tap_node import FakeTapNode, JsonSink
 from rosbags.typesys import Stores, get_typestore
 from trace_files import ping_session
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.choices import Durability, Reliability
 from dds_trace.recorder.tap.tap import MOST_ANNOUNCED, TAP, Tap, chosen_qos, definition_of, reader_of, summarize

@@ -13,8 +13,9 @@ from trace_files import TWELVE, write_pair
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
+from dds_trace.extensions.bags import sqlite_rows
 from dds_trace.tracefile.mcapfile.file import RecordFile
-from dds_trace.tracefile.reading import mcap_source, source, sqlite_rows
+from dds_trace.tracefile.reading import mcap_source, source
 from dds_trace.tracefile.reading.reader import read_trace
 
 

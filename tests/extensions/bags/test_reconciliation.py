@@ -8,9 +8,9 @@ from bags import imu, write_bag2
 from rosbags.rosbag2 import StoragePlugin
 from shaped_bags import shapes, write_shape
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
-from dds_trace.recorder.payloads.bag import load_payload
-from dds_trace.tracefile.recovery.recordings import recover_recording
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.payload import load_payload
+from dds_trace.extensions.bags.recover import recover_recording
 
 MESSAGES = {"/imu": [imu(0.1), imu(0.2)], "/gps": [imu(0.3)]}
 SUFFIX = {StoragePlugin.MCAP: ".mcap", StoragePlugin.SQLITE3: ".db3"}

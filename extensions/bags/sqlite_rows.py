@@ -19,12 +19,22 @@ from urllib.parse import quote
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
+from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
+from dds_trace.tracefile.mcapfile.records import crc32
+from dds_trace.tracefile.reading.source import (
+    Batch,
+    Budget,
+    Condition,
+    RawMessage,
+    Text,
+    UnreadableError,
+    event_batch,
+    full_type,
+    unpack_message,
+)
 
-from ..format.bag_metadata import RecordedTopic
-from ..format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
-from ..mcapfile.file import MAX_RECORD_BYTES
-from ..mcapfile.records import crc32
-from .source import Batch, Budget, Condition, RawMessage, Text, UnreadableError, event_batch, full_type, unpack_message
 from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, rows_of_pages
 
 SQLITE_TABLES = """

@@ -13,15 +13,15 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings.messages import find_recordings
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.messages import find_recordings
+from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.report import BagReport
 from dds_trace.reports.terminal import print_report
-from dds_trace.reports.topics.report import BagReport
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import source
 from dds_trace.tracefile.reading.source import Condition
-from dds_trace.tracefile.recordings.read import read_messages
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9

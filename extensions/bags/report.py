@@ -8,17 +8,30 @@ from typing import Any
 
 from markupsafe import Markup
 
-from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
-from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
 from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
+from dds_trace.reports import blocks
+from dds_trace.reports.blocks import (
+    MARKDOWN,
+    PAGE,
+    TERMINAL,
+    Block,
+    Column,
+    Heading,
+    Points,
+    Row,
+    Section,
+    Sentence,
+    Span,
+    Table,
+)
+from dds_trace.reports.book.groups import format_ratio
+from dds_trace.reports.book.overview import utc_words
+from dds_trace.reports.comparison.report import gate_blocks
+from dds_trace.reports.comparison.words import Gated
 
-from .. import blocks
-from ..blocks import MARKDOWN, PAGE, TERMINAL, Block, Column, Heading, Points, Row, Section, Sentence, Span, Table
-from ..book.groups import format_ratio
-from ..book.overview import utc_words
-from ..comparison.report import gate_blocks
-from ..comparison.words import Gated
+from .analyze import TopicReport
+from .card import OTHER_CLOCK_NS, RecordingHealth
 
 TopicRow = Mapping[str, Any]
 

@@ -12,14 +12,14 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
-from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.cli.recover import recover_command
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.payload import load_payload
+from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.recover import is_of_others, recover_recording
 from dds_trace.recorder.payloads import STRING
-from dds_trace.recorder.payloads.bag import load_payload
 from dds_trace.tracefile.reading.source import Condition
-from dds_trace.tracefile.recordings.read import read_messages
-from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -156,7 +156,7 @@ def test_what_holds_nothing_is_refused_in_one_line(tmp_path):
 
 
 def test_more_channels_than_a_file_can_have_cost_only_their_messages(tmp_path, monkeypatch):
-    monkeypatch.setattr("dds_trace.tracefile.recovery.recordings.MOST_CHANNELS", 3)
+    monkeypatch.setattr("dds_trace.extensions.bags.recover.MOST_CHANNELS", 3)
     with (tmp_path / "many.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start()

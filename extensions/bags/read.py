@@ -16,26 +16,26 @@ from mcap.records import Attachment, Header, Metadata, Statistics
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
+from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER
+from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
+from dds_trace.tracefile.mcapfile.records import parse_record, record_name, topic_of
+from dds_trace.tracefile.reading.mcap_walk import McapWalk
+from dds_trace.tracefile.reading.source import LATEST_NS, Budget, Condition, RawMessage, UnreadableError, unpack_message
+from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
-from ..format.bag_metadata import METADATA_NAME, RecordedTopic
-from ..format.encoding import MAGIC, MESSAGE_HEADER
-from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
-from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
-from ..mcapfile.records import parse_record, record_name, topic_of
-from ..reading.mcap_walk import McapWalk
-from ..reading.source import LATEST_NS, Budget, Condition, RawMessage, UnreadableError, unpack_message
-from ..reading.sqlite_pages import SQLITE_MAGIC
-from ..reading.sqlite_rows import sqlite_messages
-from ..reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 from .bag1 import BAG1_MAGIC, bag1_messages
+from .sqlite_pages import SQLITE_MAGIC
+from .sqlite_rows import sqlite_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mcap.records import Channel
 
-    from ..mcapfile.blocks import Block, Record
-    from ..mcapfile.chunks import PackedChunk
+    from dds_trace.tracefile.mcapfile.blocks import Block, Record
+    from dds_trace.tracefile.mcapfile.chunks import PackedChunk
 
 
 _MOST_METADATA_BYTES = 16 << 20

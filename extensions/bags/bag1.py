@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dds_trace.base.units import counted
-
-from ..format.bag_metadata import RecordedTopic
-from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
-from ..mcapfile.chunks import DamagedChunkError, unpack_records
-from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
-from ..reading.source import Budget, Condition, RawMessage, UnreadableError, full_type
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.chunks import DamagedChunkError, unpack_records
+from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
+from dds_trace.tracefile.reading.source import Budget, Condition, RawMessage, UnreadableError, full_type
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7

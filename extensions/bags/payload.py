@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceFormatError
 from dds_trace.base.units import counted
-
-from ..errors import StoppedError
-from .base import DataType, Message, Payload, Source, check_size, check_stop
-from .header import recognize_data_type
+from dds_trace.recorder.errors import StoppedError
+from dds_trace.recorder.payloads.base import DataType, Message, Payload, Source, check_size, check_stop
+from dds_trace.recorder.payloads.header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
@@ -37,7 +36,8 @@ NAMED_FIELD = 2
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate; an `OptionError` for what cannot be used."""
     from dds_trace.tracefile.reading.source import Condition  # noqa: PLC0415
-    from dds_trace.tracefile.recordings.read import content_hash, copied_messages  # noqa: PLC0415
+
+    from .read import content_hash, copied_messages  # noqa: PLC0415
 
     if find_spec("rosbags") is None:
         raise BackendUnavailableError(
@@ -85,7 +85,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
 
 
 def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Event | None) -> list[tuple[int, bytes]]:
-    from dds_trace.tracefile.recordings.read import read_messages  # noqa: PLC0415 - SQLite
+    from .read import read_messages  # noqa: PLC0415 - SQLite
 
     messages_read, size_bytes = list[tuple[int, bytes]](), 0
     try:

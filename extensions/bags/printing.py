@@ -10,20 +10,21 @@ import polars as pl
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
 from dds_trace.analyzer.exports.perfetto import topic_slices, write_slices
-from dds_trace.analyzer.recordings.card import DAMAGED, HOLES, OTHER_CLOCK_NS
-from dds_trace.analyzer.recordings.topics import StampCorrector, analyze_topics
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome, result_of
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
+from dds_trace.cli.limits_file import topic_limits_text, write_limits
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.comparison.words import gate_notes, gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
-from dds_trace.reports.topics.report import BagReport, JudgedTopic
 
-from .limits_file import topic_limits_text, write_limits
+from .analyze import StampCorrector, analyze_topics
+from .card import DAMAGED, HOLES, OTHER_CLOCK_NS
+from .report import BagReport, JudgedTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -74,8 +75,6 @@ def report_topics(
 
 
 def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
-    from dds_trace.analyzer.pipeline import analyze
-
     lost = pl.col("published") - pl.col("received")
     counts = [lost.alias(name) for name in ("missing", "missing_low", "missing_high")]
     topics = analyze(trace, details=False).topics.with_columns(

@@ -9,12 +9,12 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 from wording import numbers
 
-from dds_trace.analyzer.recordings.card import qos_words
-from dds_trace.analyzer.recordings.periods import find_grid, find_regularity
 from dds_trace.cli import trace
+from dds_trace.extensions.bags.card import qos_words
+from dds_trace.extensions.bags.periods import find_grid, find_regularity
+from dds_trace.extensions.bags.report import COLUMNS, BagReport
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 from dds_trace.reports.terminal import print_report
-from dds_trace.reports.topics.report import COLUMNS, BagReport
 
 
 def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):

@@ -7,12 +7,12 @@ from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.extensions.bags import bag1, read
+from dds_trace.extensions.bags.payload import load_payload
+from dds_trace.extensions.bags.read import read_messages
 from dds_trace.recorder.payloads import STRING
-from dds_trace.recorder.payloads.bag import load_payload
 from dds_trace.tracefile.mcapfile import blocks, chunks
 from dds_trace.tracefile.reading.source import Condition
-from dds_trace.tracefile.recordings import bag1, read
-from dds_trace.tracefile.recordings.read import read_messages
 
 KB = 1000
 TYPE = "std_msgs/msg/String"

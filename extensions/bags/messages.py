@@ -15,21 +15,15 @@ import numpy as np
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
 from dds_trace.tracefile.format.encoding import decode_string
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
-from dds_trace.tracefile.format.header_stamps import (
-    known_definition,
-    lost_by_recorder,
-    parse_definition,
-    plain_name,
-    stamp_reader,
-)
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
 from dds_trace.tracefile.reading.source import RawMessage
 from dds_trace.tracefile.reading.storage import find_storage
-from dds_trace.tracefile.recordings.read import content_hash
 
 from .clocks import DAY_NS, find_resets, of_one_clock
+from .header_stamps import known_definition, lost_by_recorder, parse_definition, plain_name, stamp_reader
 from .losses import COMMANDS, LOST_TYPE, NONE, TopicTimes
 from .periods import Int64
+from .read import content_hash
 
 _LONGEST_FRAME_BYTES = 256
 _LEAST_ASCENDING = 0.9

@@ -18,19 +18,19 @@ from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.bag_metadata import BagFile, RecordedTopic, write_bag_metadata
+from dds_trace.tracefile.format.encoding import MAGIC
+from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
+from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.mcapfile.records import topic_of
+from dds_trace.tracefile.reading.mcap_walk import McapWalk
+from dds_trace.tracefile.reading.source import LATEST_NS, Condition, UnreadableError
+from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
+from dds_trace.tracefile.writing.event_chunks import LIBRARY
 
-from ..format.bag_metadata import BagFile, RecordedTopic, write_bag_metadata
-from ..format.encoding import MAGIC
-from ..format.ring import RING_SUFFIX, ring_path
-from ..mcapfile.file import RecordFile
-from ..mcapfile.records import topic_of
-from ..reading.mcap_walk import McapWalk
-from ..reading.source import LATEST_NS, Condition, UnreadableError
-from ..reading.sqlite_rows import SQLITE_TABLES, sqlite_messages
-from ..reading.storage import ZSTD_SUFFIX
-from ..recordings.bag1 import bag1_messages
-from ..recordings.read import McapItems, open_recording, storage_kind
-from ..writing.event_chunks import LIBRARY
+from .bag1 import bag1_messages
+from .read import McapItems, open_recording, storage_kind
+from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection

@@ -9,9 +9,8 @@ import typer
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
-
-from .analyze import Opens, expand_paths, kinds_of, show_page
-from .program import argument, ask_about_folder, command, make_app, option
+from dds_trace.cli.analyze import Opens, expand_paths, kinds_of, show_page
+from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
 _REPORTS = ("html", "md", "json", "terminal")
 
@@ -56,9 +55,9 @@ def bag_command(
     from dds_trace.analyzer.pipeline import analyze, default_output
     from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
     from dds_trace.analyzer.verdicts.gate import parse_topic_gate
+    from dds_trace.cli.limits_file import read_limits
 
-    from .limits_file import read_limits
-    from .topics import report_topics
+    from .printing import report_topics
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     recordings = expand_paths(paths)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..mcapfile.blocks import most_unpacked_bytes
-from ..mcapfile.file import MAX_RECORD_BYTES
-from .source import Budget, UnreadableError
+from dds_trace.tracefile.mcapfile.blocks import most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
+from dds_trace.tracefile.reading.source import Budget, UnreadableError
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE_HEADER = struct.Struct(">H2xB7xI")

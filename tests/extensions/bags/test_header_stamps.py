@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.tracefile.format.header_stamps import parse_definition, stamp_reader
+from dds_trace.extensions.bags.header_stamps import parse_definition, stamp_reader
 
 STORE, STORE_OF_ROS1 = get_typestore(Stores.ROS2_JAZZY), get_typestore(Stores.ROS1_NOETIC)
 STAMP_NS = 1_700_000_000_123_456_789

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import clock_words, counted, format_duration
 from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.source import Condition
-from dds_trace.tracefile.recordings.read import copied_messages
 
-from ..model.metrics import frame_schema
 from .clocks import (
     DAY_NS,
     SIMULATED_BEFORE_NS,
@@ -31,6 +30,7 @@ from .clocks import (
 from .losses import NONE, Losses, TopicTimes
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .periods import Int64, spread
+from .read import copied_messages
 
 Row = dict[str, str | int | float | None]
 """Column of `TOPIC_SCHEMA` -> value; others are null."""

@@ -11,15 +11,15 @@ from typing import TypeAlias
 
 import polars as pl
 
+from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.reading.source import Condition
-from dds_trace.tracefile.recordings.read import read_messages
 
-from ..model.finding import Source
 from .card import DAMAGED, HOLE_SCHEMA, HOLES, TOPIC_SCHEMA, WHOLE, Card, RecordingHealth, Row
 from .losses import NONE
 from .messages import TopicMessages, find_recordings
 from .periods import Int64
+from .read import read_messages
 
 _MOST_NOTES = 10
 

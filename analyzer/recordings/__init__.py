@@ -1,1 +1,0 @@
-"""Foreign recordings: rate, gaps, jitter, size and age of every topic."""

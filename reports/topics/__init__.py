@@ -1,1 +1,0 @@
-"""What `dds-trace bag` reports of recordings."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from dds_trace.base import limits
 from dds_trace.base.errors import TraceError
+from dds_trace.base.extension import offers
 from dds_trace.base.units import format_duration, format_size
 
 from .program import command, make_app, option
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from dds_trace.recorder.backends.base import Backend
 
 app = make_app()
+
+
+_PARTS = ("middlewares", "bridges", "security", "buffers", "clocks", "permissions")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,9 @@ def doctor_command(
 
 
 def all_checks(out: Path | None) -> list[Check]:
-    return [*_middlewares(), *_bridges(), *_security(), *_machine(), *_permissions(), *_costs(out)]
+    own = [*_middlewares(), *_security(), *_machine(), *_permissions()]
+    offered = [Check(*row) for find in offers("checks").values() for row in find()()]
+    return [*sorted([*own, *offered], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
 
 
 def _installed() -> list[Backend]:
@@ -73,15 +79,6 @@ def _middlewares() -> Iterator[Check]:
         installed = backend.find_installed()
         detail = ", ".join(filter(None, installed)) or "installed" if installed else backend.install
         yield Check("middlewares", f"--backend {backend.name}", bool(installed), detail)
-
-
-def _bridges() -> Iterator[Check]:
-    from dds_trace.recorder.bridges.base import BRIDGE_MODULES, load_bridge
-
-    for bridge in map(load_bridge, BRIDGE_MODULES):
-        program = bridge.find()
-        detail = bridge.install if program is None else bridge.version(program) or str(program)
-        yield Check("bridges", bridge.name, program is not None, f"{detail} (tried: {bridge.tried})")
 
 
 def _security() -> Iterator[Check]:

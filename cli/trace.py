@@ -39,7 +39,6 @@ _COMMANDS = {
     "compare": "compare:app",
     "watch": "watch:app",
     "recover": "recover:app",
-    "bridge": "bridge:app",
     "doctor": "doctor:app",
 }
 

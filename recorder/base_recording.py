@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Session
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
     from .backends.node import Node, NodeOptions
-    from .bridges.process.running import RunningBridge
     from .options import RecordOptions
     from .roles.ping import PingThread
     from .roles.progress import Progress, Role, Watch
@@ -116,7 +115,7 @@ class BaseRecording(ABC):
         self.relay_id = options.relay_id or secrets.randbits(32) or 1
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
-        self.bridge: RunningBridge | None = None
+        self.bridge: Any = None  # what `open_bridge` of the extension gives
         self.clock_fields: JsonObject = {"resolution_ns": measured_step_ns(), "begin": read_adjtimex()}
         os.environ |= load_backend(options.backend).own_variables(options.node)
         self.environment = dict(os.environ)  # before a node adds what it needs

@@ -8,12 +8,12 @@ from enum import Enum
 from pathlib import Path
 
 from dds_trace.base import limits
+from dds_trace.base.extension import offers
 from dds_trace.base.units import parse_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
 from .backends import BACKEND_MODULES
 from .backends.node import NodeOptions
-from .bridges.base import BRIDGE_MODULES
 from .choices import Durability, FileMode, History, Reliability, Role
 from .option import Axis, Option, option, options_of, parse_percentage
 from .options import PingOptions, RecordOptions, TapOptions
@@ -172,11 +172,9 @@ def key_of(row: Option) -> str:
     return row.name.removeprefix("--").removeprefix("no-").replace("-", "_")
 
 
-_TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
-
-
 def choices_of(row: Option) -> list[str]:
-    values = [str(value.value) for value in row.kind] if issubclass(row.kind, Enum) else [*_TABLES.get(row.name, ())]
+    names = {"--backend": lambda: BACKEND_MODULES, **offers("choices")}.get(row.name, tuple)
+    values = [str(value.value) for value in row.kind] if issubclass(row.kind, Enum) else [*names()]
     default = getattr(row.field_default, "value", row.field_default)
     return list(dict.fromkeys([str(default), *values])) if values and default is not None else values
 

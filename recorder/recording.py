@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
+from dds_trace.base.extension import load
 
 from .applied.applied import Applied, Snapshot, read_applied
 from .backends import load_backend
@@ -22,7 +23,6 @@ from .backends.node import Node
 from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
 from .beacon.recording import BeaconRecording
-from .bridges.process.running import check_requested_bridge, open_bridge
 from .choices import Call, Discovery, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
     from .applied.differences import Difference
     from .options import PingOptions, RecordOptions
+    from .payloads.base import DataType
     from .roles.ping import AnyPing
     from .roles.progress import Watch
 
@@ -192,9 +193,9 @@ class PingRecording(BaseRecording):
         self.role = open_ping(self.node, self._plan, self.clock)
         with kept_stdout() as read_error:
             self.node.start()
-            asked = check_requested_bridge(self.options, self._ping_options, self._plan.payload.data_type)
+            asked = _check_bridge(self.options, self._ping_options, self._plan.payload.data_type)
             if asked is not None:
-                self.bridge = stack.enter_context(open_bridge(self._ping_options.bridge, asked))
+                self.bridge = stack.enter_context(load("parts", "open_bridge")(self._ping_options.bridge, asked))
             if self.rehearses:  # there is no connection to read applied settings from
                 return False
             self._wait_for_echo(read_error)
@@ -305,7 +306,12 @@ def check_options(options: RecordOptions) -> None:
         check_serialization(served_data_types(options.types), options.serialization)
     else:
         _check_data(options.ping)
-        check_requested_bridge(options, options.ping, BINARY)
+        _check_bridge(options, options.ping, BINARY)
+
+
+def _check_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> object | None:
+    """Return the options of the bridge to start, if there is one."""
+    return None if ping.bridge == "none" else load("parts", "check_bridge")(options, ping, data_type)
 
 
 def _check_data(ping: PingOptions) -> None:

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from dds_trace.recorder.bridges.process.programs import program_environment
+from dds_trace.extensions.bridges.programs import program_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

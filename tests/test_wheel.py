@@ -105,7 +105,7 @@ def test_commands_run_among_packages_with_the_names_of_our_rooms(environment, ho
 
 def test_a_bridge_that_runs_as_a_module_is_started_among_them_too(environment, hostile, tmp_path):
     done = subprocess.run(
-        [environment / "bin/python", "-m", "dds_trace.recorder.bridges.builtin", tmp_path / "missing"],
+        [environment / "bin/python", "-m", "dds_trace.extensions.bridges.builtin", tmp_path / "missing"],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": hostile},
         capture_output=True,

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceError
+from dds_trace.extensions.bridges.base import load_bridge
 
-from ..bridges.base import load_bridge
 from ..options import DEFAULT_WAIT_S
 from ..payloads import is_live
 from .plan.cells import DEFAULTS

@@ -4,7 +4,7 @@ import random
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from dds_trace.recorder.bridges.base import load_bridge
+from dds_trace.extensions.bridges.base import load_bridge
 
 COMBINATIONS = {
     ("socket", "none"): (),

@@ -4,12 +4,13 @@ import re
 import pytest
 import typer
 
-from dds_trace.cli import analyze, bridge, compare, trace, watch
+from dds_trace.cli import analyze, compare, trace, watch
 from dds_trace.cli.defaults import _WITHOUT_DEFAULT, FILE_NAME, VARIABLE, configurable, find_files, is_own_only
 from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
 from dds_trace.cli.sweep.dry_run import argument_check
+from dds_trace.extensions.bridges import command as bridge
 from dds_trace.recorder.sweep.station.devices import printed_command
 from dds_trace.recorder.sweep.station.programs import Program
 

@@ -9,8 +9,8 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from dds_trace.recorder.bridges.base import Bridge
-from dds_trace.recorder.bridges.builtin import Forwarder, open_side, options_from_json, options_to_json, run, serve
+from dds_trace.extensions.bridges.base import Bridge
+from dds_trace.extensions.bridges.builtin import Forwarder, open_side, options_from_json, options_to_json, run, serve
 
 BRIDGE = Bridge(
     name="toy",

@@ -10,11 +10,11 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
+from dds_trace.extensions.bridges.base import Halves, load_bridge
 
 from ...backends import load_backend
 from ...backends.base import Meeting
 from ...backends.qos import warn_of_depth
-from ...bridges.base import Halves, load_bridge
 from ...choices import Discovery, Security
 from ...options import DEFAULT_MESSAGES
 from .cells import plan_key

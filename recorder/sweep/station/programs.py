@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError
 from dds_trace.base.files import create_file
+from dds_trace.extensions.bridges.programs import program_environment
+from dds_trace.extensions.bridges.supervise import describe_end
 
-from ...bridges.process.programs import program_environment
-from ...bridges.process.supervise import describe_end
 from ...host.process import ending_with_parent
 from ...recording import SERVING
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS = ("bags",)
+EXTENSIONS = ("bags", "bridges")
 """Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
 
 
@@ -20,12 +20,16 @@ class Extension:
 
     Attributes:
         commands: words of a command -> its typer app.
+        choices: an option of a recording -> the names that it takes.
+        checks: what `doctor` looks at -> a function that yields part, name, whether it works, and details.
         payloads: data that `--data` reads -> its `Source`.
         storages: suffix of a file with our events -> its reader.
         parts: what the main house asks for by a name of its own.
     """
 
     commands: Mapping[str, str] = field(default_factory=dict)
+    choices: Mapping[str, str] = field(default_factory=dict)
+    checks: Mapping[str, str] = field(default_factory=dict)
     payloads: Mapping[str, str] = field(default_factory=dict)
     storages: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)

@@ -15,10 +15,10 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputEr
 from dds_trace.cli import doctor, recover
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import describe_progress, print_result
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
 from dds_trace.recorder.errors import BridgeError, LossesError, StoppedError
 from dds_trace.recorder.option import parse_percentage

@@ -11,7 +11,7 @@ from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import run_in_background
-from dds_trace.recorder.bridges.process import guard
+from dds_trace.extensions.bridges import guard
 from dds_trace.recorder.host.process import STOP_SIGNALS, apply_privileges, parse_cpus, set_realtime, stop_at_signals
 
 # Each runs in a process of its own: priority and affinity must not reach the other tests.

@@ -16,7 +16,7 @@ from namespaces import needs_namespaces
 from processes import own_port
 from waiting import wait_until
 
-from dds_trace.recorder.bridges.base import load_bridge
+from dds_trace.extensions.bridges.base import load_bridge
 from dds_trace.recorder.sweep.station.emulation import ip
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace

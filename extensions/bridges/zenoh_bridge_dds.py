@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from ..choices import Discovery
+from dds_trace.recorder.choices import Discovery
+
 from .base import Bridge, BridgeOptions, Halves
-from .process.programs import program_on_path, reported_version
+from .programs import program_on_path, reported_version
 from .zenoh_link import plugin_arguments, plugin_configuration, router_with, zenoh_environment
 
 PROGRAM, PLUGIN = "zenoh-bridge-dds", "dds"

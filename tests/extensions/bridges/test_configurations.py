@@ -13,7 +13,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from dds_trace.base.errors import OptionError, TraceFormatError
-from dds_trace.recorder.bridges.base import (
+from dds_trace.extensions.bridges.base import (
     BRIDGE_MODULES,
     BRIDGED_TOPICS,
     BridgedTopic,
@@ -24,8 +24,8 @@ from dds_trace.recorder.bridges.base import (
     load_bridge,
     split_halves,
 )
-from dds_trace.recorder.bridges.builtin import options_from_json
-from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
+from dds_trace.extensions.bridges.builtin import options_from_json
+from dds_trace.extensions.bridges.texts import element, xml_text, yaml_text
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.tracefile.format.descriptions import Qos
 

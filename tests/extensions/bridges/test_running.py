@@ -13,9 +13,9 @@ from stand_in_bridge import StandInBridge
 from waiting import wait_until
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES, BridgeOptions, Halves
-from dds_trace.recorder.bridges.process.guard import LOG_LIMIT_BYTES
-from dds_trace.recorder.bridges.process.running import BridgeState, open_bridge
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES, BridgeOptions, Halves
+from dds_trace.extensions.bridges.guard import LOG_LIMIT_BYTES
+from dds_trace.extensions.bridges.running import BridgeState, open_bridge
 from dds_trace.recorder.errors import BridgeError
 
 
@@ -137,7 +137,7 @@ def test_log_of_a_flooding_program_is_bounded_on_disk_and_in_the_trace(stand_in)
 
 
 def test_program_that_ignores_signals_is_killed(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.extensions.bridges.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("stubborn") as bridge:
         pid = bridge.processes["bridge"]
     assert not psutil.pid_exists(pid)
@@ -145,7 +145,7 @@ def test_program_that_ignores_signals_is_killed(stand_in, monkeypatch):
 
 
 def test_children_left_behind_are_ended_and_counted(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.extensions.bridges.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("leaves_children") as bridge:
         pids = [bridge.processes["bridge"], *family_of(bridge.processes["bridge"])]
         assert len(pids) == 3
@@ -155,7 +155,7 @@ def test_children_left_behind_are_ended_and_counted(stand_in, monkeypatch):
 
 
 def test_children_of_a_killed_program_are_ended_too(stand_in, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.bridges.process.supervise.STOP_PATIENCE_S", 0.2)
+    monkeypatch.setattr("dds_trace.extensions.bridges.supervise.STOP_PATIENCE_S", 0.2)
     with stand_in("leaves_children") as bridge:
         pids = family_of(bridge.processes["bridge"])
         os.kill(bridge.processes["bridge"], signal.SIGKILL)
@@ -167,9 +167,9 @@ RECORDER = """
 import sys
 sys.path[:0] = {path!r}
 import stand_in_bridge
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
-from dds_trace.recorder.bridges.base import BridgeOptions
-from dds_trace.recorder.bridges.process.running import open_bridge
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges.base import BridgeOptions
+from dds_trace.extensions.bridges.running import open_bridge
 from dds_trace.recorder.bridges.process import supervise
 supervise.STOP_PATIENCE_S = 0.2
 BRIDGE_MODULES["stand-in"] = "stand_in_bridge"
@@ -229,7 +229,7 @@ def test_no_file_of_a_bridge_stays_in_the_temporary_folder(stand_in, tmp_path, m
 
 IN_REAL_TIME = """
 import os, pathlib, sys
-from dds_trace.recorder.bridges.process.supervise import SupervisedProgram
+from dds_trace.extensions.bridges.supervise import SupervisedProgram
 from dds_trace.recorder.host.process import set_realtime
 set_realtime(5)
 program = SupervisedProgram(["sleep", "600"], pathlib.Path(sys.argv[1]), os.environ, None)

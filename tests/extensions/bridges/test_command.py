@@ -9,7 +9,7 @@ import pytest
 from waiting import PATIENCE_S
 
 from dds_trace.cli import doctor
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES
 
 BRIDGE = [sys.executable, "-m", "dds_trace", "bridge"]
 

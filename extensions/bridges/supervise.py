@@ -14,8 +14,8 @@ from pathlib import Path
 
 import psutil
 
-from ...errors import BridgeError
-from ...host.process import wait_or_kill
+from dds_trace.recorder.errors import BridgeError
+from dds_trace.recorder.host.process import wait_or_kill
 
 STOP_PATIENCE_S = 4.0
 """Time to end after SIGINT, then after SIGTERM, before SIGKILL."""

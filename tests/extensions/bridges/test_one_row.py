@@ -7,9 +7,9 @@ from processes import relay, run
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.cli import bridge as command
 from dds_trace.cli import doctor
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import command
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -17,7 +17,7 @@ SUPPORT = Path(__file__).parents[2] / "support"
 WITH_TOY = f"""
 import sys
 sys.path.insert(0, {str(SUPPORT)!r})
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges.base import BRIDGE_MODULES
 BRIDGE_MODULES["toy"] = "toy_bridge"
 from dds_trace.cli.record import main
 main()

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.recorder.backends.dds_types import DDS_TYPES, dds_name, split_type
+from dds_trace.recorder.backends.qos import requested_durations
+from dds_trace.recorder.choices import Discovery
 
-from ..backends.dds_types import DDS_TYPES, dds_name, split_type
-from ..backends.qos import requested_durations
-from ..choices import Discovery
 from .base import Bridge, BridgeOptions, BridgeSide
-from .process.programs import program_on_path, reported_version
+from .programs import program_on_path, reported_version
 from .texts import element, xml_text
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from dds_trace.base.version import __version__
+from dds_trace.recorder.backends.node import RawMessage, Receive
+from dds_trace.recorder.choices import Reliability
 
-from ..backends.node import RawMessage, Receive
-from ..choices import Reliability
 from .base import Bridge, Halves
 from .builtin import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
 from .zenoh_link import zenoh_link

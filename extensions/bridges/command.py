@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Bridge, BridgeOptions
+from dds_trace.cli.program import argument, command, make_app, option, starting
+from dds_trace.cli.table_options import default_discovery, given_values, read_record, with_options
 from dds_trace.recorder.choices import Side
 
-from .program import argument, command, make_app, option, starting
-from .table_options import default_discovery, given_values, read_record, with_options
+from .base import BRIDGE_MODULES, Bridge, BridgeOptions, load_bridge
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.bridges.process.running import RunningBridge
+    from collections.abc import Iterator
+
+    from .running import RunningBridge
 
 LOOK_S = 0.2
 
@@ -61,8 +63,9 @@ def bridge_command(
 
         dds-trace bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
     """
-    from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.recorder.option_table import CommandOptions
+
+    from .base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
 
     chosen = given_values(values)
     options = BridgeOptions(
@@ -85,7 +88,7 @@ def bridge_command(
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
-    from dds_trace.recorder.bridges.base import split_halves
+    from .base import split_halves
 
     parts = split_halves(bridge, options)
     for part in parts:
@@ -95,8 +98,8 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _check(bridge: Bridge, options: BridgeOptions) -> None:
-    from dds_trace.recorder.bridges.base import split_halves
-    from dds_trace.recorder.bridges.process.running import find_program
+    from .base import split_halves
+    from .running import find_program
 
     program = find_program(bridge)
     for part in split_halves(bridge, options):
@@ -105,8 +108,9 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _run(name: str, options: BridgeOptions) -> None:
-    from dds_trace.recorder.bridges.process.running import open_bridge
     from dds_trace.recorder.host.process import stop_at_signals
+
+    from .running import open_bridge
 
     stop = stop_at_signals()
     with open_bridge(name, options) as bridge:
@@ -124,3 +128,11 @@ def _describe(bridge: RunningBridge) -> str:
         domains = " and ".join(str(side.domain_id) for side in part.sides())
         parts.append(f"domain {domains}, pid {pid}")
     return "; ".join(parts)
+
+
+def installed() -> Iterator[tuple[str, str, bool, str]]:
+    """Yield the checks of `doctor`: each bridge, and its version here or how to install it."""
+    for bridge in map(load_bridge, BRIDGE_MODULES):
+        program = bridge.find()
+        detail = bridge.install if program is None else bridge.version(program) or str(program)
+        yield "bridges", bridge.name, program is not None, f"{detail} (tried: {bridge.tried})"

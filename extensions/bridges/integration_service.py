@@ -10,12 +10,12 @@ import os
 from pathlib import Path
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.recorder.backends.qos import requested_durations
+from dds_trace.recorder.choices import History
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..backends.qos import requested_durations
-from ..choices import History
 from .base import Bridge, BridgeOptions
-from .process.programs import discovery_environment, program_on_path
+from .programs import discovery_environment, program_on_path
 from .texts import yaml_text
 
 PROGRAM = "integration-service"

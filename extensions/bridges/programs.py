@@ -10,8 +10,9 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from ...choices import Discovery
-from ..base import BridgeOptions
+from dds_trace.recorder.choices import Discovery
+
+from .base import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 

@@ -16,17 +16,17 @@ import psutil
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.records import to_json
+from dds_trace.recorder.applied.applied import Applied, read_applied
+from dds_trace.recorder.applied.asked import Asked, asked_settings
+from dds_trace.recorder.applied.differences import Difference, differences
+from dds_trace.recorder.backends import load_backend
+from dds_trace.recorder.choices import Security
+from dds_trace.recorder.errors import BridgeError
+from dds_trace.recorder.options import PingOptions, RecordOptions
+from dds_trace.recorder.payloads.base import DataType
 from dds_trace.tracefile.format.json_fields import Json
 
-from ...applied.applied import Applied, read_applied
-from ...applied.asked import Asked, asked_settings
-from ...applied.differences import Difference, differences
-from ...backends import load_backend
-from ...choices import Security
-from ...errors import BridgeError
-from ...options import PingOptions, RecordOptions
-from ...payloads.base import DataType
-from ..base import BRIDGE_MODULES, BRIDGED_TOPICS, Bridge, BridgedTopic, BridgeOptions, Half, load_bridge, split_halves
+from .base import BRIDGE_MODULES, BRIDGED_TOPICS, Bridge, BridgedTopic, BridgeOptions, Half, load_bridge, split_halves
 from .programs import program_environment
 from .supervise import SupervisedProgram, describe_end, killing_signal
 
@@ -281,9 +281,7 @@ def _start_half(bridge: Bridge, program: Path, version: str, options: BridgeOpti
 
 
 def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> BridgeOptions | None:
-    """Return the requested bridge's options, None if there is none to start; an `OptionError` for one that does not support them."""
-    if ping.bridge == "none":
-        return None
+    """Return the requested bridge's options, None if it runs already; an `OptionError` for one that does not support them."""
     bridge = load_bridge(ping.bridge)
     # Also if it already runs: the trace keeps its name.
     if bridge.needs_ros_nodes and not load_backend(options.backend).has_ros:

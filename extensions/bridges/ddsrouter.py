@@ -6,13 +6,13 @@ import ipaddress
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.recorder.backends.dds_types import dds_name
+from dds_trace.recorder.backends.qos import requested_durations
+from dds_trace.recorder.backends.ros2.fastdds_profile import tuned_participants
+from dds_trace.recorder.choices import Discovery, Durability, Reliability, Transport
 
-from ..backends.dds_types import dds_name
-from ..backends.qos import requested_durations
-from ..backends.ros2.fastdds_profile import tuned_participants
-from ..choices import Discovery, Durability, Reliability, Transport
 from .base import Bridge, Half, Halves, split_address
-from .process.programs import program_on_path, reported_version
+from .programs import program_on_path, reported_version
 from .texts import yaml_text
 
 if TYPE_CHECKING:

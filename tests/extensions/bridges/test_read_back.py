@@ -5,9 +5,9 @@ import pytest
 import toy_bridge
 from applied_pair import needs_large_buffers, relaying
 
+from dds_trace.extensions.bridges.base import BridgeOptions, load_bridge
+from dds_trace.extensions.bridges.running import ProgramReadBack, open_bridge
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
-from dds_trace.recorder.bridges.base import BridgeOptions, load_bridge
-from dds_trace.recorder.bridges.process.running import ProgramReadBack, open_bridge
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.domains import domain_port_range
 

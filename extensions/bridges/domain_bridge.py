@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from ..backends.qos import requested_durations
-from ..backends.ros2.installation import find_program, package_version
+from dds_trace.recorder.backends.qos import requested_durations
+from dds_trace.recorder.backends.ros2.installation import find_program, package_version
+
 from .base import Bridge, BridgeOptions
-from .process.programs import discovery_environment
+from .programs import discovery_environment
 from .texts import yaml_text
 
 PACKAGE = "domain_bridge"

@@ -4,8 +4,8 @@ import pytest
 from crossing import watch_crossing
 from processes import own_port
 
-from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge
-from dds_trace.recorder.bridges.process.running import open_bridge
+from dds_trace.extensions.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, load_bridge
+from dds_trace.extensions.bridges.running import open_bridge
 from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile.format.descriptions import Qos
 

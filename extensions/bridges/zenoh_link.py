@@ -7,8 +7,9 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..backends.cyclone_settings import cyclone_settings
-from ..security.tls import zenoh_tls
+from dds_trace.recorder.backends.cyclone_settings import cyclone_settings
+from dds_trace.recorder.security.tls import zenoh_tls
+
 from .base import BridgeOptions, Half
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 
-from ..backends.ros2.installation import find_program
-from ..choices import Discovery
+from dds_trace.recorder.backends.ros2.installation import find_program
+from dds_trace.recorder.choices import Discovery
+
 from .base import Bridge, BridgeOptions, Halves
-from .process.programs import program_on_path, reported_version
+from .programs import program_on_path, reported_version
 from .zenoh_link import plugin_arguments, plugin_configuration, router_with, zenoh_environment
 
 PROGRAM, PLUGIN, PACKAGE = "zenoh-bridge-ros2dds", "ros2dds", "zenoh_bridge_ros2dds"

@@ -9,9 +9,9 @@ from ruamel.yaml import YAML
 from stand_in_integration_service import install
 from waiting import wait_until
 
-from dds_trace.recorder.bridges import integration_service
-from dds_trace.recorder.bridges.base import BridgedTopic, BridgeOptions, load_bridge
-from dds_trace.recorder.bridges.process.running import open_bridge
+from dds_trace.extensions.bridges import integration_service
+from dds_trace.extensions.bridges.base import BridgedTopic, BridgeOptions, load_bridge
+from dds_trace.extensions.bridges.running import open_bridge
 from dds_trace.tracefile.format.descriptions import Qos
 
 POINTS = BridgedTopic("points", "sensor_msgs/msg/PointCloud2")

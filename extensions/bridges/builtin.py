@@ -14,12 +14,12 @@ from dds_trace.base.errors import TraceError, TraceFormatError
 from dds_trace.base.records import to_json
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.node import Node, NodeOptions, RawMessage, Receive
+from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.recorder.host.process import stop_at_signals, tuned_gc
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..backends import open_node
-from ..backends.node import Node, NodeOptions, RawMessage, Receive
-from ..choices import Discovery, Transport
-from ..host.process import stop_at_signals, tuned_gc
 from .base import Bridge, BridgedTopic, BridgeOptions, BridgeSide, Half
 
 INSTALL_ROS2 = (

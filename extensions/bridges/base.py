@@ -11,20 +11,19 @@ from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.recorder.payloads import data_types
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Discovery, Transport
-from ..payloads import data_types
-
 BRIDGE_MODULES = {
-    "builtin": "dds_trace.recorder.bridges.builtin",
-    "builtin-zenoh": "dds_trace.recorder.bridges.builtin_zenoh",
-    "zenoh-bridge-dds": "dds_trace.recorder.bridges.zenoh_bridge_dds",
-    "zenoh-bridge-ros2dds": "dds_trace.recorder.bridges.zenoh_bridge_ros2dds",
-    "integration-service": "dds_trace.recorder.bridges.integration_service",
-    "ddsrouter": "dds_trace.recorder.bridges.ddsrouter",
-    "routing-service": "dds_trace.recorder.bridges.routing_service",
-    "domain_bridge": "dds_trace.recorder.bridges.domain_bridge",
+    "builtin": "dds_trace.extensions.bridges.builtin",
+    "builtin-zenoh": "dds_trace.extensions.bridges.builtin_zenoh",
+    "zenoh-bridge-dds": "dds_trace.extensions.bridges.zenoh_bridge_dds",
+    "zenoh-bridge-ros2dds": "dds_trace.extensions.bridges.zenoh_bridge_ros2dds",
+    "integration-service": "dds_trace.extensions.bridges.integration_service",
+    "ddsrouter": "dds_trace.extensions.bridges.ddsrouter",
+    "routing-service": "dds_trace.extensions.bridges.routing_service",
+    "domain_bridge": "dds_trace.extensions.bridges.domain_bridge",
 }
 """Name -> module with its `BRIDGE`, imported at first use."""
 

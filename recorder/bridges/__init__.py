@@ -1,1 +1,0 @@
-"""Bridges between two DDS domains: a file for each."""

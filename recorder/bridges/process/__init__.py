@@ -1,1 +1,0 @@
-"""Programs of bridges as processes: find, start, supervise, stop."""

@@ -72,7 +72,7 @@ def read_defaults(
 
 def _read(path: Path, table: str, options: Mapping[str, Any], ignored: Collection[str]) -> dict[str, object]:
     from dds_trace.base.files import read_settings
-    from dds_trace.recorder.sweep.plan.toml_table import TomlTable  # not loaded where there is no file
+    from dds_trace.base.toml_table import TomlTable  # not loaded where there is no file
 
     remedy = f"name another file in {VARIABLE}, or leave it empty"
     text = read_settings(path, "it", remedy, partial(_check_owner, path))

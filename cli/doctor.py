@@ -62,8 +62,11 @@ def doctor_command(
 
 def all_checks(out: Path | None) -> list[Check]:
     own = [*_middlewares(), *_security(), *_machine(), *_permissions()]
-    offered = [Check(*row) for find in offers("checks").values() for row in find()()]
-    return [*sorted([*own, *offered], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
+    return [*sorted([*own, *_offered()], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
+
+
+def _offered() -> list[Check]:
+    return [Check(*row) for find in offers("checks").values() for row in find()()]
 
 
 def _installed() -> list[Backend]:
@@ -121,18 +124,10 @@ def _machine() -> Iterator[Check]:
 
 def _permissions() -> Iterator[Check]:
     from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
-    from dds_trace.recorder.sweep.station.namespaces import NamespacePair
     from dds_trace.recorder.wire.ring import NO_CAPTURE, may_capture
 
     yield _permitted("-o realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
     yield _permitted("--wire", may_capture(), NO_CAPTURE)
-    refusal = ""
-    try:
-        with NamespacePair(None):
-            pass
-    except TraceError as err:
-        refusal = str(err)
-    yield _permitted("[network] and [link] of a plan", not refusal, refusal)
 
 
 def _permitted(name: str, is_permitted: bool, cure: str) -> Check:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.statistics.intervals import Interval
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gate import Gate, Patterns
-    from dds_trace.recorder.sweep.plan.plan import Threshold
+    from dds_trace.extensions.campaigns.plan.plan import Threshold
 
 LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
@@ -32,8 +32,8 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
     from dds_trace.analyzer.verdicts.compare import RECEIVED_RATIO
     from dds_trace.analyzer.verdicts.gate import VALUES_OF_TOPICS
     from dds_trace.base.files import read_settings
-    from dds_trace.recorder.sweep.plan.plan_file import read_thresholds
-    from dds_trace.recorder.sweep.plan.toml_table import TomlTable
+    from dds_trace.base.toml_table import TomlTable
+    from dds_trace.extensions.campaigns.plan.plan_file import read_thresholds
 
     root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
     root.allow("thresholds", "accepted")

@@ -28,12 +28,6 @@ _COMMANDS = {
     "record tap": "record.command:tap",
     "record beacon": "record.command:beacon",
     "record status": "record.status:app",
-    "sweep": "sweep.command:app",
-    "sweep new": "sweep.new:app",
-    "capacity": "sweep.command:capacity",
-    "explain rates": "sweep.explain:rates",
-    "explain size": "sweep.explain:size",
-    "advise": "sweep.advise:app",
     "analyze": "analyze:app",
     "choose": "analyze:choose",
     "compare": "compare:app",
@@ -48,7 +42,6 @@ _ORDER = ("record", "sweep", "capacity", "explain", "advise", "analyze", "choose
 _GROUPS = {
     "record": "Record a ping, a relay, topics or clocks; list what records now.",
     "explain": "Explain why latency rises at slow rates, or around a size.",
-    "sweep": "Write a plan.",
 }
 
 MOVED = {

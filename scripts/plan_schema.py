@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dds_trace.recorder.sweep.plan.schema import schema_text
+from dds_trace.extensions.campaigns.plan.schema import schema_text
 
 if __name__ == "__main__":
     path = Path(__file__).parents[1] / "plans/plan.schema.json"

@@ -24,12 +24,12 @@ from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
 from stored_tables import RATIOS, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.cli.sweep.advise import proof_of, shown
-from dds_trace.cli.sweep.common import plan_of
-from dds_trace.cli.sweep.explain import answer, answer_lines
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.report import BagReport
-from dds_trace.recorder.sweep import explain
+from dds_trace.extensions.campaigns import explain
+from dds_trace.extensions.campaigns.commands.advise import proof_of, shown
+from dds_trace.extensions.campaigns.commands.common import plan_of
+from dds_trace.extensions.campaigns.commands.explain import answer, answer_lines
 from dds_trace.reports import markdown
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import size_block

@@ -6,10 +6,10 @@ import pytest
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import TraceError
-from dds_trace.cli.sweep import common as sweep_command
 from dds_trace.extensions.bags import printing as topics
+from dds_trace.extensions.campaigns import sweep
+from dds_trace.extensions.campaigns.commands import common as sweep_command
 from dds_trace.recorder import errors as recorder_errors
-from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Scope
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
-from dds_trace.recorder.sweep.plan.schema import TABLES, axis_choices
+from dds_trace.extensions.campaigns.plan.schema import TABLES, axis_choices
 
 from .markdown import code, table
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from dds_trace.base.limits import Limit
-    from dds_trace.recorder.sweep.plan.cells import Key
-    from dds_trace.recorder.sweep.plan.schema import Table
+    from dds_trace.extensions.campaigns.plan.cells import Key
+    from dds_trace.extensions.campaigns.plan.schema import Table
 
 _AXES = TABLES["axes"].keys
 _KINDS = {str: "text", int: "whole number", float: "number", bool: "true or false"}

@@ -9,7 +9,7 @@ from chaos_draw import Fault
 from shared_memory import PATTERNS, SHM
 
 from dds_trace.base.errors import TraceError
-from dds_trace.recorder.sweep.station.emulation import ip
+from dds_trace.extensions.campaigns.station.emulation import ip
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.reading.trace import Trace

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from chaos_draw import Fault
 
-from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
+from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip
 
 FIND_S = 3.0
 """Longest wait of a fault for its process: some live only for a moment of each cell."""

@@ -12,8 +12,8 @@ from chaos_faults import FAULTS
 from namespaces import needs_namespaces
 from trace_files import Message, event, ping_session, relay_session, run, write_pair, write_trace
 
-from dds_trace.recorder.sweep.plan.plan_file import read_plan
-from dds_trace.recorder.sweep.plan.schedule import schedule
+from dds_trace.extensions.campaigns.plan.plan_file import read_plan
+from dds_trace.extensions.campaigns.plan.schedule import schedule
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 

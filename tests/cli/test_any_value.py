@@ -74,7 +74,7 @@ def nothing_recorded(monkeypatch, tmp_path):
     monkeypatch.setattr("dds_trace.extensions.bags.analyze.analyze_topics", nothing_analyzed)
     monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)
     # A rehearsal starts a real relay, which takes as long as a hundred other values.
-    monkeypatch.setattr("dds_trace.recorder.sweep.station.devices.rehearse_program", lambda *_: None)
+    monkeypatch.setattr("dds_trace.extensions.campaigns.station.devices.rehearse_program", lambda *_: None)
 
 
 def try_option(command, option, value):

@@ -18,8 +18,8 @@ from processes import socket_plan
 from warm_start import stand_ins
 from wording import numbers
 
-from dds_trace.recorder.sweep.against import against_seconds
-from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.extensions.campaigns.against import against_seconds
+from dds_trace.extensions.campaigns.plan.plan_file import read_plan
 from dds_trace.reports.comparison.report import SIGNATURE
 
 ROOT = Path(__file__).parents[2]

@@ -8,11 +8,11 @@ from dds_trace.cli import analyze, compare, trace, watch
 from dds_trace.cli.defaults import _WITHOUT_DEFAULT, FILE_NAME, VARIABLE, configurable, find_files, is_own_only
 from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
-from dds_trace.cli.sweep import command as sweep
-from dds_trace.cli.sweep.dry_run import argument_check
 from dds_trace.extensions.bridges import command as bridge
-from dds_trace.recorder.sweep.station.devices import printed_command
-from dds_trace.recorder.sweep.station.programs import Program
+from dds_trace.extensions.campaigns.commands import sweep
+from dds_trace.extensions.campaigns.commands.dry_run import argument_check
+from dds_trace.extensions.campaigns.station.devices import printed_command
+from dds_trace.extensions.campaigns.station.programs import Program
 
 ROS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
 
@@ -257,7 +257,7 @@ def test_a_sweep_has_defaults_and_its_recordings_have_none(home, run, monkeypatc
         folders.append(str(out))
         return 0
 
-    monkeypatch.setattr("dds_trace.cli.sweep.dry_run.dry_run", dry_run)
+    monkeypatch.setattr("dds_trace.extensions.campaigns.commands.dry_run.dry_run", dry_run)
     assert run(sweep.app, str(home / "plan.toml"), "--dry-run")[0] == 0
     assert folders == ["there"]
     assert VARIABLE not in os.environ

@@ -19,7 +19,7 @@ from trace_files import SAMPLES, copy_sample
 from dds_trace.cli import analyze, trace
 from dds_trace.cli.record import command as record
 from dds_trace.cli.record.command import words_of_role
-from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 
 SMALL_PLAN = """
 [run]
@@ -111,8 +111,8 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
 def run(line, monkeypatch):
     """Run a command in this process as far as its first message; how it ended."""
     monkeypatch.setattr("dds_trace.recorder.recording.rehearse", lambda *_: None)
-    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: {})
-    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.check_plan", lambda *_: {})
+    monkeypatch.setattr("dds_trace.extensions.campaigns.rehearsal.rehearse_plan", lambda *_, **__: {})
+    monkeypatch.setattr("dds_trace.extensions.campaigns.rehearsal.check_plan", lambda *_: {})
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
     plans = {name: ["--dry-run"] for name in ("sweep", "explain", "advise", "capacity")}

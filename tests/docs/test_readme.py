@@ -15,7 +15,7 @@ import pytest
 from processes import RunningCommand
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.recorder.sweep.plan.plan_file import read_plan
+from dds_trace.extensions.campaigns.plan.plan_file import read_plan
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -27,7 +27,7 @@ LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found 
 TOOLS = 'pip install --target .tools uv rust-just && PATH="$PWD/.tools/bin:$PATH"'
 
 NOT_RUN = {
-    f"{TOOLS} just demo": "minutes; tests/cli/test_sweep.py holds its plan, tests/cli its two commands",
+    f"{TOOLS} just demo": "minutes; tests/extensions/campaigns/commands/test_sweep.py holds its plan, tests/cli its two commands",
     f"{TOOLS} just test": "runs this test",
     "just demo": "the same, with pipx",
     "pipx install uv": "needs the index",

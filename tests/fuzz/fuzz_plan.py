@@ -6,10 +6,10 @@ from typing import Any
 from fuzz_shapes import changed_fields, shaped, shaped_seeds
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.sweep.plan.commands import half_arguments, ping_arguments, relay_arguments
-from dds_trace.recorder.sweep.plan.plan_file import read_plan
-from dds_trace.recorder.sweep.plan.schedule import Estimate, schedule
-from dds_trace.recorder.sweep.plan.toml_table import TomlTable
+from dds_trace.base.toml_table import TomlTable
+from dds_trace.extensions.campaigns.plan.commands import half_arguments, ping_arguments, relay_arguments
+from dds_trace.extensions.campaigns.plan.plan_file import read_plan
+from dds_trace.extensions.campaigns.plan.schedule import Estimate, schedule
 
 PLAN = """
 name = "fuzzed"

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.extensions.campaigns.plan.plan import RunSettings
+from dds_trace.extensions.campaigns.station.station import Station
 from dds_trace.recorder.option_table import OPTIONS
 from dds_trace.recorder.options import DEFAULT_WAIT_S, DEFAULT_WARMUP, PingOptions
-from dds_trace.recorder.sweep.plan.plan import RunSettings
-from dds_trace.recorder.sweep.station.station import Station
 
 TOP = Path(__file__).parents[2]
 ROW = """
@@ -24,10 +24,10 @@ from generated.commands import commands
 from generated.plan_keys import plan_keys
 from dds_trace.cli.record import command
 from dds_trace.recorder.options import side_settings
-from dds_trace.recorder.sweep.plan.cells import Cell
-from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
-from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.plan.schema import plan_schema
+from dds_trace.extensions.campaigns.plan.cells import Cell
+from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.plan.schema import plan_schema
 
 taken = []
 arguments = ["--role", "relay", "--out", "x.mcap", "--toy-level", "3"]

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.extensions.campaigns.plan.link import PRESETS
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Serialization, Transport
 from dds_trace.recorder.options import PingOptions, RecordOptions, changed_settings, run_settings, side_settings
-from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.writing.destination import TraceDestination
 

@@ -16,8 +16,8 @@ from wire_truth import Truth, truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.base.records import from_json, to_json
-from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, open_tap, tc
-from dds_trace.recorder.sweep.station.namespaces import Side
+from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip, open_tap, tc
+from dds_trace.extensions.campaigns.station.namespaces import Side
 from dds_trace.recorder.wire.capture import WireOptions
 from dds_trace.recorder.wire.counts import WireCounts
 

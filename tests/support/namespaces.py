@@ -10,7 +10,7 @@ from itertools import count
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.recorder.sweep.station.emulation import ip
+from dds_trace.extensions.campaigns.station.emulation import ip
 
 _numbers = count()
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
-from dds_trace.recorder.sweep.plan.plan_file import parse_plan
-from dds_trace.recorder.sweep.run.state import SweepState
-from dds_trace.recorder.sweep.sweep import run_sweep
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.run.state import SweepState
+from dds_trace.extensions.campaigns.sweep import run_sweep
 from dds_trace.tracefile.format.events import Stage
 
 STAND_IN = Path(__file__).with_name("stand_in_recorder.py")

@@ -10,8 +10,8 @@ from pathlib import Path
 from namespaces import needs_namespaces
 from processes import RunningCommand
 
-from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
-from dds_trace.recorder.sweep.station.namespaces import NamespacePair, Side
+from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip
+from dds_trace.extensions.campaigns.station.namespaces import NamespacePair, Side
 
 SUBNET = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}
 """The tests' own environment keeps to this machine; a namespace of two may look around."""

@@ -50,12 +50,16 @@ RECORDING = (
 Nor rclpy itself, whose library ends with a segmentation fault in a process that was forked behind its import.
 """
 READING = (
-    *("dds_trace.cli.sweep.command", "dds_trace.cli.sweep.against"),
-    *("dds_trace.recorder.sweep.sweep", "dds_trace.recorder.sweep.rehearsal", "dds_trace.extensions.bags.command"),
+    *("dds_trace.extensions.campaigns.commands.sweep", "dds_trace.extensions.campaigns.commands.against"),
+    *(
+        "dds_trace.extensions.campaigns.sweep",
+        "dds_trace.extensions.campaigns.rehearsal",
+        "dds_trace.extensions.bags.command",
+    ),
     *("dds_trace.analyzer.analysis", "dds_trace.analyzer.saving.folder", "dds_trace.reports.comparison"),
     *("dds_trace.analyzer.verdicts.gates", "dds_trace.reports.html.page", "dds_trace.cli.analyze"),
     *("dds_trace.analyzer.pipeline", "dds_trace.analyzer.engines", "dds_trace.analyzer.findings"),
-    *("dds_trace.recorder.sweep.plan.plan_file", "dds_trace.recorder.sweep.run.progress"),
+    *("dds_trace.extensions.campaigns.plan.plan_file", "dds_trace.extensions.campaigns.run.progress"),
     *("rich.progress", "rich._emoji_codes", "pyarrow.compute", "numpy.ma"),
 )
 """What is imported before the other commands, under the same rules; polars starts its threads with its first query."""
@@ -246,7 +250,7 @@ def _import_ahead(kind: str, bin_folder: Path) -> None:
         floor = importlib.import_module("dds_trace.recorder.roles.floor")
         floor.BRIEF_S, floor.BRIEF_FLOOR_MESSAGES = BRIEF_COST_S, BRIEF_FLOOR_MESSAGES
     else:  # a warm sweep starts warm recorders
-        station = importlib.import_module("dds_trace.recorder.sweep.station.station")
+        station = importlib.import_module("dds_trace.extensions.campaigns.station.station")
         station.local_program = lambda name: [str(bin_folder / name)]
     gc.freeze()  # so that no child's collector visits, and by that copies, what all have in common
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS = ("bags", "bridges")
+EXTENSIONS = ("bags", "bridges", "campaigns")
 """Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
 
 

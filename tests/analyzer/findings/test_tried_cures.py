@@ -13,9 +13,9 @@ from waiting import wait_until
 from wording import numbers
 
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip, tc
 from dds_trace.recorder.backends.ros2.fastdds_profile import requested_profile
 from dds_trace.recorder.choices import Transport
-from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, tc
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 

@@ -17,9 +17,9 @@ from processes import running
 from waiting import wait_until
 
 from dds_trace.base.errors import TraceError
+from dds_trace.extensions.campaigns.plan.cells import OutageBy
+from dds_trace.extensions.campaigns.station.namespaces import NamespacePair, Side
 from dds_trace.recorder.host.load import loaded
-from dds_trace.recorder.sweep.plan.cells import OutageBy
-from dds_trace.recorder.sweep.station.namespaces import NamespacePair, Side
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace

@@ -7,10 +7,9 @@ from processes import relay, run
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.cli import doctor
 from dds_trace.extensions.bridges import command
 from dds_trace.extensions.bridges.base import BRIDGE_MODULES
-from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.tracefile.reading.reader import read_trace
 
 SUPPORT = Path(__file__).parents[2] / "support"
@@ -57,8 +56,8 @@ def test_a_toy_bridge_carries_a_ping_and_its_relay_to_a_trace_that_analyzes(doma
 
 @pytest.mark.usefixtures("toy_row")
 def test_a_toy_bridge_is_listed_and_shows_its_configuration():
-    (check,) = [check for check in doctor._bridges() if check.name == "toy"]
-    assert (check.works, check.detail) == (True, "1.0-toy (tried: in this test)")
+    (check,) = [check for check in command.installed() if check[1] == "toy"]
+    assert check == ("bridges", "toy", True, "1.0-toy (tried: in this test)")
     shown = CliRunner().invoke(command.app, ["toy", "--config", "--from", "3", "--to", "4"])
     assert json.loads(shown.output)["relay_domain_id"] == 4
 

@@ -22,7 +22,7 @@ from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtri
 from dds_trace.analyzer.verdicts.gate import parse_gates
 from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.base.units import format_duration, format_number, format_rate, format_size
-from dds_trace.recorder.sweep.plan.cells import AXES
+from dds_trace.extensions.campaigns.plan.cells import AXES
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book

@@ -1,0 +1,213 @@
+"""`dds-trace sweep --against`: two sides in alternation, and for equal ones how often the comparison is wrong."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import say
+from dds_trace.base.units import counted
+from dds_trace.cli.compare import ReportKind, judge_sides
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from dds_trace.analyzer.verdicts.gate import Gate
+    from dds_trace.cli.compare import JudgedSides
+
+    from ..against import AgainstOutcome
+    from ..plan.cells import Cell
+    from ..plan.plan import Plan
+    from ..sweep import SweepOutcome
+    from ..verdicts.false_alarms import FalseAlarms
+
+SAME = "SAME"
+
+
+@dataclass(frozen=True, slots=True)
+class NewSide:
+    name: str
+    plan: Plan
+    command: tuple[str, ...] | None = None
+    is_same: bool = False
+    looks: int = 1
+
+
+def new_side(
+    text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
+) -> NewSide:
+    from dds_trace.base.files import expand_home
+
+    from ..plan.cells import environment_name
+    from ..plan.plan_file import read_plan
+    from ..station.programs import environment_program
+
+    limits.check(limits.FOLDER, text, "--against")
+    path = expand_home(text)
+    if text == SAME or (path.is_file() and path.samefile(base_path)):
+        return NewSide("same", base, is_same=True)
+    if path.suffix == ".toml":
+        plan = read_plan(path, installed)
+        return NewSide(plan.name, plan)
+    if not path.is_dir():
+        raise OptionError(f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}")
+    command = environment_program(path.absolute(), "dds-record")
+    if base.has_two_devices:
+        raise OptionError(
+            "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
+            "[devices.relay] path is the environment there"
+        )
+    return NewSide(environment_name(text), base, command)
+
+
+def startable(plan: Plan, refused: Container[str]) -> Plan:
+    return replace(plan, cells=tuple(cell for cell in plan.cells if cell.name not in refused)) if refused else plan
+
+
+def startable_words(cells: Iterable[Cell], refused: Container[str]) -> str:
+    return f" for the {sum(cell.name not in refused for cell in cells)} that can start here" if refused else ""
+
+
+def shown_sides(base: Plan, other: NewSide, refused: Container[str] = ()) -> tuple[dict[str, object], list[str]]:
+    from ..against import against_seconds, interleave
+
+    cells = [(turn.side, turn.group.cells[0]) for turn in interleave(base, other.plan)]
+    turns = [(side, cell.name) for side, cell in cells]
+    base_here, new_here = startable(base, refused), startable(other.plan, refused)
+    seconds = against_seconds(base_here, new_here)
+    repeats = base.run.repeats + (base.run.repeats - 1) // 2
+    most = against_seconds(replace(base_here, run=replace(base.run, repeats=repeats)), new_here)
+    described: dict[str, object] = {
+        "plan": _name(base, other),
+        "seconds": seconds.seconds,
+        "most_seconds": other.looks * most.seconds,
+        "cells": [{"side": side, "name": name} for side, name in turns],
+    }
+    lines = [f"{side:4}  {name}" for side, name in turns]
+    up_to = f"up to {other.looks} looks, each: " if other.looks > 1 else ""
+    more = f" ({most} where the machine is busier on one side)" if repeats > base.run.repeats else ""
+    lines.append(
+        f"{up_to}plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}{more}"
+        + startable_words((cell for _, cell in cells), refused)
+    )
+    return described, lines
+
+
+def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
+    from ..against import BASE, NEW
+
+    folder = out / _name(base, other)
+    sides = [(BASE, base, None), *([] if other.is_same else [(NEW, other.plan, other.command)])]
+    return [(plan, folder / side, command) for side, plan, command in sides]
+
+
+def _can_analyze() -> bool:
+    return find_spec("polars") is not None
+
+
+def busier(base: Path, new: Path) -> list[tuple[str, int]]:
+    if not _can_analyze():
+        return []
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.sides import busier_repeats, run_loads
+
+    sides = [analyze(folder, details=False) for folder in (base, new)]
+    return [one[:2] for one in busier_repeats(sides[0].runs, sides[1].runs, run_loads(sides))]
+
+
+def run_sides(
+    base: Plan, other: NewSide, out: Path, gates: Sequence[Gate] = (), *, as_json: bool, strict: bool = False
+) -> int:
+    from ..against import run_against
+    from ..run.progress import make_progress
+    from ..sweep import INCOMPLETE_EXIT_CODE
+
+    if gates:
+        say(shown_sides(base, other)[1][-1])
+    for look in range(1, other.looks + 1):
+        run = replace(base.run, repeats=look * base.run.repeats)
+        sides_outcome = run_against(
+            replace(base, name=f"{_name(base, other)}-base", run=run),
+            replace(other.plan, name=f"{_name(base, other)}-new"),
+            out / _name(base, other),
+            make_progress(),
+            commands=(None, other.command),
+            busier=busier,
+        )
+        sides = {"base": sides_outcome.base, "new": sides_outcome.new}
+        is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
+        judged = None
+        if gates and is_recorded:
+            judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
+        if judged is None or judged.outcome.value != "inconclusive":
+            break
+    missing = {side: outcome.missing for side, outcome in sides.items()}
+    is_counted = other.is_same and is_recorded
+    alarms = _false_alarms(sides_outcome) if is_counted and _can_analyze() else None
+    if as_json:
+        result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
+        result |= {"cells": sides_outcome.base.cells + sides_outcome.new.cells, "missing": missing}
+        result |= {} if alarms is None else {"false_alarms": asdict(alarms)}
+        result |= {} if judged is None else {"outcome": judged.outcome.value}
+        print(json.dumps(result))
+    else:
+        _print_sides(sides_outcome, alarms, judged)
+    for side, reasons in missing.items():
+        say_missing(reasons, f"{side} ")
+    if is_counted and alarms is None:
+        say(
+            "its verdicts are counted where the extra analyze is installed: copy the folder there, and give the same command"
+        )
+    if judged is not None:
+        return judged.end(strict=strict)
+    return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0
+
+
+def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: JudgedSides | None) -> None:
+    for side, outcome in (("base", sides.base), ("new", sides.new)):
+        print_complete(outcome, f"{side}: ")
+    print(f"Compare: dds-trace compare {shlex.join([str(sides.base.folder), str(sides.new.folder)])} --paired")
+    if alarms is not None:
+        print(_in_words(alarms))
+    if judged is not None:
+        judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
+
+
+def print_complete(outcome: SweepOutcome, side: str = "") -> None:
+    print(f"Wrote {outcome.folder}")
+    complete = outcome.cells - len(outcome.missing)
+    print(f"{side}{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
+
+
+def say_missing(missing: Mapping[str, str], side: str = "", what: str = "") -> None:
+    for reason in dict.fromkeys(missing.values()):
+        first, *more = [name for name, cause in missing.items() if cause == reason]
+        say(f"{side}{first}{f' and {len(more)} more' if more else ''}{what}: {reason}")
+
+
+def _name(base: Plan, other: NewSide) -> str:
+    return f"{base.name}-against-{other.name}"
+
+
+def _false_alarms(sides_outcome: AgainstOutcome) -> FalseAlarms:
+    from dds_trace.analyzer.model.runs import pass_numbers
+    from dds_trace.analyzer.pipeline import analyze
+
+    from ..verdicts.false_alarms import count_false_alarms
+
+    base, new = (analyze(outcome.folder, details=False) for outcome in (sides_outcome.base, sides_outcome.new))
+    return count_false_alarms(base.load_messages(), new.load_messages(), pass_numbers([*base.runs, *new.runs]))
+
+
+def _in_words(alarms: FalseAlarms) -> str:
+    return (
+        f"A/A: {alarms.measured} of {counted(alarms.of_measured, 'verdict')} better or worse; with the repeats dealt to "
+        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.of_dealt} "
+        f"({alarms.rate:.1%}), all false"
+    )

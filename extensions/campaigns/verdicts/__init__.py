@@ -1,0 +1,1 @@
+"""What only campaigns decide: explanations, false alarms."""

@@ -1,1 +1,0 @@
-"""The whole parameter space from one plan."""

@@ -11,12 +11,12 @@ from pathlib import Path
 import polars as pl
 
 from dds_trace.base.errors import OutputError
+from dds_trace.base.extension import load
 from dds_trace.base.files import real_path
 
 from .analysis import Analysis
 from .details import collect_details, details_not_requested
 from .engines.batches import BatchOutput, BatchResult, groups_in_parts, plan_batches
-from .engines.cluster import ClusterEngine
 from .engines.local import Engine
 from .engines.merge import merge_results
 from .findings.evidence import Evidence
@@ -108,7 +108,7 @@ def analyze(
         job=job,
         ranking=RankingOptions(margin, trust_order),
     )
-    engine = Engine(spool) if cluster is None else ClusterEngine(cluster)
+    engine: Engine = Engine(spool) if cluster is None else load("parts", "cluster")(cluster)
     with ExitStack() as stack:
         with engine:
             campaign = engine.load(location, location.own_folders | ({target} if target else set()), progress)

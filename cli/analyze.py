@@ -13,6 +13,7 @@ import typer
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
+from dds_trace.base.extension import load
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.threads import tune_gc
 from dds_trace.base.units import parse_duration, spell_size
@@ -298,10 +299,9 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
 
 def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
     from dds_trace.analyzer.clocks.boots import ping_wall_offsets
-    from dds_trace.analyzer.exports.foxglove import write_derived
 
     wall = ping_wall_offsets(analysis.sessions, analysis.runs)
-    derived = write_derived(analysis.load_roundtrips(), target / "latency.derived.mcap", wall, force=True)
+    derived = load("parts", "derived")(analysis.load_roundtrips(), target / "latency.derived.mcap", wall, force=True)
     return [derived.path, derived.layout]
 
 

@@ -27,11 +27,9 @@ _COMMANDS = {
     "record relay": "record.command:relay",
     "record tap": "record.command:tap",
     "record beacon": "record.command:beacon",
-    "record status": "record.status:app",
     "analyze": "analyze:app",
     "choose": "analyze:choose",
     "compare": "compare:app",
-    "watch": "watch:app",
     "recover": "recover:app",
     "doctor": "doctor:app",
 }
@@ -42,6 +40,7 @@ _ORDER = ("record", "sweep", "capacity", "explain", "advise", "analyze", "choose
 _GROUPS = {
     "record": "Record a ping, a relay, topics or clocks; list what records now.",
     "explain": "Explain why latency rises at slow rates, or around a size.",
+    "sweep": "Write a plan.",
 }
 
 MOVED = {

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
+from dds_trace.base.extension import load
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
@@ -30,7 +31,6 @@ from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
 from .security.keys import public_hash
-from .service.upkeep import Upkeep
 from .wire.capture import open_wire
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class BaseRecording(ABC):
     node: Node
     read_back: ReadBack
     session: Session
-    upkeep: Upkeep
+    upkeep: Any
 
     def __init__(
         self,
@@ -143,7 +143,8 @@ class BaseRecording(ABC):
             return ended[0]
 
     def _record_trace(self, stack: ExitStack) -> Recorded:
-        self.upkeep = stack.enter_context(Upkeep(self.options, self.session, self.clock.monotonic_ns, self.watch.note))
+        upkeep = load("parts", "upkeep")(self.options, self.session, self.clock.monotonic_ns, self.watch.note)
+        self.upkeep = stack.enter_context(upkeep)
         sink = self.upkeep.sink
         if isinstance(self.stop, StopEvent):
             self.stop.last_act = sink.close

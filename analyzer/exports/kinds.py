@@ -9,11 +9,11 @@ import io
 import os
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError
+from dds_trace.base.extension import offers
 from dds_trace.base.files import replacing
 
 if TYPE_CHECKING:
@@ -91,27 +91,9 @@ def summary_parquet(analysis: Analysis) -> bytes:
     return file.getvalue()
 
 
-def _module(name: str) -> Any:
-    return import_module(f".{name}", __package__)
-
-
-EXPORT_KINDS: Mapping[str, Callable[[Analysis, Path], list[Path]]] = {
+EXPORT_KINDS: dict[str, Callable[[Analysis, Path], list[Path]]] = {
     **{kind: lambda analysis, folder, kind=kind: export_tables(analysis, kind, folder) for kind in EXPORTERS},  # type: ignore[misc]
-    "openmetrics": lambda analysis, folder: [
-        write_text_file(folder / "openmetrics.txt", _module("openmetrics").openmetrics_text(analysis))
-    ],
-    "bencher": lambda analysis, folder: [
-        write_text_file(folder / "bencher.json", _module("history").bencher_json(analysis))
-    ],
-    "github-benchmark": lambda analysis, folder: [
-        write_text_file(folder / name, text)
-        for name, text in _module("history").github_benchmark_files(analysis).items()
-    ],
-    "otava": lambda analysis, folder: [write_text_file(folder / "otava.csv", _module("history").otava_csv(analysis))],
-    "hdr": lambda analysis, folder: [write_text_file(folder / "latency.hlog", _module("hdr_log").hdr_log(analysis))],
-    "perfetto": lambda analysis, folder: [
-        write_file(folder / "timeline.pftrace", partial(_module("perfetto").write_perfetto, analysis))
-    ],
+    **{kind: lambda analysis, folder, home=home: home()(analysis, folder) for kind, home in offers("exports").items()},  # type: ignore[misc]
 }
 
 

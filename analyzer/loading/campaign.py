@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.errors import MissingEventsError, OptionError, TraceFormatError
+from dds_trace.base.extension import load
 from dds_trace.base.files import real_path
 from dds_trace.base.units import counted
+from dds_trace.tracefile.reading.storage import find_traces
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
 from ..model.finding import Source
 from .event_index import Copies, EventIndex, index_events
-from .remote import find_anywhere, is_remote
+from .traces import is_remote
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
@@ -132,7 +134,7 @@ def load_campaign(
         TraceFormatError: the only file or rosbag2 folder is not a trace.
     """
     path = location.folder
-    candidates = sorted({trace for part in location.parts for trace in find_anywhere(part, skip)})
+    candidates = sorted({trace for part in location.parts for trace in _find(part, skip)})
     results = load_all(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
@@ -257,3 +259,8 @@ def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     return f"{path}: no trace here" + (
         f": looked at {listed}" if listed else ", the folder is empty; give the folder with the traces"
     )
+
+
+def _find(path: Path, skip: Collection[Path]) -> list[Path]:
+    found: list[Path] = load("parts", "find_remote")(path) if is_remote(path) else find_traces(path, skip=skip)
+    return found

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dds_trace.base.errors import OutputError, TraceFormatError
+from dds_trace.base.extension import load as load_part
 from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace_in_pieces
 from dds_trace.tracefile.reading.trace import Trace
 
 from .event_index import EventKey, EventPart, split_trace
-from .remote import is_remote, local_copy
 from .spool import SpooledEvents, SpooledPiece, TemporaryFolder, write_events
 
 Stamp = tuple[object, ...]
+
+REMOTE = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
+"""Start of a path in object storage, as `pathlib` writes it."""
+
+
+def is_remote(path: Path) -> bool:
+    return REMOTE.match(os.fspath(path)) is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +125,7 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) ->
         has_events = has_events or any(map(len, piece.values()))
         take(piece)
 
-    with local_copy(path) as local:
+    with load_part("parts", "copy_remote")(path) if is_remote(path) else nullcontext(path) as local:
         try:
             trace = replace(read_trace_in_pieces(local, take_and_note), path=path)
         except OSError as err:

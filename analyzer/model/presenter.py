@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from dds_trace.base.extension import load
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from plotly.graph_objects import Figure
 
-PRESENTER_MODULE = "dds_trace.reports.notebook"
-
 
 class Presenter(Protocol):
-    """Functions of `PRESENTER_MODULE`."""
+    """Functions of the module that the part `presenter` is."""
 
     def first_screen(self, analysis: Any) -> str: ...
 
@@ -28,4 +27,4 @@ class Presenter(Protocol):
 
 
 def presenter() -> Presenter:
-    return cast("Presenter", import_module(PRESENTER_MODULE))
+    return cast("Presenter", load("parts", "presenter"))

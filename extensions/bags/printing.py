@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
-from dds_trace.analyzer.exports.perfetto import topic_slices, write_slices
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import overall_outcome, result_of
@@ -17,6 +16,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
 from dds_trace.cli.limits_file import topic_limits_text, write_limits
+from dds_trace.extensions.exports.perfetto import topic_slices, write_slices
 from dds_trace.reports.book.groups import joined
 from dds_trace.reports.comparison.words import gate_notes, gate_rows
 from dds_trace.reports.reporters import load_reporter

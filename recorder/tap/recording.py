@@ -13,9 +13,9 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.local_server import LocalServer
 from dds_trace.base.records import to_json
 from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.extensions.live.local_server import LocalServer
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import TapNode, TopicPatterns

@@ -59,9 +59,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dds_trace.extensions.bags.analyze import analyze_topics
+    from dds_trace.extensions.exports.foxglove import write_derived
 
     from .analyzer.analysis import Analysis, Details, load_analysis
-    from .analyzer.exports.foxglove import write_derived
     from .analyzer.exports.kinds import export_tables
     from .analyzer.model.finding import Finding, Severity, Source
     from .analyzer.pipeline import analyze

@@ -66,7 +66,7 @@ def test_an_error_of_a_report_leaves_all_earlier_files(runs, monkeypatch, capsys
     assert analyze(runs, *every) == 0
     before = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
     write_pair(runs / "more", TWELVE, runs=[run(run_id=0xB2)])
-    monkeypatch.setattr("dds_trace.analyzer.exports.foxglove.foxglove_layout", lambda _: 1 / 0)
+    monkeypatch.setattr("dds_trace.extensions.exports.foxglove.foxglove_layout", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         analyze(runs, *every)
     assert {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()} == before

@@ -72,7 +72,7 @@ def nothing_recorded(monkeypatch, tmp_path):
     monkeypatch.setattr("dds_trace.cli.doctor.all_checks", lambda _: [])
     monkeypatch.setattr("dds_trace.analyzer.pipeline.analyze", nothing_analyzed)
     monkeypatch.setattr("dds_trace.extensions.bags.analyze.analyze_topics", nothing_analyzed)
-    monkeypatch.setattr("dds_trace.reports.html.live.Watcher", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.extensions.live.live.Watcher", nothing_analyzed)
     # A rehearsal starts a real relay, which takes as long as a hundred other values.
     monkeypatch.setattr("dds_trace.extensions.campaigns.station.devices.rehearse_program", lambda *_: None)
 

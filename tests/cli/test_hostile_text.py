@@ -11,10 +11,10 @@ from trace_files import TWELVE, ping_session, relay_session, run, write_pair
 from dds_trace.base.printable import is_hidden
 from dds_trace.base.streams import plain_streams
 from dds_trace.cli.record.run import TerminalWatch
-from dds_trace.cli.record.status import _lines
 from dds_trace.extensions.campaigns.run.state import CellState, Status, SweepState
-from dds_trace.recorder.service.running import Entry, Listed, State
-from dds_trace.recorder.service.upkeep import ServiceManager
+from dds_trace.extensions.service.command import _lines
+from dds_trace.extensions.service.running import Entry, Listed, State
+from dds_trace.extensions.service.upkeep import ServiceManager
 
 HOSTILE = (
     "=HYPERLINK(1)\x1b]0;p\x07\x1b[2J\u202e\x9b31m\u2028\n::set-output name=a::b\r\n ::stop-commands::c\n##[error]d"

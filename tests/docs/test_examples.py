@@ -38,7 +38,7 @@ rate = [100, 200]
 NOT_RUN = {
     "--configuration mine.xml": "needs the user's own file: tests/recorder/backends/test_own_configuration.py writes some",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
-    "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/analyzer/engines/test_cluster.py starts one",
+    "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/extensions/cluster/test_cluster.py starts one",
     "--clock runs/": "needs a bag of one of two devices: tests/analyzer/topics/test_clock_of_bags.py records it",
     "analyze docker/runs": "what containers recorded; none is built here",
 }

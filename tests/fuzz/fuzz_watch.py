@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fuzz_shapes import shaped, shaped_seeds
 
-from dds_trace.reports.html.live import Watcher, WatchOptions
+from dds_trace.extensions.live.live import Watcher, WatchOptions
 
 SECRET = b"not for visitors"
 REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"

@@ -15,7 +15,7 @@ import yaml
 from dds_trace import analyze
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.version import __version__
-from dds_trace.recorder.service.running import list_recordings
+from dds_trace.extensions.service.running import list_recordings
 from dds_trace.tracefile.reading.reader import read_trace
 
 UNIT = Path(__file__).parents[2] / "systemd/dds-trace-relay@.service"

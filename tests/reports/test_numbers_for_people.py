@@ -19,6 +19,7 @@ from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.units import format_duration
+from dds_trace.extensions.live.notebook import MOST_CHARACTERS
 from dds_trace.reports.blocks import plain_text
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
@@ -27,7 +28,6 @@ from dds_trace.reports.book.sizes import size_block
 from dds_trace.reports.comparison import document
 from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.comparison.words import both_words, change_words
-from dds_trace.reports.notebook import MOST_CHARACTERS
 from dds_trace.reports.reporters import load_reporter
 
 TOO_MUCH = {

@@ -10,18 +10,19 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS = ("bags", "bridges", "campaigns")
+EXTENSIONS = ("bags", "bridges", "campaigns", "exports", "live", "service", "cluster")
 """Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extension:
-    """`EXTENSION` of each package in `EXTENSIONS`; a value is the home of an object, `module:name` below the package.
+    """`EXTENSION` of each package in `EXTENSIONS`; a value is the home of an object, `module:name` below the package, or of a module.
 
     Attributes:
         commands: words of a command -> its typer app.
         choices: an option of a recording -> the names that it takes.
         checks: what `doctor` looks at -> a function that yields part, name, whether it works, and details.
+        exports: a kind of `--export` -> a function of an analysis and a folder that returns the files it wrote.
         payloads: data that `--data` reads -> its `Source`.
         storages: suffix of a file with our events -> its reader.
         parts: what the main house asks for by a name of its own.
@@ -30,6 +31,7 @@ class Extension:
     commands: Mapping[str, str] = field(default_factory=dict)
     choices: Mapping[str, str] = field(default_factory=dict)
     checks: Mapping[str, str] = field(default_factory=dict)
+    exports: Mapping[str, str] = field(default_factory=dict)
     payloads: Mapping[str, str] = field(default_factory=dict)
     storages: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
@@ -58,4 +60,4 @@ def load(kind: str, name: str) -> Any:
 
 
 def _load(module: str, name: str) -> Any:
-    return getattr(import_module(module), name)
+    return getattr(import_module(module), name) if name else import_module(module)

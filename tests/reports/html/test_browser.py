@@ -26,10 +26,10 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration, format_quantity, format_rate
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.report import BagReport
+from dds_trace.extensions.live.live import Watcher, WatchOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import format_ratio
 from dds_trace.reports.comparison.info import comparison_info
-from dds_trace.reports.html.live import Watcher, WatchOptions
 from dds_trace.reports.reporters import load_reporter
 
 pytestmark = pytest.mark.browser

@@ -12,7 +12,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, TypeAlias
 
-from .streams import say
+from dds_trace.base.streams import say
 
 MOST_CONNECTIONS, CONNECTION_S = 16, 10.0
 """Each connection takes a thread and an open file of the program; a page asks once a second."""

@@ -4,8 +4,8 @@ from urllib.request import urlopen
 
 import pytest
 
-from dds_trace.base import local_server
-from dds_trace.base.local_server import MOST_CONNECTIONS, LocalServer
+from dds_trace.extensions.live import local_server
+from dds_trace.extensions.live.local_server import MOST_CONNECTIONS, LocalServer
 
 
 @pytest.fixture

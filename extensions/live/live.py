@@ -20,11 +20,11 @@ from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import open_regular
-from dds_trace.base.local_server import Answer, LocalServer
 from dds_trace.base.streams import say
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.html.page import render_live, render_waiting, without_plotly
 
-from ..book.book import Book
-from .page import render_live, render_waiting, without_plotly
+from .local_server import Answer, LocalServer
 
 Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 """Path, size in bytes and time of change in ns of every file below a folder."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.streams import plain
-
-from ..analysis import Analysis
-from ..model.metrics import METRICS, TOPIC_METRICS
-from ..model.parameters import PARAMETER_NAMES
-from ..statistics.percentiles import PERCENTILES
 
 Rows = Sequence[Mapping[str, object]]
 
@@ -79,3 +80,7 @@ def _number(value: object, divisor: float) -> str:
     assert isinstance(value, (int, float))
     number = value / divisor
     return repr(number) if math.isfinite(number) else "+Inf"
+
+
+def export(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_text_file(folder / "openmetrics.txt", openmetrics_text(analysis))]

@@ -8,12 +8,12 @@ import pytest
 from trace_files import RELAY_SESSION_ID, relay_session, write_trace
 
 from dds_trace.base.errors import OutputError
+from dds_trace.extensions.service import upkeep
+from dds_trace.extensions.service.rotation import RotatedFiles, find_shortage
+from dds_trace.extensions.service.upkeep import STATUS_PERIOD_S, ServiceManager
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.option import KeepFree
 from dds_trace.recorder.options import RecordOptions
-from dds_trace.recorder.service import upkeep
-from dds_trace.recorder.service.rotation import RotatedFiles, find_shortage
-from dds_trace.recorder.service.upkeep import STATUS_PERIOD_S, ServiceManager
 from dds_trace.tracefile.reading.mcap_source import read_first_session
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -15,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.clocks.boots import ping_wall_offsets
+from dds_trace.analyzer.clocks.lines import Int64
+from dds_trace.analyzer.exports.kinds import write_file
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 from dds_trace.extensions.bags.analyze import TopicReport
-
-from ..analysis import Analysis
-from ..clocks.boots import ping_wall_offsets
-from ..clocks.lines import Int64
 
 MOST_SLICES = 100_000
 """More messages are thinned evenly."""
@@ -174,3 +175,7 @@ class _Reference:
         drifted = np.interp(on_first_ns - at_ns[0], at_ns - at_ns[0], (offset_ns - first_ns).astype(np.float64))
         on_wall: Int64 = on_first_ns - drifted.astype(np.int64) + self._zero_ns[self._first]
         return on_wall
+
+
+def export(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_file(folder / "timeline.pftrace", partial(write_perfetto, analysis))]

@@ -10,16 +10,17 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.model.names import group_words
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.base.streams import plain
 from dds_trace.base.units import finite
-
-from ..analysis import Analysis
-from ..model.names import group_words
-from ..model.parameters import PARAMETER_NAMES
 
 _OF_A_MACHINE = ("ping_device", "relay_device", "ping_domain_id", "relay_domain_id")
 """Left out of names where results differ in others: they change from job to job."""
@@ -93,3 +94,15 @@ def otava_csv(analysis: Analysis) -> str:
         [["time", "commit", *values], [time, plain(commit), *(f"{value:.6g}" for value in values.values())]]
     )
     return text.getvalue()
+
+
+def export_bencher(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_text_file(folder / "bencher.json", bencher_json(analysis))]
+
+
+def export_github_benchmark(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_text_file(folder / name, text) for name, text in github_benchmark_files(analysis).items()]
+
+
+def export_otava(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_text_file(folder / "otava.csv", otava_csv(analysis))]

@@ -10,17 +10,18 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.model.metrics import TOPIC_METRICS
+from dds_trace.analyzer.model.names import name_groups
+from dds_trace.analyzer.statistics.percentiles import histogram_of
 from dds_trace.base.version import __version__
-
-from ..analysis import Analysis
-from ..model.metrics import TOPIC_METRICS
-from ..model.names import name_groups
-from ..statistics.percentiles import histogram_of
 
 _DIGITS = 3
 _HALF_BITS = 10
@@ -104,3 +105,7 @@ def _leb128(value: int) -> bytes:
         encoded >>= 7
     text.append(encoded)
     return bytes(text)
+
+
+def export(analysis: Analysis, folder: Path) -> list[Path]:
+    return [write_text_file(folder / "latency.hlog", hdr_log(analysis))]

@@ -19,12 +19,12 @@ import pytest
 from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
 from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 
-from dds_trace.analyzer.exports.hdr_log import encode_histogram, hdr_log
-from dds_trace.analyzer.exports.history import bencher_json, github_benchmark_files, otava_csv
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, export
-from dds_trace.analyzer.exports.openmetrics import openmetrics_text
-from dds_trace.analyzer.exports.perfetto import timeline_slices, write_perfetto
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.extensions.exports.hdr_log import encode_histogram, hdr_log
+from dds_trace.extensions.exports.history import bencher_json, github_benchmark_files, otava_csv
+from dds_trace.extensions.exports.openmetrics import openmetrics_text
+from dds_trace.extensions.exports.perfetto import timeline_slices, write_perfetto
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from roundtrip_frames import MS, steady, with_one_way
 
-from dds_trace.analyzer.exports.foxglove import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
 from dds_trace.base.errors import OutputError, OutputExistsError
+from dds_trace.extensions.exports.foxglove import PLOTTED_TOPICS, foxglove_layout, topic_name, write_derived
 
 WALL = 1_700_000_000 * 10**9
 

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
+from dds_trace.reports import blocks
+from dds_trace.reports.blocks import MARKDOWN, Span, Table, Words
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.findings import severity_counts
+from dds_trace.reports.book.sizes import HOW_TO_READ, size_block
+from dds_trace.reports.comparison.info import comparison_info
+from dds_trace.reports.comparison.report import result_table
+from dds_trace.reports.reporters import write_reports
 
-from . import blocks
-from .blocks import MARKDOWN, Span, Table, Words
-from .book.book import Book
-from .book.findings import severity_counts
-from .book.sizes import HOW_TO_READ, size_block
-from .comparison.info import comparison_info
-from .comparison.report import result_table
 from .plotting import line_figure
-from .reporters import write_reports
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,7 @@ import time
 import pytest
 from trace_files import relay_session
 
-from dds_trace.recorder.service.running import SUFFIX, RunningRecording, State, list_recordings, runtime_folder
+from dds_trace.extensions.service.running import SUFFIX, RunningRecording, State, list_recordings, runtime_folder
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
@@ -18,7 +18,7 @@ LIVE = """
 import sys, time
 from pathlib import Path
 from trace_files import relay_session
-from dds_trace.recorder.service.running import RunningRecording
+from dds_trace.extensions.service.running import RunningRecording
 folder = Path(sys.argv[1])
 running = RunningRecording(relay_session(session_id=int(sys.argv[2])), folder / "killed.mcap", folder)
 running.update(path=folder / "killed.00002.mcap", messages=41, files=2, stopped=None)

@@ -11,11 +11,10 @@ from pathlib import Path
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.units import format_size
+from dds_trace.recorder.option import KeepFree
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.reading.mcap_source import read_first_session
 from dds_trace.tracefile.writing.destination import TraceDestination
-
-from ..option import KeepFree
 
 DIGITS = 5
 

@@ -8,11 +8,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-
-from ..program import command, make_app, option
+from dds_trace.cli.program import command, make_app, option
 
 if TYPE_CHECKING:
-    from dds_trace.recorder.service.running import Listed
+    from .running import Listed
 
 app = make_app()
 
@@ -24,7 +23,7 @@ def status_command(as_json: Annotated[bool, option("--json", "Print the list as 
     A killed one is listed with the command that recovers its events. Recordings of other users are shown if their runtime folders
     are readable.
     """
-    from dds_trace.recorder.service.running import list_recordings
+    from .running import list_recordings
 
     recordings = list_recordings()
     if as_json:
@@ -44,7 +43,8 @@ def _lines(listed: Listed) -> list[str]:
     from datetime import datetime
 
     from dds_trace.base.units import counted
-    from dds_trace.recorder.service.running import State
+
+    from .running import State
 
     entry = listed.entry
     since = datetime.fromtimestamp(entry.began_ns // 10**9).astimezone().isoformat(" ")

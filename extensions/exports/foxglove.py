@@ -18,15 +18,14 @@ import numpy as np
 import polars as pl
 from mcap.writer import CompressionType, Writer
 
+from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.files import replacing, write_whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_size
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.encoding import CDR_HEADER
-
-from ..model.metrics import METRICS
-from ..model.parameters import ParameterValue
 
 SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
 _FIRST = ("latency", "rtt", "response", "intermediate")

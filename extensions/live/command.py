@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from dds_trace.base import limits
-
-from .program import argument, command, make_app, option
+from dds_trace.cli.program import argument, command, make_app, option
 
 LOOK_SECONDS = 3.0
 """Default time between two checks of the files."""
@@ -39,7 +38,8 @@ def watch_command(
         dds-trace watch runs/
     """
     from dds_trace.recorder.host.process import stop_at_signals
-    from dds_trace.reports.html.live import Watcher, WatchOptions
+
+    from .live import Watcher, WatchOptions
 
     limits.check(limits.HOST, host, "--host")
     limits.check(limits.LOOK_S, every, "--every")

@@ -10,7 +10,7 @@ import pytest
 from campaigns import assert_same_results, write_runs
 
 import dds_trace.analyzer.engines.batches
-import dds_trace.analyzer.engines.cluster
+import dds_trace.extensions.cluster.engine
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
@@ -168,7 +168,7 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
     """The last test: one of the workers is gone after it."""
     address, workers = cluster
     alone = analyze(runs)
-    from dds_trace.analyzer.engines.cluster import ClusterEngine
+    from dds_trace.extensions.cluster.engine import ClusterEngine
 
     real = ClusterEngine.process
 
@@ -182,6 +182,6 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
 
 
 def test_without_a_scheduler_the_error_is_one_line(runs, monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.engines.cluster, "_TIMEOUT_S", 1)
+    monkeypatch.setattr(dds_trace.extensions.cluster.engine, "_TIMEOUT_S", 1)
     with pytest.raises(BackendUnavailableError, match="no Dask scheduler answers at tcp://"):
         analyze(runs, cluster="tcp://127.0.0.1:1")

@@ -14,15 +14,13 @@ from importlib import import_module
 from pathlib import Path
 from secrets import token_hex
 
+from dds_trace.analyzer.engines.local import Engine
+from dds_trace.analyzer.loading.event_index import EventKey
+from dds_trace.analyzer.loading.spool import TemporaryFolder
+from dds_trace.analyzer.loading.traces import LoadedTrace, is_remote, load
 from dds_trace.base.errors import BackendUnavailableError, TraceFormatError
 from dds_trace.base.threads import in_turn
 from dds_trace.tracefile.format.events import EventColumns
-
-from ..loading.event_index import EventKey
-from ..loading.remote import is_remote
-from ..loading.spool import TemporaryFolder
-from ..loading.traces import LoadedTrace, load
-from .local import Engine
 
 _TIMEOUT_S = 30
 

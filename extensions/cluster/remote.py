@@ -6,19 +6,16 @@
 from __future__ import annotations
 
 import os
-import re
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
+from dds_trace.analyzer.loading.traces import REMOTE
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError, TraceError, TraceFormatError
 from dds_trace.base.printable import printable
-from dds_trace.tracefile.reading.storage import find_traces
-
-_SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
 
 
 class _Storage(Protocol):
@@ -33,19 +30,13 @@ class _Storage(Protocol):
     def get_file(self, remote: str, local: str) -> None: ...
 
 
-def is_remote(path: Path) -> bool:
-    return _SCHEME.match(os.fspath(path)) is not None
-
-
-def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
-    """Find every trace at or below `path`, here or in object storage.
+def find_remote(path: Path) -> list[Path]:
+    """Find every trace at or below `path` in object storage.
 
     Raises:
         MissingEventsError: there is nothing at `path`.
         BackendUnavailableError: the storage's package is missing, or it does not answer.
     """
-    if not is_remote(path):
-        return find_traces(path, skip=skip)
     with _storage(path) as (files, root):
         names = [PurePosixPath(name) for name in files.find(root)]
     if not names:
@@ -58,14 +49,11 @@ def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
 
 @contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
-    """Yield the trace as a path of this machine: itself, or a temporary copy.
+    """Yield a temporary copy of the trace on this machine.
 
     Raises:
         TraceFormatError: it cannot be read.
     """
-    if not is_remote(path):
-        yield path
-        return
     with tempfile.TemporaryDirectory(prefix="dds-analyze-") as name:
         with _storage(path) as (files, root):
             for remote in _files_of(files, root):
@@ -104,4 +92,4 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
 
 
 def _url(path: Path) -> str:
-    return _SCHEME.sub(r"\1://", os.fspath(path))
+    return REMOTE.sub(r"\1://", os.fspath(path))

@@ -23,12 +23,11 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from dds_trace.recorder.option import Rotation
+    from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.format.descriptions import Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
-
-    from ..option import Rotation
-    from ..options import RecordOptions
 
 
 STATUS_PERIOD_S = 5.0

@@ -18,13 +18,13 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.columns import SUMMARY_COLUMNS
+from .model.detail_frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .model.metrics import schema_of
 from .model.presenter import presenter
 from .model.runs import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json
-from .topics.frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs
 from .verdicts.judgements import judgement_frame
 
@@ -114,9 +114,9 @@ class Analysis:
         timeline_decimated: whether `timeline` leaves rows out.
         outputs: files written, by kind (`roundtrips`, `summary`).
         unsent: run_id -> messages that were due and never left.
-        topics: topics that taps heard, a row for each topic and pair of devices (`topics.frames.TOPIC_SCHEMA`).
-        topic_messages: their messages, with the columns of the round trips and more (`topics.frames.TOPIC_MESSAGE_SCHEMA`).
-        topic_hops: what each hop of a chain of topics takes (`topics.frames.HOP_SCHEMA`).
+        topics: topics that taps heard, a row for each topic and pair of devices (`detail_frames.TOPIC_SCHEMA`).
+        topic_messages: their messages, with the columns of the round trips and more (`detail_frames.TOPIC_MESSAGE_SCHEMA`).
+        topic_hops: what each hop of a chain of topics takes (`detail_frames.HOP_SCHEMA`).
     """
 
     title: str

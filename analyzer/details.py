@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+
+from dds_trace.base.extension import load
 
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
@@ -19,17 +22,15 @@ from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .groups.recovery import RECOVERY_SCHEMA, outage_spans, recovery_frame
-from .groups.wire import WIRE_FRAMES, wire_frames
 from .loading.campaign import Campaign
-from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
-from .model.metrics import schema_of
+from .model.detail_frames import COST_FRAMES, WIRE_FRAMES
 from .model.runs import pass_numbers
+from .model.setting import FLOW, LOAD, parse_setting
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.cases import GroupRows
-from .verdicts.costs import find_bridge_costs, find_head_of_line, find_interference
 from .verdicts.recommend import recommend_settings
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
@@ -77,16 +78,19 @@ def collect_details(
             outages_ns=outage_spans(recoveries),
             options=options.ranking,
         )
+    was_captured = any(run.extra.get("wire") for run in campaign.runs.values())
+    more = _empty_frames(COST_FRAMES, WIRE_FRAMES)
+    if _has_costs(judged.groups):
+        more |= load("details", "costs")(judged, passes)
+    if was_captured:
+        more |= load("details", "wire")(campaign.traces, campaign.runs, grouping, rows)
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),
         host_samples=host_samples,
         **fan_out_frames(grouping, rows, host_samples),
-        bridge_costs=find_bridge_costs(judged, passes),
-        interference=find_interference(judged, passes),
-        head_of_line=find_head_of_line(judged, passes),
         recoveries=recoveries,
-        **wire_frames(campaign.traces, campaign.runs, grouping, rows),
+        **more,
         answers=answers,
         deadline_ns=options.deadline_ns,
         deadline_metric=options.deadline_metric,
@@ -100,24 +104,29 @@ def details_not_requested() -> Details:
     no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
     no_roundtrips = pair_exchanges([], {}, details=False)
     frames = {name: make(no_batch, no_roundtrips) for name, make in DETAIL_MAKERS.items()}
-    no_rows = RowStore.of(
-        pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), pl.DataFrame(schema=schema_of(SUMMARY_COLUMNS))
-    )
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=segment_table(()),
         host_samples=host_sample_frame(()),
-        bridge_costs=find_bridge_costs(no_rows),
-        interference=find_interference(no_rows),
-        head_of_line=find_head_of_line(no_rows),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
-        **{name: pl.DataFrame(schema=schema) for name, schema in {**FAN_OUT_FRAMES, **WIRE_FRAMES}.items()},
+        **_empty_frames(FAN_OUT_FRAMES, COST_FRAMES, WIRE_FRAMES),
         answers=(),
         deadline_ns=None,
         deadline_metric=DEADLINE_METRIC,
         recommendation=None,
         requested=False,
     )
+
+
+def _has_costs(groups: pl.DataFrame) -> bool:
+    """Return whether a setup can be compared with itself: across domains, with other flows, or under a load."""
+    return groups["domain_mode"].n_unique() > 1 or any(
+        {FLOW, LOAD} & parse_setting(setting).keys() for setting in groups["setting"].unique().to_list()
+    )
+
+
+def _empty_frames(*tables: Mapping[str, Any]) -> Frames:
+    return {name: pl.DataFrame(schema=schema) for table in tables for name, schema in table.items()}
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:

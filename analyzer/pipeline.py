@@ -27,11 +27,11 @@ from .groups.shapes import SHAPE_SCHEMA
 from .loading.campaign import Campaign, Paths, Place, Progress
 from .loading.event_index import total_copies
 from .loading.traces import TraceSpool
+from .model.detail_frames import Topics
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import provenance, write_summary
 from .pairing.rows import RowWriter
 from .saving.results import replacing_results
-from .topics.frames import find_topics
 from .verdicts.cases import UnbarredRows
 from .verdicts.job import Job
 from .verdicts.ranking import RankingOptions
@@ -147,7 +147,8 @@ def _analyze(
     step(JUDGING, 0.0)
     rows = writer.store()
     rows.locate(merged.summary.frame)
-    topics = find_topics(campaign, rows)
+    has_taps = any(session.role == "tap" for session in campaign.sessions.values())
+    topics: Topics = load("parts", "topics")(campaign, rows) if has_taps else Topics.none()
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)

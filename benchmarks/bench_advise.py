@@ -16,8 +16,8 @@ import sys
 from pathlib import Path
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
 from dds_trace.extensions.campaigns.commands.advise import COMPARED
+from dds_trace.extensions.gates.compare import CompareOptions, compare
 
 BACKENDS = ("ros2", "cyclonedds", "zenoh")
 SIZES_KB = (33, 145, 502)

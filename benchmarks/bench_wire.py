@@ -27,14 +27,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.base.errors import TraceError
-from dds_trace.recorder.wire.capture import WireCapture, WireOptions, domain_ports
+from dds_trace.extensions.wire.capture import WireCapture, WireOptions, domain_ports
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.recorder.wire.counts import WireCounts
+    from dds_trace.extensions.wire.counts import WireCounts
 
 PROGRAM = Path(sys.executable).with_name("dds-record")
 CELLS = (("socket", "1KB"), ("socket", "33KB"), ("cyclonedds", "1KB"), ("cyclonedds", "33KB"), ("cyclonedds", "1MB"))

@@ -29,10 +29,10 @@ from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import change_of_received
 from dds_trace.analyzer.statistics.power import confidence_at_each
-from dds_trace.analyzer.verdicts.compare import CompareOptions, compare, compare_roundtrips
-from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
-from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
-from dds_trace.reports.comparison.info import comparison_info
+from dds_trace.extensions.gates.compare import CompareOptions, compare, compare_roundtrips
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
+from dds_trace.extensions.gates.gates import judge_gates, options_for, overall_outcome
+from dds_trace.extensions.gates.info import comparison_info
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -25,10 +25,10 @@ import polars as pl
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_groups
-from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
-from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.extensions.gates.compare import CompareOptions, compare_groups
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
+from dds_trace.extensions.gates.gates import judge_gates
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

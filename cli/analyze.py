@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from typer.models import OptionInfo
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.analyzer.verdicts.gate import Gate
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:
@@ -142,7 +141,7 @@ def analyze_command(
 
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     deadline_ns, deadline_metric = _parse_deadline(deadline)
-    gates = _parse_limits(fail_if or [])
+    gates = load("parts", "topic_limits")(fail_if) if fail_if else ()
     more = {
         "cluster": cluster,
         "sketch": sketch,
@@ -155,11 +154,7 @@ def analyze_command(
         paths, out, report, more, exports=export, derived_mcap=derived_mcap, open_it=open_it, shows_all=shows_all
     )
     if gates:
-        from .compare import ReportKind, judge_sides
-
-        judged = judge_sides(analysis, None, gates)
-        judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
-        raise typer.Exit(judged.end(strict=True))
+        raise typer.Exit(load("parts", "judge_topics")(analysis, gates))
 
 
 @command(choose, "choose", often=("size", "rate", "deadline", "reliability", "data", "report", "out", "open_it"))
@@ -253,19 +248,6 @@ def _analyze(
         say(f"{target}: {', '.join(stale)}: of an earlier analysis of other traces, and not replaced")
     show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
     return analysis
-
-
-def _parse_limits(texts: list[str]) -> list[Gate]:
-    from dds_trace.analyzer.model.metrics import METRICS
-    from dds_trace.analyzer.verdicts.gate import Against, parse_gates
-
-    gates = parse_gates(texts)
-    if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
-        raise OptionError(
-            "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
-            "dds-trace compare RUNS --fail-if 'latency_p99 > 20ms'"
-        )
-    return gates
 
 
 def show_page(pages: list[Path], *, open_it: bool) -> None:

@@ -124,10 +124,8 @@ def _machine() -> Iterator[Check]:
 
 def _permissions() -> Iterator[Check]:
     from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
-    from dds_trace.recorder.wire.ring import NO_CAPTURE, may_capture
 
     yield _permitted("-o realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
-    yield _permitted("--wire", may_capture(), NO_CAPTURE)
 
 
 def _permitted(name: str, is_permitted: bool, cure: str) -> Check:

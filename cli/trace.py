@@ -29,7 +29,6 @@ _COMMANDS = {
     "record beacon": "record.command:beacon",
     "analyze": "analyze:app",
     "choose": "analyze:choose",
-    "compare": "compare:app",
     "recover": "recover:app",
     "doctor": "doctor:app",
 }

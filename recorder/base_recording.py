@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 from dds_trace.base.extension import load
@@ -31,22 +32,21 @@ from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
 from .security.keys import public_hash
-from .wire.capture import open_wire
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from dds_trace.base.errors import TraceError
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
+    from dds_trace.tracefile.writing.sink import TraceSink
 
     from .backends.node import Node, NodeOptions
     from .options import RecordOptions
     from .roles.ping import PingThread
     from .roles.progress import Progress, Role, Watch
-    from .wire.capture import WireRecord
 
 ResultT = TypeVar("ResultT")
 
@@ -77,6 +77,22 @@ Leave: TypeAlias = "Callable[[Recorded | BaseException], AbstractContextManager[
 """Given the end of a recording with its trace closed: the context in which the middleware is left."""
 
 
+class Capture:
+    """Counts of the wire, here none: `--wire` asks the part `wire` for one that counts."""
+
+    processes: Mapping[str, int] = MappingProxyType({})
+
+    def begin(self, run_id: int | None = None) -> None:
+        """Restart counting."""
+
+    def write_run(self, run: Run, sink: TraceSink) -> Run:  # noqa: ARG002 - there is nothing to write
+        """Write the counts of a ping's run; return the run with them."""
+        return run
+
+    def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
+        """Write the counts of a relay since the last time."""
+
+
 class BaseRecording(ABC):
     """One recording.
 
@@ -90,7 +106,7 @@ class BaseRecording(ABC):
     run: Run | None = None
     error: TraceError | None = None
     role: Role
-    wire: WireRecord
+    wire: Capture
     node: Node
     read_back: ReadBack
     session: Session
@@ -237,15 +253,17 @@ class BaseRecording(ABC):
         node = self.options.node
         return replace(node, security=Security.OFF, keys=None) if self._has_bridge else node
 
-    def _open_wire(self) -> AbstractContextManager[WireRecord]:
+    def _open_wire(self) -> AbstractContextManager[Capture]:
         node, ping = self.options.node, self.options.ping
         other = None if ping is None else ping.relay_domain_id
-        return open_wire(
-            enabled=self.options.wire,
+        if not self.options.wire:
+            return nullcontext(Capture())
+        opened: AbstractContextManager[Capture] = load("parts", "wire")(
             discovery=node.discovery,
             domain_ids=[node.domain_id, *([] if other is None else [other])],
             note=self.watch.note,
         )
+        return opened
 
     def open_node(self, role: str) -> Node:
         # Unique, so that the node recognizes its own endpoints.

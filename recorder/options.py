@@ -11,7 +11,7 @@ from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 
-from .choices import Discovery, Load, Role, Serialization
+from .choices import Discovery, Durability, History, Load, Reliability, Role, Serialization
 from .option import (
     OUTSIDE_OF_KEY,
     Axis,
@@ -43,6 +43,8 @@ MAX_RATE_PING_SHARE = 0.01
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
 BEACON_RATE_HZ = 2.0
+TAP_DEPTH = 32
+"""Messages that wait for a busy tap; no publisher keeps them."""
 WAKE_HELP = "Send a probe this long before each message, to wake processors and fill caches. Default: none"
 BEACON_RATES_HZ = (1.0, 5.0)
 
@@ -389,3 +391,15 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
     if options.bridge_listen is not None:
         settings["bridge_listen"] = True  # not the address, which is private
     return settings
+
+
+def chosen_qos(reliability: Reliability | None, durability: Durability | None, depth: int | None) -> Qos:
+    """Return the quality of service of a tap's subscriptions: every publisher matches it, and keeps nothing for it.
+
+    To a best-effort reader a publisher sends each message once: it waits for no acknowledgement, repeats nothing, and
+    keeps no history. Messages from before the tap, which a `transient_local` publisher would send again, say nothing about
+    latency. Both can be requested.
+    """
+    return Qos(
+        reliability or Reliability.BEST_EFFORT, durability or Durability.VOLATILE, History.KEEP_LAST, depth or TAP_DEPTH
+    )

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
-from dds_trace.base.extension import load
+from dds_trace.base.extension import load as load_part
 
 from .applied.applied import Applied, Snapshot, read_applied
 from .backends import load_backend
 from .backends.node import Node
 from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
-from .beacon.recording import BeaconRecording
 from .choices import Call, Discovery, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
@@ -39,7 +38,6 @@ from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
 from .roles.relay import Relay
 from .security.keys import opened_keys
-from .tap.recording import TapRecording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,9 +97,9 @@ def record(
         if options.ping is not None:
             kind = PingRecording
         elif options.tap is not None:
-            kind = TapRecording
+            kind = load_part("roles", "tap")
         elif options.beacon_rate_hz is not None:
-            kind = BeaconRecording
+            kind = load_part("roles", "beacon")
         return kind(options, stop, watch, rehearses=rehearses, load=machine_load, leave=leave).record()
 
 
@@ -195,7 +193,7 @@ class PingRecording(BaseRecording):
             self.node.start()
             asked = _check_bridge(self.options, self._ping_options, self._plan.payload.data_type)
             if asked is not None:
-                self.bridge = stack.enter_context(load("parts", "open_bridge")(self._ping_options.bridge, asked))
+                self.bridge = stack.enter_context(load_part("parts", "open_bridge")(self._ping_options.bridge, asked))
             if self.rehearses:  # there is no connection to read applied settings from
                 return False
             self._wait_for_echo(read_error)
@@ -311,7 +309,7 @@ def check_options(options: RecordOptions) -> None:
 
 def _check_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> object | None:
     """Return the options of the bridge to start, if there is one."""
-    return None if ping.bridge == "none" else load("parts", "check_bridge")(options, ping, data_type)
+    return None if ping.bridge == "none" else load_part("parts", "check_bridge")(options, ping, data_type)
 
 
 def _check_data(ping: PingOptions) -> None:

@@ -26,24 +26,24 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
 from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
-from dds_trace.analyzer.topics.frames import HOP_SCHEMA, TOPIC_SCHEMA
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
-from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.analyzer.verdicts.comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, MEANINGS
-from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.analyzer.verdicts.gates import GateResult
-from dds_trace.analyzer.verdicts.ignoring import IGNORABLE_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Claim, Judgement, judgement_frame
 from dds_trace.analyzer.verdicts.recommend import Recommendation
+from dds_trace.extensions.gates import document as comparison_document
+from dds_trace.extensions.gates.compare import MATCH_COLUMNS, CompareOptions
+from dds_trace.extensions.gates.comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, MEANINGS
+from dds_trace.extensions.gates.gate import GateOutcome
+from dds_trace.extensions.gates.gates import GateResult
+from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS
+from dds_trace.extensions.gates.info import ComparisonInfo, Unlike
+from dds_trace.extensions.topics.frames import HOP_SCHEMA, TOPIC_SCHEMA
 from dds_trace.reports.book.answer import Conclusion
 from dds_trace.reports.book.book import FORMAT_VERSION
 from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.recording import OwnCost
 from dds_trace.reports.book.verdicts import DataVerdict
-from dds_trace.reports.comparison import document as comparison_document
-from dds_trace.reports.comparison.info import ComparisonInfo, Unlike
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 Schema = dict[str, Any]
@@ -388,7 +388,7 @@ def comparison_schema() -> Schema:
     }
 
 
-SCHEMAS = {"reports/report.schema.json": report_schema, "reports/comparison/comparison.schema.json": comparison_schema}
+SCHEMAS = {"reports/report.schema.json": report_schema, "extensions/gates/comparison.schema.json": comparison_schema}
 """File -> what makes it."""
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.bags import printing as topics
 from dds_trace.extensions.campaigns import sweep
 from dds_trace.extensions.campaigns.commands import common as sweep_command
+from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.recorder import errors as recorder_errors
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Scope

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from ..groups.batch import AnalysisOptions, Grouping
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
+    from ..model.detail_frames import Topics
     from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
-    from ..topics.frames import Topics
 
 
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"

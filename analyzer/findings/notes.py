@@ -13,7 +13,7 @@ from ..model.finding import Severity, Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.percentiles import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
-from . import calls, clocks, groups, runs, sessions, shapes, surroundings, wire
+from . import calls, clocks, groups, runs, sessions, shapes, surroundings
 from .evidence import Check, Evidence, Observation, check, some
 
 
@@ -109,14 +109,6 @@ NOTES: tuple[Check, ...] = (
         "Nothing is missing here; a faster disk or less load on the machine may help the next time.",
     ),
     clocks.slow_slews,
-    wire.WIRE.note(
-        "wire_counts_shared",
-        "Counts of the relay's capture are of several results",
-        pl.col("shared_counts") > 0,
-        "{shared_counts:# count} of the relay's capture {shared_counts:is|are} of runs of other results, too: the relay's requests "
-        "and lost datagrams are left out here.",
-        "Two seconds without a message between runs, or a relay for each run, may help.",
-    ),
     shapes.falls_with_size,
     shapes.jumps_with_size,
     calls.calls,

@@ -10,8 +10,8 @@ from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
+from ..model.setting import flows_of
 from ..pairing.exchanges import Overlap, find_overlaps
-from ..verdicts.costs import flows_of
 from ..verdicts.judgements import Claim, Reason
 from .evidence import Evidence, Observation, check, percent, some
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 
 import polars as pl
 
+from dds_trace.base.extension import offers
+
+from ..model.detail_frames import Overtaking
 from ..model.finding import Finding, Severity
-from ..verdicts.costs import Overtaking
-from . import calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings, wire
+from . import calls, clocks, groups, losses, runs, sending, sessions, shapes, sides, surroundings
 from .evidence import SMALLER_DATAGRAMS, Check, Evidence
 from .notes import NOTES
 from .rows import RESULTS
@@ -362,38 +365,6 @@ CHECKS: tuple[Check, ...] = (
         "a whole burst (tc qdisc, txqueuelen).",
     ),
     sessions.several_networks,
-    wire.WIRE.warning(
-        "wire_incomplete",
-        "The capture of the wire missed packets",
-        ~pl.col("complete"),
-        "The capture of the wire missed {kernel_drops:# packet} that the kernel dropped: its counts are lower bounds, and prove nothing "
-        "about repeats.[ The kernel counted {reassembly_failed:# datagram} that could not be put together from IP fragments.]",
-        "Fewer bytes a second, or a machine with a processor to spare, may help.",
-    ),
-    wire.WIRE.warning(
-        "carried_twice",
-        "Messages left on two interfaces at once",
-        pl.col("carried_twice") > 0,
-        "{carried_twice} of {messages:# message} ({carried_twice:share of {messages}}), or their replies, left on more than one interface.",
-        "The slower of the two takes part of every message: one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
-        "interfaceWhiteList in a Fast DDS profile), or the other one switched off, may help.",
-        effect=pl.col("carried_twice") / pl.col("messages"),
-    ),
-    wire.lost_fragments,
-    wire.retransmission_storms,
-    wire.WIRE.warning(
-        "heartbeat_bound_recovery",
-        "Lost messages waited for a heartbeat",
-        pl.col("complete")
-        & (pl.col("waited_heartbeats_p50") >= wire.HEARTBEATS_WAITED)
-        & (pl.col("again_messages") >= wire.FEWEST_AGAIN),
-        "{again_messages} of {messages:# message} were sent again; half of them waited for {waited_heartbeats_p50:digits} heartbeat "
-        "periods, {resent_after_p50_ns:duration}, or longer.",
-        "A shorter heartbeat period of the writer may help: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of "
-        "Cyclone DDS.",
-        pl.col("again_messages") / pl.col("messages"),
-    ),
-    wire.discovery_traffic,
     sessions.SOURCES.warning(
         "skipped_file",
         "An .mcap file was not used",
@@ -426,9 +397,20 @@ _MOST_LISTED = 20
 """Findings of one severity and code that are listed singly."""
 
 
+def all_checks(evidence: Evidence | None = None) -> Iterator[Check]:
+    """Yield the checks and those of extensions, each after the one that it names; of some evidence only those of its frames."""
+    after: dict[str, tuple[Check, ...]] = {}
+    for frame, home in offers("findings").items():
+        if evidence is None or getattr(evidence.details, frame).height:
+            after |= home()
+    for check in CHECKS:
+        yield check
+        yield from after.get(check.code, ())
+
+
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
-    for check in CHECKS:
+    for check in all_checks(evidence):
         kinds[check.severity, check.code] += check(evidence)
     listed = [finding for findings in kinds.values() for finding in _worst(findings)]
     return tuple(sorted(listed, key=lambda finding: (_RANK[finding.severity], -finding.effect)))

@@ -58,6 +58,11 @@ def parse_setting(text: str) -> dict[str, str]:
     return {unquote(key): unquote(value) for key, _, value in pairs}
 
 
+def flows_of(setting: str) -> tuple[str, tuple[str, ...]]:
+    values = parse_setting(setting)
+    return values.get(FLOW, ""), tuple(filter(None, values.get(WITH, "").split("+")))
+
+
 def condition_of(setting: str) -> str:
     return write_setting({k: v for k, v in parse_setting(setting).items() if k in CONDITIONS})
 

@@ -15,8 +15,7 @@ from ..model.names import device_pair, group_words, varying_parameters
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
 from ..statistics.intervals import Basis, ranges_overlap
 from .answers import CaseAnswer
-from .comparison_rows import judged_change
-from .judgements import OPEN, PROVEN, Claim, Judgement, Row
+from .judgements import OPEN, PROVEN, Claim, Judgement, Row, judged_change
 from .matching import DEVICE_COLUMNS
 from .recommend import Fit, Recommendation
 

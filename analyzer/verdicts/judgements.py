@@ -176,3 +176,8 @@ def verdict_of_result(delivery: Row, changes: Sequence[Row], *, is_busier: bool)
         ({row["verdict"] for row in shown_changes(changes)} == {Verdict.SAME.value}, "the same"),
     )
     return next((words for applies, words in rules if applies), "no clear change")
+
+
+def judged_change(claim: Claim, subject: str, row: Row, base: str, group: int | None = None) -> Judgement:
+    numbers = row["ratio"], row["ratio_low"], row["ratio_high"], row["basis"], row["p_value"], row["p_adjusted"]
+    return Judgement(claim, subject, f"{row['metric']}_{row['statistic']}", base, *numbers, row["verdict"], group=group)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer  # noqa: TC002 - it reads the annotation
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
@@ -108,16 +109,13 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
             ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")
         gates = []
         if command.limits_path is not None:
-            from ..limits_file import read_limits
-
-            gates = read_limits(command.limits_path, of_recording=True)
+            gates = load("parts", "read_limits")(command.limits_path, of_recording=True)
         record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost, gates=gates)
 
 
 def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:
     from dds_trace.recorder.backends.node import NodeOptions
-    from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions
-    from dds_trace.recorder.tap.tap import chosen_qos
+    from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions, chosen_qos
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None

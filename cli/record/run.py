@@ -26,8 +26,15 @@ from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
 from dds_trace.recorder.recording import record
-from dds_trace.recorder.roles.live import Health, LiveRow
-from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
+from dds_trace.recorder.roles.progress import (
+    BeaconProgress,
+    Health,
+    LiveRow,
+    PingProgress,
+    Progress,
+    RelayProgress,
+    TapProgress,
+)
 
 from ..program import print_error
 
@@ -35,7 +42,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import NoReturn
 
-    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -118,7 +124,7 @@ LEAVE_S = 10.0
 
 
 def record_until_stopped(
-    options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[Gate] = ()
+    options: RecordOptions, *, as_json: bool, fail_if_lost: float | None, gates: Sequence[object] = ()
 ) -> NoReturn:
     stop = stop_at_signals()
     codes: list[int] = []

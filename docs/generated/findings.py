@@ -6,7 +6,7 @@ import re
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.findings.table import CHECKS
+from dds_trace.analyzer.findings.table import all_checks
 from dds_trace.analyzer.model.finding import Severity
 
 from .markdown import escaped
@@ -21,7 +21,7 @@ def findings() -> str:
     """Return a section for each code, the most severe first."""
     order = list(Severity)
     by_code: dict[str, list[Check]] = defaultdict(list)
-    for check in sorted(CHECKS, key=lambda check: (order.index(check.severity), check.code)):
+    for check in sorted(all_checks(), key=lambda check: (order.index(check.severity), check.code)):
         by_code[check.code].append(check)
     return "\n".join(part for code, checks in by_code.items() for part in _section(code, checks))
 

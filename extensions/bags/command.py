@@ -53,9 +53,9 @@ def bag_command(
         dds-trace bag drive/ --report html --fail-if 'missing(/camera) > 1%'
     """
     from dds_trace.analyzer.pipeline import analyze, default_output
-    from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
-    from dds_trace.analyzer.verdicts.gate import parse_topic_gate
-    from dds_trace.cli.limits_file import read_limits
+    from dds_trace.extensions.gates.gate import parse_topic_gate
+    from dds_trace.extensions.gates.limits_file import read_limits
+    from dds_trace.extensions.topics.device_clocks import ClockRequest, StampClock
 
     from .printing import report_topics
 

@@ -10,15 +10,15 @@ import polars as pl
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.analyzer.verdicts.gates import overall_outcome, result_of
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
-from dds_trace.cli.limits_file import topic_limits_text, write_limits
 from dds_trace.extensions.exports.perfetto import topic_slices, write_slices
+from dds_trace.extensions.gates.gate import GateOutcome
+from dds_trace.extensions.gates.gates import overall_outcome, result_of
+from dds_trace.extensions.gates.limits_file import topic_limits_text, write_limits
+from dds_trace.extensions.gates.words import gate_notes, gate_rows
 from dds_trace.reports.book.groups import joined
-from dds_trace.reports.comparison.words import gate_notes, gate_rows
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.verdicts.gate import Gate
+    from dds_trace.extensions.gates.gate import Gate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
 _FILES = ("html", "md", "json")

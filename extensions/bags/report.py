@@ -10,6 +10,8 @@ from markupsafe import Markup
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
+from dds_trace.extensions.gates.report import gate_blocks
+from dds_trace.extensions.gates.words import Gated
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -27,8 +29,6 @@ from dds_trace.reports.blocks import (
 )
 from dds_trace.reports.book.groups import format_ratio
 from dds_trace.reports.book.overview import utc_words
-from dds_trace.reports.comparison.report import gate_blocks
-from dds_trace.reports.comparison.words import Gated
 
 from .analyze import TopicReport
 from .card import OTHER_CLOCK_NS, RecordingHealth

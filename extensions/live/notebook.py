@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
+from dds_trace.extensions.gates.info import comparison_info
+from dds_trace.extensions.gates.report import result_table
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import MARKDOWN, Span, Table, Words
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.findings import severity_counts
 from dds_trace.reports.book.sizes import HOW_TO_READ, size_block
-from dds_trace.reports.comparison.info import comparison_info
-from dds_trace.reports.comparison.report import result_table
 from dds_trace.reports.reporters import write_reports
 
 from .plotting import line_figure
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.extensions.gates.compare import Comparison
 
 
 MOST_CHARACTERS = 11_000

@@ -16,11 +16,10 @@ from .binary import BINARY, FILE
 from .header import header_data_type
 from .imu import IMU, IMU_FILE
 from .string import STRING
-from .topic import TOPIC
 
 PAYLOADS: dict[str, DataType | Source] = {
     **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},
-    **{source.usage: source for source in (IMU_FILE, FILE, TOPIC)},
+    **{source.usage: source for source in (IMU_FILE, FILE)},
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
@@ -13,7 +14,6 @@ from dds_trace.base.units import SECOND_NS
 
 if TYPE_CHECKING:
     from ..applied.applied import Traffic
-    from .live import LiveRow
 
 PERCENTILE_SAMPLES = 10_000
 """Most messages, evenly picked, for a percentile on the screen."""
@@ -54,6 +54,33 @@ class RelayProgress:
     @property
     def messages(self) -> int:
         return self.relayed
+
+
+class Health(Enum):
+    OK = "OK"
+    LATE = "LATE"
+    STALE = "STALE"
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRow:
+    """One topic now.
+
+    Attributes:
+        expected_hz: given or learnt; None before that.
+        age_ns, age_p99_ns: arrival minus the message's stamp, both by this device's wall clock, of the latest message and
+            of the latest `KEPT_MESSAGES`; wrong by the difference of the clocks where the sender is another device.
+        silence_ns: time since the latest message.
+    """
+
+    topic: str
+    health: Health
+    rate_hz: float
+    expected_hz: float | None
+    age_ns: int | None
+    age_p99_ns: int | None
+    missing: int
+    silence_ns: int | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,13 +27,14 @@ from .groups import (
     format_ratio,
     group_labels,
     in_domain,
+    is_of_topics,
     joined,
+    topic_parts,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
 from .losses import FORGED, UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
 from .numbers import Values
 from .sizes import late_by_group, late_share
-from .topics import is_of_topics, topic_sentences
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Conclusion:
 
 def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Sequence[Fastest]) -> Conclusion:
     metric = values.default_metric
-    topics = topic_sentences(analysis.topics)
+    topics = topic_parts(analysis, "topic_sentences")
     if not groups.groups or is_of_topics(analysis):
         limits = [limits_words(analysis).strip()] if topics else []
         headline, *points = [*topics, *filter(None, limits)] or ["No measurement was found."]

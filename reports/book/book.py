@@ -11,12 +11,11 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from ..blocks import MARKDOWN, Block, Facts, Heading, Points, Report, Section, Sentence
 from .contents import Contents
 from .findings import finding_block
-from .groups import LATENCY_MEANING, group_labels
+from .groups import LATENCY_MEANING, group_labels, topic_parts
 from .recommendation import advice_blocks
 from .results import clocks, costs, results, wire
 from .screen import screen
 from .sizes import HOW_TO_READ, size_block
-from .topics import topic_sections
 
 FORMAT_VERSION = 1
 """A field may be added without a new version."""
@@ -61,7 +60,7 @@ class Book(Contents, Report):
             Section([Sentence(answer.headline, "headline"), Points(answer.points)]),
             *([Section([size_block(self.sizes), Sentence(HOW_TO_READ, "soft")])] if self.sizes else []),
             Section([Points(answer.remarks), *([Sentence(answer.rule, "soft")] if answer.rule else [])]),
-            *topic_sections(self.analysis),
+            *topic_parts(self.analysis, "topic_sections"),
             Section(
                 [
                     Heading("What was measured", media=MARKDOWN),

@@ -13,13 +13,12 @@ from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
 from .fastest import Fastest, fastest_setups
 from .findings import FindingKind, findings_info
-from .groups import Groups, groups_info
+from .groups import Groups, groups_info, is_of_topics
 from .numbers import BridgedCell, Curves, Intervals, Values, bridge_costs, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
 from .recommendation import Advice, recommendation_info
 from .recording import OwnCost, RunTime, own_costs, run_times
 from .sizes import Glance, SizeTable, glance_info, size_table
-from .topics import is_of_topics
 
 
 class Contents:

@@ -16,6 +16,7 @@ from dds_trace.analyzer.model.names import Rule, device_pair, is_topic, tell_apa
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS, Parameters
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.base.extension import load
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
     MISSING,
@@ -375,3 +376,13 @@ def data_type_rank(data_type: str) -> tuple[int, str]:
 def drift_words(fit: Mapping[str, Any]) -> str:
     drift, bound = (round(fit[key] / 1000, 3) for key in ("drift_ppb", "drift_bound_ppb"))
     return f"{'+' if drift > 0 else ''}{format_number(drift)} ± {format_number(max(bound, 0.001))} ppm"
+
+
+def is_of_topics(analysis: Analysis) -> bool:
+    """Return whether topics were recorded, and messages of our own only by beacons, which compare clocks."""
+    return analysis.topics.height > 0 and all(run.labels.get("role") == "beacon" for run in analysis.runs)
+
+
+def topic_parts(analysis: Analysis, part: str) -> tuple[Any, ...]:
+    """Return the `topic_sentences` or `topic_sections` of an analysis; none without topics."""
+    return tuple(load("parts", part)(analysis)) if analysis.topics.height else ()

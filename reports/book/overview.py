@@ -14,9 +14,18 @@ from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size
 
-from .groups import VENDORS, Groups, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
+from .groups import (
+    VENDORS,
+    Groups,
+    data_type_label,
+    device_label,
+    domain_label,
+    format_count,
+    in_order_of,
+    is_of_topics,
+    qos_label,
+)
 from .recording import OwnCost, RunTime, cost_words, setting_words, version_words
-from .topics import is_of_topics
 from .verdicts import conditions_label
 
 MOST_LISTED = 12

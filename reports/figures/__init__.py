@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dds_trace.base.extension import offers
+
 from ..book.book import Book
-from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline, wire
+from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline
 from .figure import Figure, Plan, Scope, is_few
 
 FIGURES: list[Figure] = [
@@ -27,8 +29,7 @@ FIGURES: list[Figure] = [
     lines.TRANSFER_BY_RATE,
     lines.TRANSFER_BY_SIZE,
     lines.TRANSFER_RATE,
-    wire.WIRE_COST,
-    wire.SENT_AGAIN,
+    *(figure for figures in offers("figures").values() for figure in figures()),
     own_times.FIRST_MESSAGE,
     clocks.ONE_WAY,
     clocks.CLOCK,

@@ -28,12 +28,19 @@ from ..blocks import PAGE, Block, Facts, Heading, Points, Report, Sentence, plai
 from ..book.book import Book
 from ..book.facets import MADE_OF, filters_info
 from ..book.findings import finding_block, severity_counts, worst_first
-from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
+from ..book.groups import (
+    LATENCY_MEANING,
+    METRIC_LABELS,
+    METRIC_MENU,
+    STATISTIC_LABELS,
+    data_type_label,
+    group_labels,
+    topic_parts,
+)
 from ..book.overview import utc_words
 from ..book.recommendation import advice_blocks
 from ..book.recording import file_table, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block
-from ..book.topics import topic_sections
 from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, Plan, Scope
 from .styles import line_styles
@@ -160,7 +167,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         opened=opened_figures(book, drawn),
         left_out=left_out,
         recorded=[*recorded_environment(book.analysis, book.groups), *file_table(book.analysis)],
-        topic_sections=topic_sections(book.analysis),
+        topic_sections=topic_parts(book.analysis, "topic_sections"),
     )
 
 

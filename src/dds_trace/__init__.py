@@ -60,14 +60,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dds_trace.extensions.bags.analyze import analyze_topics
     from dds_trace.extensions.exports.foxglove import write_derived
+    from dds_trace.extensions.gates.compare import CompareOptions, Comparison, compare
+    from dds_trace.extensions.gates.gate import Gate, GateOutcome, parse_gate
+    from dds_trace.extensions.gates.gates import judge_gates
 
     from .analyzer.analysis import Analysis, Details, load_analysis
     from .analyzer.exports.kinds import export_tables
     from .analyzer.model.finding import Finding, Severity, Source
     from .analyzer.pipeline import analyze
-    from .analyzer.verdicts.compare import CompareOptions, Comparison, compare
-    from .analyzer.verdicts.gate import Gate, GateOutcome, parse_gate
-    from .analyzer.verdicts.gates import judge_gates
     from .analyzer.verdicts.job import Job, make_job
     from .analyzer.verdicts.recommend import Recommendation
     from .base.errors import MissingEventsError, OptionError, OutputError, TraceError, TraceFormatError

@@ -24,9 +24,9 @@ from dds_trace.analyzer.groups.freshness import OUTAGE_SCHEMA
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
-from dds_trace.analyzer.verdicts.compare import CompareOptions
-from dds_trace.analyzer.verdicts.costs import bridge_cost
 from dds_trace.analyzer.verdicts.job import make_job
+from dds_trace.extensions.gates.compare import CompareOptions
+from dds_trace.extensions.gates.costs import bridge_cost
 from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000

@@ -15,12 +15,12 @@ from dds_trace.analyzer.analysis import load_analysis
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.analyzer.verdicts.compare import compare
-from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
-from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.analyzer.verdicts.recommend import Fit
 from dds_trace.extensions.campaigns.verdicts.false_alarms import count_false_alarms, half_widths
+from dds_trace.extensions.gates.compare import compare
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
+from dds_trace.extensions.gates.gates import judge_gates
 
 MS = 1_000_000
 PERIOD = 100 * MS

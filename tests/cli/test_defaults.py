@@ -4,7 +4,7 @@ import re
 import pytest
 import typer
 
-from dds_trace.cli import analyze, compare, trace
+from dds_trace.cli import analyze, trace
 from dds_trace.cli.defaults import _WITHOUT_DEFAULT, FILE_NAME, VARIABLE, configurable, find_files, is_own_only
 from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
@@ -13,6 +13,7 @@ from dds_trace.extensions.campaigns.commands import sweep
 from dds_trace.extensions.campaigns.commands.dry_run import argument_check
 from dds_trace.extensions.campaigns.station.devices import printed_command
 from dds_trace.extensions.campaigns.station.programs import Program
+from dds_trace.extensions.gates import command as compare
 from dds_trace.extensions.live import command as watch
 
 ROS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")

@@ -39,7 +39,7 @@ NOT_RUN = {
     "--configuration mine.xml": "needs the user's own file: tests/recorder/backends/test_own_configuration.py writes some",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
     "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/extensions/cluster/test_cluster.py starts one",
-    "--clock runs/": "needs a bag of one of two devices: tests/analyzer/topics/test_clock_of_bags.py records it",
+    "--clock runs/": "needs a bag of one of two devices: tests/extensions/topics/test_clock_of_bags.py records it",
     "analyze docker/runs": "what containers recorded; none is built here",
 }
 """Part of a line of a command -> why it is read, but not run."""

@@ -36,7 +36,7 @@ CORE = {
         ("tracefile/writing/sink.py", "tracefile/writing/packing.py", "tracefile/writing/event_chunks.py"),
         ("tests/tracefile/writing",),
     ),
-    "gates": Part(("analyzer/verdicts/gate.py", "analyzer/verdicts/gates.py"), ("tests/analyzer/verdicts",)),
+    "gates": Part(("extensions/gates/gate.py", "extensions/gates/gates.py"), ("tests/analyzer/verdicts",)),
     "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
     "headline": Part(
         tuple(f"reports/book/{name}.py" for name in ("answer", "fastest", "headline", "losses")),

@@ -18,8 +18,8 @@ from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.base.records import from_json, to_json
 from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip, open_tap, tc
 from dds_trace.extensions.campaigns.station.namespaces import Side
-from dds_trace.recorder.wire.capture import WireOptions
-from dds_trace.recorder.wire.counts import WireCounts
+from dds_trace.extensions.wire.capture import WireOptions
+from dds_trace.extensions.wire.counts import WireCounts
 
 SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}

@@ -18,6 +18,7 @@ from typing import Any
 from event_cdr import pack_event
 from mcap.writer import CompressionType, IndexType, Writer
 
+from dds_trace.extensions.wire.format import WIRE_TOPIC
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.encoding import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.events import (
@@ -28,7 +29,6 @@ from dds_trace.tracefile.format.events import (
     SESSION_TOPIC,
     Stage,
 )
-from dds_trace.tracefile.format.wire import WIRE_TOPIC
 
 SAMPLES = Path(__file__).parents[2] / "sample_traces"
 SAMPLE_NAMES = ["different_domains", "losses", "same_domain"]

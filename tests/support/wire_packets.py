@@ -112,7 +112,7 @@ def fragmented(datagram, piece_bytes, **address):
 
 def frame_batch(frames, times_ns=None, captured=None, packet_type=OUTGOING):
     """Frames as a ring hands them over: one behind the other in one memory."""
-    from dds_trace.recorder.wire.packets.frames import FrameBatch
+    from dds_trace.extensions.wire.frames import FrameBatch
 
     kept = [frame[: captured[number] if captured else None] for number, frame in enumerate(frames)]
     lengths = np.array([len(frame) for frame in kept], np.int64)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dds_trace.base.records import from_json
-from dds_trace.recorder.wire.capture import WireCapture, WireOptions
+from dds_trace.extensions.wire.capture import WireCapture, WireOptions
 
 
 def main() -> None:

@@ -2,8 +2,8 @@
 
 import re
 
+from dds_trace.extensions.gates.report import ComparisonReport
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.comparison.report import ComparisonReport
 from dds_trace.reports.reporters import load_reporter
 
 

@@ -68,6 +68,7 @@ TOPIC_PREFIX = "/dds_trace/"
 SESSION_TOPIC = "/dds_trace/session"
 RUN_TOPIC = "/dds_trace/run"
 HOST_TOPIC = "/dds_trace/host"
+WIRE_TOPIC = "/dds_trace/wire"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

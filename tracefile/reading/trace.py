@@ -12,10 +12,18 @@ from dds_trace.base.units import counted
 
 from ..format.descriptions import Run, Session
 from ..format.encoding import decode_string
-from ..format.events import HOST_TOPIC, PUBLISHER_TOPIC, RUN_TOPIC, SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
+from ..format.events import (
+    HOST_TOPIC,
+    PUBLISHER_TOPIC,
+    RUN_TOPIC,
+    SESSION_TOPIC,
+    TOPIC_PREFIX,
+    WIRE_TOPIC,
+    EventColumns,
+    Stage,
+)
 from ..format.json_fields import JsonObject, parse_json
 from ..format.ring import TICKET_MASK, RingContents, events_by_stage, read_ring, ring_path
-from ..format.wire import WIRE_TOPIC
 from .source import Batch, Source, Text
 
 FOREIGN_HINT = "; for recordings of others: `dds-trace bag PATH`"

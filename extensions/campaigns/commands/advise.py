@@ -141,7 +141,7 @@ def _advise(plan: Plan, vendor: str, texts: Mapping[str, str], folder: Path) -> 
 
 def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.costs import first_look
+    from dds_trace.extensions.gates.costs import first_look
 
     from ..run.progress import make_progress
     from ..sweep import run_sweep
@@ -182,8 +182,8 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
 
 def proof_of(name: str, base: Path, new: Path) -> Advice:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.costs import pays
+    from dds_trace.extensions.gates.compare import CompareOptions, compare
+    from dds_trace.extensions.gates.costs import pays
 
     comparison = compare(analyze(base, details=False), analyze(new, details=False), CompareOptions(**COMPARED))
     is_kept = pays(comparison)
@@ -212,7 +212,7 @@ def shown(advice: Advice) -> list[str]:
 
 
 def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
-    from dds_trace.analyzer.verdicts.costs import speaks_against
+    from dds_trace.extensions.gates.costs import speaks_against
 
     fewer, slower = speaks_against(proof, received)
     judged = [*map(_delivery, fewer), *map(_response, slower)]

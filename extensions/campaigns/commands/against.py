@@ -12,14 +12,14 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
-from dds_trace.cli.compare import ReportKind, judge_sides
+from dds_trace.extensions.gates.command import ReportKind, judge_sides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.verdicts.gate import Gate
-    from dds_trace.cli.compare import JudgedSides
+    from dds_trace.extensions.gates.command import JudgedSides
+    from dds_trace.extensions.gates.gate import Gate
 
     from ..against import AgainstOutcome
     from ..plan.cells import Cell
@@ -115,7 +115,7 @@ def busier(base: Path, new: Path) -> list[tuple[str, int]]:
     if not _can_analyze():
         return []
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.verdicts.sides import busier_repeats, run_loads
+    from dds_trace.extensions.gates.sides import busier_repeats, run_loads
 
     sides = [analyze(folder, details=False) for folder in (base, new)]
     return [one[:2] for one in busier_repeats(sides[0].runs, sides[1].runs, run_loads(sides))]

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from typing import NoReturn
 
-    from dds_trace.analyzer.verdicts.gate import Gate
-    from dds_trace.reports.comparison.words import Gated
+    from dds_trace.extensions.gates.gate import Gate
+    from dds_trace.extensions.gates.words import Gated
 
     from ..plan.plan import Plan
     from ..sweep import Until
@@ -83,7 +83,7 @@ def read_thresholds(plan: Plan, until: Until | None, limits_file: Path | None, *
     if not plan.thresholds and limits_file is None:
         return []
     from dds_trace.analyzer.statistics.intervals import MIN_RUNS
-    from dds_trace.cli.limits_file import gates_of, limits_of_one_side, read_limits
+    from dds_trace.extensions.gates.limits_file import gates_of, limits_of_one_side, read_limits
 
     gates = gates_of(plan.thresholds, "[thresholds]")
     if limits_of_one_side(gates) != gates:

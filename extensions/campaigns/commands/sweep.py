@@ -15,8 +15,8 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console
-from dds_trace.cli.compare import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
 from dds_trace.cli.program import command, make_app, option
+from dds_trace.extensions.gates.command import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
 
 from .common import (
     AsJson,
@@ -33,7 +33,7 @@ from .common import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dds_trace.analyzer.verdicts.gate import Gate
+    from dds_trace.extensions.gates.gate import Gate
 
     from ..plan.plan import Plan
     from ..sweep import Until
@@ -108,7 +108,7 @@ def sweep_command(
 
         dds-trace sweep new mine.toml
     """
-    from dds_trace.cli.limits_file import gates_of
+    from dds_trace.extensions.gates.limits_file import gates_of
     from dds_trace.recorder.backends import installed_middlewares
 
     from ..plan.plan_file import check_runs

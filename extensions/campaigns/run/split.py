@@ -14,9 +14,8 @@ import numpy as np
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import mode_within, replacing
-from dds_trace.tracefile.format.events import HOST_TOPIC, SESSION_TOPIC
+from dds_trace.tracefile.format.events import HOST_TOPIC, SESSION_TOPIC, WIRE_TOPIC
 from dds_trace.tracefile.format.ring import Slots
-from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.reading.trace import Trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time

@@ -21,7 +21,7 @@ from dds_trace.tracefile.format.json_fields import object_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from dds_trace.analyzer.verdicts.compare import ComparedSide
+    from dds_trace.extensions.gates.compare import ComparedSide
 
     Pairs = Mapping[str, tuple[str, str]]
     """Key -> the names of the cells between which the latency rises."""

@@ -13,8 +13,8 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.runs import delivered_runs, split_runs
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
-from dds_trace.analyzer.verdicts.compare import STATISTIC_BY_NAME, CompareOptions, compare_roundtrips
 from dds_trace.base.errors import OptionError
+from dds_trace.extensions.gates.compare import STATISTIC_BY_NAME, CompareOptions, compare_roundtrips
 
 
 def check_statistic(text: str) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS = ("bags", "bridges", "campaigns", "exports", "live", "service", "cluster")
+EXTENSIONS = ("bags", "wire", "topics", "bridges", "campaigns", "gates", "exports", "live", "service", "cluster")
 """Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
 
 
@@ -22,18 +22,26 @@ class Extension:
         commands: words of a command -> its typer app.
         choices: an option of a recording -> the names that it takes.
         checks: what `doctor` looks at -> a function that yields part, name, whether it works, and details.
+        details: a name -> a function that makes frames of `Details`.
         exports: a kind of `--export` -> a function of an analysis and a folder that returns the files it wrote.
         payloads: data that `--data` reads -> its `Source`.
         storages: suffix of a file with our events -> its reader.
+        figures: a name -> figures of the report.
+        findings: a frame of `Details` with rows -> checks, by the code of the check that they follow.
+        roles: a role of `record` -> its recording.
         parts: what the main house asks for by a name of its own.
     """
 
     commands: Mapping[str, str] = field(default_factory=dict)
     choices: Mapping[str, str] = field(default_factory=dict)
     checks: Mapping[str, str] = field(default_factory=dict)
+    details: Mapping[str, str] = field(default_factory=dict)
     exports: Mapping[str, str] = field(default_factory=dict)
     payloads: Mapping[str, str] = field(default_factory=dict)
     storages: Mapping[str, str] = field(default_factory=dict)
+    figures: Mapping[str, str] = field(default_factory=dict)
+    findings: Mapping[str, str] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
 
 

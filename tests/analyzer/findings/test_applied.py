@@ -7,11 +7,11 @@ from trace_files import evenly, ping_session, relay_session, run, write_pair
 from wording import numbers
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
-from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
 from dds_trace.analyzer.verdicts.job import make_job
 from dds_trace.base.records import to_json
+from dds_trace.extensions.gates.compare import CompareOptions, compare
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
+from dds_trace.extensions.gates.gates import judge_gates, options_for
 
 MS = 1_000_000
 COUNT = 1000

@@ -3,10 +3,10 @@ from campaigns import write_run
 from trace_files import Message, evenly
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gate
-from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
-from dds_trace.reports.comparison.info import comparison_notes
+from dds_trace.extensions.gates.compare import CompareOptions, compare
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gate
+from dds_trace.extensions.gates.gates import judge_gates, options_for
+from dds_trace.extensions.gates.info import comparison_notes
 from dds_trace.tracefile.format.descriptions import Qos
 
 US = 1_000

@@ -18,8 +18,8 @@ from dds_trace.base.errors import OutputError
 from dds_trace.extensions.live import live
 from dds_trace.extensions.live.live import Watcher, WatchOptions
 from dds_trace.extensions.live.local_server import is_own_name
-from dds_trace.recorder.roles.live import Health, LiveRow
-from dds_trace.recorder.tap.recording import serve_page
+from dds_trace.extensions.topics.live import Health, LiveRow
+from dds_trace.extensions.topics.recording import serve_page
 
 # No proxy of the surroundings may stand between the test and its own server.
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))

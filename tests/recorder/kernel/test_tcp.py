@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.extensions.wire.classes import TcpFlows, WireClass
+from dds_trace.extensions.wire.packet_filter import PortRange
 from dds_trace.recorder.kernel.counters import since
 from dds_trace.recorder.kernel.sockets import (
     TCP_COUNTERS,
@@ -14,8 +16,6 @@ from dds_trace.recorder.kernel.sockets import (
     parse_tcp_info,
     read_connections,
 )
-from dds_trace.recorder.wire.packets.classes import TcpFlows, WireClass
-from dds_trace.recorder.wire.packets.packet_filter import PortRange
 
 ACK, SYN = 0x10, 0x02
 

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import pytest
 
 from dds_trace.base.errors import OptionError
+from dds_trace.extensions.topics.payload import MAX_WAITING, LiveFeed, rate_of, shows_rate
 from dds_trace.recorder.errors import StoppedError
 from dds_trace.recorder.payloads import BINARY, IMU, STRING, data_types, find_data_type, open_payload
 from dds_trace.recorder.payloads import base as payloads_base
 from dds_trace.recorder.payloads.stamp import stamp_text
-from dds_trace.recorder.payloads.topic import MAX_WAITING, LiveFeed, rate_of, shows_rate
 
 SIZES = [
     *(pytest.param(BINARY, size, id=f"binary-{size}") for size in (1, 2, 3, 4, 33_000, 502_000)),

@@ -6,9 +6,9 @@ from event_cdr import pack_event
 from mcap.data_stream import RecordBuilder
 from mcap.records import Message
 
+from dds_trace.extensions.wire.format import MESSAGE_ROW, row_texts, rows_of_text
 from dds_trace.tracefile.format.encoding import decode_string, encode_string
 from dds_trace.tracefile.format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, fill_constants
-from dds_trace.tracefile.format.wire import MESSAGE_ROW, row_texts, rows_of_text
 
 
 def test_an_event_is_the_message_that_mcap_writes():

@@ -30,6 +30,7 @@ from trace_files import (
 )
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.extensions.wire.format import WIRE_TOPIC
 from dds_trace.tracefile.format.events import (
     EVENT_DTYPE,
     HOST_TOPIC,
@@ -39,7 +40,6 @@ from dds_trace.tracefile.format.events import (
     EventColumns,
     Stage,
 )
-from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.reading import mcap_source, mcap_walk, reader
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.reading.storage import open_source

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import polars as pl
 import pytest
 
-from dds_trace.analyzer.verdicts.costs import LOST_NS, first_look, pays
 from dds_trace.cli.trace import main
 from dds_trace.extensions.campaigns.advice import bundles
 from dds_trace.extensions.campaigns.commands import advise as module
 from dds_trace.extensions.campaigns.commands.advise import advise
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.gates.costs import LOST_NS, first_look, pays
 
 
 def run(text, tmp_path, *options):

@@ -3,8 +3,8 @@ import json
 import pytest
 from processes import run, socket_plan
 
-from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_threshold
 from dds_trace.base.errors import OptionError
+from dds_trace.extensions.gates.gate import Against, GateOutcome, parse_threshold
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import pytest
 from roundtrip_frames import MS, roundtrips
 
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.verdicts.compare import CompareOptions
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.campaigns.verdicts.false_alarms import (
     MOST_DEALS,
@@ -12,6 +11,7 @@ from dds_trace.extensions.campaigns.verdicts.false_alarms import (
     count_false_alarms,
     half_widths,
 )
+from dds_trace.extensions.gates.compare import CompareOptions
 
 P50 = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=True)
 

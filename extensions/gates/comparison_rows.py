@@ -1,0 +1,90 @@
+"""The columns of a comparison's frames."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from dds_trace.analyzer.model.metrics import frame_schema
+from dds_trace.analyzer.run_statistics.change import Verdict
+from dds_trace.analyzer.run_statistics.runs import Values
+
+DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
+
+DELIVERY_SCHEMA = frame_schema(
+    "base_published:u64 base_received_ratio:f64 base_received_ratio_low:f64 base_received_ratio_high:f64 new_published:u64 "
+    "new_received_ratio:f64 new_received_ratio_low:f64 new_received_ratio_high:f64 difference:f64 difference_low:f64 "
+    "difference_high:f64 verdict:str basis:str base_runs:u64 new_runs:u64 is_dead:bool environment:str smallest_drop:f64 "
+    "p_value:f64 p_adjusted:f64"
+)
+
+DISTRIBUTION_SCHEMA: dict[str, type[pl.DataType] | pl.DataType] = {
+    "metric": pl.String,
+    "base_ns": pl.List(pl.Float64),
+    "new_ns": pl.List(pl.Float64),
+}
+"""One metric of one matched group: the times in ns at the first of `DISTRIBUTION_LEVELS`, infinite for lost messages, as far as the
+messages suffice."""
+
+MEANINGS = {
+    "metric": "metric that is compared",
+    "statistic": "mean or a percentile such as p99_9",
+    "base_messages": "messages of the base that have the metric",
+    "base_ns": "the statistic with lost messages infinitely late, ns",
+    "base_typical_ns": "the statistic of the base's typical run, ns; the change is of the typical runs",
+    "difference_ns": "new - base, ns",
+    "ratio": "new / base",
+    "superiority": "probability that a message of the new side takes less than one of the base",
+    "cliffs_delta": "2 * superiority - 1",
+    "verdict": "better, worse, same or inconclusive, adjusted over the groups",
+    "base_published": "messages that were sent",
+    "base_received_ratio": "share of the messages that were received",
+    "difference": "new - base of the received ratio",
+    "base_survivors_ns": "the statistic of the received messages, ns",
+    "base_episodes": "bursts that the tail rests on",
+    "basis": "between runs, or within one run",
+    "is_dead": "whether messages were received on the base and none on the new side",
+    "environment": "same, unknown (no fingerprint), or unlike: with the fields that differ",
+    "pairs": "repeats that were compared one by one; 0 without",
+    "p_value": "of no difference; null within one run",
+    "p_adjusted": "adjusted over the groups, of times over metrics and statistics, too",
+    "smallest_ratio": "change that this group by itself would have shown with a probability of 80 %",
+    "smallest_drop": "loss of share that would have been shown with a probability of 80 %",
+}
+"""Of both frames; `new_*` is of the new side what `base_*` is of the base."""
+
+
+def with_clock_bounds(row: dict[str, Any], base_ns: int, new_ns: int) -> dict[str, Any]:
+    """Widen the intervals of a row by the largest error of each side's clocks; a difference within both is no verdict."""
+    if not base_ns and not new_ns:
+        return row
+    both_ns = base_ns + new_ns
+    share = both_ns / row["base_ns"] if row["base_ns"] else math.inf
+    widened = dict(row)
+    for name, by in (("base{}_ns", base_ns), ("new{}_ns", new_ns), ("difference{}_ns", both_ns), ("ratio{}", share)):
+        low, high = name.format("_low"), name.format("_high")
+        widened |= {low: _moved(row[low], -by), high: _moved(row[high], by)}
+    if row["ratio_low"] is not None:
+        widened["ratio_low"] = max(0.0, widened["ratio_low"])
+    if row["difference_ns"] is not None and abs(row["difference_ns"]) <= both_ns and row["verdict"] in _DIFFERENT:
+        widened["verdict"] = Verdict.INCONCLUSIVE.value
+    return widened
+
+
+_DIFFERENT = (Verdict.BETTER.value, Verdict.WORSE.value)
+
+
+def _moved(end: float | None, by: float) -> float | None:
+    return None if end is None else end + by
+
+
+def at_levels(ordered: Values) -> tuple[float, ...]:
+    if not len(ordered):
+        return ()
+    levels = np.asarray(DISTRIBUTION_LEVELS)
+    levels = levels[levels <= 1 - 1 / len(ordered)]
+    ranks = np.maximum(1, np.ceil(levels * len(ordered) - 1e-9)).astype(np.int64)
+    return tuple(float(value) for value in ordered[ranks - 1])

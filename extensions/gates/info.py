@@ -1,0 +1,328 @@
+"""A comparison in words: the answer, its results worst first, and what it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.model.names import group_words
+from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.statistics.power import POWER
+from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Judgement, shown_changes
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.units import counted
+from dds_trace.reports.book.groups import VENDORS, Cell, VendorLabels, format_ratio, group_labels, groups_of
+from dds_trace.reports.book.verdicts import received_words
+
+from .compare import FAMILY, Comparison
+from .gate import METRIC_AND_STATISTIC, GateOutcome
+from .gates import FAMILY as GATE_FAMILY
+from .gates import GateResult, overall_outcome
+from .ignoring import columns_to_ignore, unlike_columns
+from .sides import SAME, UNKNOWN
+from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import polars as pl
+
+    from dds_trace.analyzer.run_statistics.change import DetectableChange
+
+UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedGroup:
+    """A result of both sides: `judged` are its rows of the frame, of the share received and of each time."""
+
+    label: str
+    verdict: str
+    judged: tuple[Judgement, ...]
+    delivery: Mapping[str, Any]
+    changes: tuple[Mapping[str, Any], ...]
+    distributions: tuple[Mapping[str, Any], ...]
+    unlike: str
+
+    @property
+    def message(self) -> str:
+        return Cell(**{name: self.delivery[name] for name in Cell.__dataclass_fields__}).label
+
+    @property
+    def setup(self) -> str:
+        return self.label.removeprefix(self.message).removeprefix(", ")
+
+    def shown(self) -> tuple[Mapping[str, Any], ...]:
+        return shown_changes(self.changes)
+
+    def times(self, *, shown: bool = False) -> list[Judgement]:
+        names = {f"{row['metric']}_{row['statistic']}" for row in self.shown()}
+        return [row for row in self.judged[1:] if not shown or row.statistic in names]
+
+    @property
+    def where(self) -> str:
+        verdict = {"slower": "worse", "faster": "better"}.get(self.verdict, "")
+        metrics = {row.statistic: METRIC_AND_STATISTIC[row.statistic] for row in self.times()}
+        first = self.changes[0]["metric"]
+        tested = [row for row in self.times() if row.p is not None and metrics[row.statistic][0] == first]
+        agreeing = [row for row in tested if row.verdict == verdict]
+        if agreeing:
+            all_agree = len(agreeing) == len(tested)
+            return "" if all_agree else ", ".join(statistic_words(metrics[row.statistic][1]) for row in agreeing)
+        judged = [metric_words(metrics[row.statistic][0]).lower() for row in self.times() if row.verdict == verdict]
+        return ", ".join(dict.fromkeys(judged))
+
+
+@dataclass(frozen=True, slots=True)
+class Unlike:
+    column: str
+    base: str
+    new: str
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonInfo:
+    """Contents of the reports of a comparison.
+
+    Attributes:
+        said: the answer, for people.
+        seen: which changes would not have been seen, or how sides without a common result differ; for people.
+        groups: the results of both sides, worst first.
+        only_base: results that the new side does not have.
+        only_new: results that the base does not have.
+        outcome: of the gates; null without one.
+        gates: outcome of each gate and result, in the unit of its limit; the worst first.
+        sights: which changes the verdicts would have seen.
+        unlike: columns in which sides without a common result differ.
+        ignore: columns for --ignore, without which such sides can be compared.
+        notes: what makes the sides unlike or unfit.
+        rules: how to read the numbers.
+    """
+
+    said: str
+    seen: str
+    groups: tuple[ComparedGroup, ...]
+    metric: str
+    only_base: tuple[str, ...]
+    only_new: tuple[str, ...]
+    outcome: GateOutcome | None
+    gates: tuple[Gated, ...]
+    sights: tuple[DetectableChange, ...]
+    unlike: tuple[Unlike, ...]
+    ignore: tuple[str, ...]
+    notes: tuple[str, ...]
+    rules: tuple[str, ...]
+
+    @property
+    def is_changed(self) -> bool:
+        verdicts = {group.verdict for group in self.groups} - UNCHANGED
+        return bool(verdicts or self.only_base or self.only_new) or self.outcome is GateOutcome.REGRESSED
+
+
+def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
+    frames = (comparison.delivery, comparison.only_base, comparison.only_new)
+    labels = _labels(frames)
+    ends = [sum(map(len, frames[:count])) for count in range(4)]
+    shared, only_base, only_new = (tuple(labels[start:end]) for start, end in pairwise(ends))
+    groups = _groups(comparison, shared)
+    sights = comparison.sights()
+    apart = (comparison.only_base, comparison.only_new)
+    unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
+    ignore = () if groups else columns_to_ignore(*apart)
+    return ComparisonInfo(
+        said="Both sides are the same recordings: nothing can have changed."
+        if comparison.same_recordings
+        else _answer(groups)
+        if groups
+        else "The two sides have no result in common: there is nothing to compare.",
+        seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
+        if groups
+        else _unlike_words(unlike, ignore),
+        groups=groups,
+        metric=metric_words(comparison.options.metrics[0]),
+        only_base=only_base,
+        only_new=only_new,
+        outcome=overall_outcome(result.outcome for result in results) if results else None,
+        gates=_gates(comparison, results, shared, only_base),
+        sights=sights,
+        unlike=unlike,
+        ignore=ignore,
+        notes=comparison_notes(comparison),
+        rules=_rules(comparison, gated=bool(results)),
+    )
+
+
+def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
+    filled = {
+        **dict.fromkeys(SERIES_COLUMNS),
+        **dict.fromkeys(("vendor", "ping_device", "connectivity"), "any"),
+        "bridge": "none",
+        "setting": "",
+        "published": 0,
+        "received": 0,
+    }
+    rows = [{**filled, **row} for frame in frames for row in frame.to_dicts()]
+    for row in rows:
+        row["domain_mode"] = row["domain_mode"] or ("same" if row["bridge"] == "none" else "different")
+    return group_labels(groups_of(rows, VendorLabels(VENDORS)))
+
+
+def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGroup, ...]:
+    match = comparison.options.match
+    changes, distributions = (
+        frame.partition_by(match, as_dict=True, maintain_order=True) if len(frame) else {}
+        for frame in (comparison.rows, comparison.distributions)
+    )
+    judged: dict[int | None, list[Judgement]] = {}
+    for row in comparison.judgements:
+        judged.setdefault(row.group, []).append(row)
+    groups = []
+    for number, (label, delivery) in enumerate(zip(labels, comparison.delivery.to_dicts(), strict=True)):
+        key = tuple(delivery[name] for name in match)
+        whole, *rows = judged[number]
+        groups.append(
+            ComparedGroup(
+                label=label,
+                verdict=whole.verdict,
+                judged=tuple(rows),
+                delivery=delivery,
+                changes=tuple(changes[key].to_dicts()),
+                distributions=tuple(distributions[key].to_dicts()),
+                unlike="" if delivery["environment"] in (SAME, UNKNOWN) else str(delivery["environment"]),
+            )
+        )
+    return tuple(sorted(groups, key=_rank))
+
+
+def _rank(group: ComparedGroup) -> tuple[int, float]:
+    most = max((row.value for row in group.times(shown=True) if row.value is not None), default=0.0)
+    if group.verdict == "loses more":
+        most = -(group.judged[0].value or 0.0)
+    return WORST_FIRST.index(group.verdict), -most
+
+
+def _answer(groups: Sequence[ComparedGroup]) -> str:
+    several, count = len(groups) > 1, counted(len(groups), "result")
+    counts = Counter(group.verdict for group in groups)
+    parts = []
+    losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
+    if losing:
+        where = f", most in {losing[0].label}" if several else ""
+        parts.append(f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})")
+    # A percentile that was lost is part of the losses.
+    slower = [
+        (row, group)
+        for group in groups
+        for row in group.times()
+        if row.verdict == "worse" and row.value is not None and math.isfinite(row.value)
+    ]
+    if slower:
+        shown = [pair for pair in slower if pair[0] in pair[1].times(shown=True)]
+        row, worst = max(shown or slower, key=lambda pair: pair[0].value or 0.0)
+        where = f" in {worst.label}" if several else ""
+        metric, statistic = METRIC_AND_STATISTIC[row.statistic]
+        what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()}"
+        results = len({group.label for _, group in slower})
+        parts.append(f"slower in {results} of {count}, most the {what}{where}: {change_words(row.value)}")
+    elif counts["too few runs"] == len(groups):
+        parts.append(f"no verdict is possible: it needs {MIN_RUNS} runs a side")
+    else:
+        parts.append(f"nothing is shown to be slower in {count}")
+    parts += [f"{counts['faster']} faster"] if counts["faster"] else []
+    sentence = "; ".join(parts)
+    return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], labels: Sequence[str]) -> str:
+    # Where each result is slower or faster, no change was missed.
+    times = [row for group in groups for row in group.times(shown=True)]
+    open_ones = {row.statistic for row in times if row.verdict not in ("worse", "better")}
+    shown = {row.statistic for row in groups[0].times(shown=True)} & open_ones
+    visible = [sight for sight in sights if f"{sight.metric}_{sight.statistic}" in shown]
+    parts = [
+        f"of {with_article(sight.statistic)} {_range_words(sight, labels)}"
+        for sight in visible
+        if sight.smallest_ratio is not None and sight.smallest_ratio <= MOST_RATIO
+    ]
+    unclear = [
+        f"{with_article(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
+        for sight in visible
+        if sight.told < sight.groups
+    ]
+    unjudged = [
+        sight.statistic for sight in visible if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
+    ]
+    sentences = [f"Such runs find in {100 * POWER:.0f} of 100 comparisons a change {'; '.join(parts)}"] if parts else []
+    if parts and unclear:
+        sentences[0] += f"; there is no verdict on {' and '.join(unclear)}"
+    sentences += unjudged_words(unjudged)
+    return "".join(f"{sentence[0].upper()}{sentence[1:]}. " for sentence in sentences).rstrip()
+
+
+def _range_words(sight: DetectableChange, labels: Sequence[str]) -> str:
+    ends = [(sight.least_ratio, sight.least_result), (sight.smallest_ratio, sight.most_result)]
+    words = [(f"from {change_words(ratio).removeprefix('+')} on", result) for ratio, result in ends]
+    if words[0][0] == words[1][0]:
+        return words[0][0]
+    return ", ".join(words if result is None else f"{words} in {labels[result]}" for words, result in words)
+
+
+def mean_change(groups: Sequence[ComparedGroup], statistic: str) -> float | None:
+    rows = [row for group in groups for row in group.shown() if row["statistic"] == statistic]
+    ratios = [row["ratio"] for row in rows if row["ratio"] is not None and 0 < row["ratio"] < math.inf]
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
+
+
+def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
+    differ = ", ".join(f"{column.column} ({column.base} against {column.new})" for column in unlike)
+    sentences = [f"They differ in {differ}."] if differ else []
+    sentences += [f"--ignore {','.join(ignore)} compares them without that."] if ignore else []
+    return " ".join(sentences)
+
+
+def _gates(
+    comparison: Comparison, results: Sequence[GateResult], shared: Sequence[str], missing: Sequence[str]
+) -> tuple[Gated, ...]:
+    match, order = comparison.options.match, [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
+    only_base = zip(comparison.only_base.to_dicts(), missing, strict=True)
+    labels = {group_words(row, match): label for row, label in only_base}
+
+    def named(row: GateResult) -> str:
+        label = labels.get(row.subject, row.subject) if row.group is None else shared[row.group]
+        return printable(label, MAX_FINDING_CHARACTERS)
+
+    gated = [Gated(named(result), result) for result in results]
+    return tuple(
+        sorted(gated, key=lambda gate: order.index(gate.result.outcome) if gate.result.outcome in order else 9)
+    )
+
+
+def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
+    unfinished = counted(sum(comparison.unfinished.values()), "run")
+    left_out = f"{unfinished} did not finish; what has less than half of the messages of the longest run is left out."
+    parts = (
+        ("Not matched", comparison.ignored),
+        ("Measured in turns", comparison.interleaved),
+        ("Unlike environments", comparison.environment),
+        ("Order", [comparison.order] if comparison.order else []),
+        ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
+        ("Not judged", dict.fromkeys(error.text for error in comparison.errors)),
+        ("Not judged", [f"repeat {one.repeat} of {one.cell}: {one.reason}" for one in comparison.left_out]),
+    )
+    return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
+
+
+def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
+    within, share = map(format_ratio, (comparison.options.same_within, comparison.options.confidence))
+    gates = f", gates by {GATE_FAMILY}" if gated else ""
+    return (
+        f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",
+        "A lost message is infinitely late.",
+        f"The run is the unit: a verdict needs {MIN_RUNS} runs a side.",
+        f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
+        "A smaller change than the one that a result finds in 80 of 100 comparisons may be found, too, less often.",
+    )

@@ -1,0 +1,169 @@
+"""`limits.toml`: what results have to meet, by result, and changes that are accepted; read for gates, and written from good runs."""
+
+from __future__ import annotations
+
+import glob
+import json
+import math
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.streams import say
+from dds_trace.base.units import format_duration, three_digits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    import polars as pl
+
+    from dds_trace.analyzer.statistics.intervals import Interval
+    from dds_trace.extensions.campaigns.plan.plan import Threshold
+
+    from .compare import Comparison
+    from .gate import Gate, Patterns
+
+LEAST_ROOM = 0.1
+LEAST_LOSS = 0.005
+
+
+def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
+    from dds_trace.base.files import read_settings
+    from dds_trace.base.toml_table import TomlTable
+    from dds_trace.extensions.campaigns.plan.plan_file import read_thresholds
+
+    from .compare import RECEIVED_RATIO
+    from .gate import VALUES_OF_TOPICS
+
+    root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
+    root.allow("thresholds", "accepted")
+    thresholds = list(read_thresholds(root.table("thresholds")))
+    for table in root.tables("accepted"):
+        why = [table.take(key, str, "") for key in ("reason", "commit")]
+        if not all(why):
+            raise OptionError(f"{table.where}: an accepted change has a reason and a commit")
+        limits = {key: value for key, value in table.values.items() if key not in {"result", "reason", "commit"}}
+        accepted = f"{why[0]} ({why[1]})"
+        limits_table = replace(table, values=limits)
+        result = table.take("result", str, "")
+        thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(limits_table)]
+    gates = gates_of(thresholds, str(path))
+    if of_recording:
+        topic_gates = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))
+        values = (*VALUES_OF_TOPICS, RECEIVED_RATIO)
+        return [gate for gate in limits_of_one_side(topic_gates) if gate.name in values]
+    return [gate for gate in gates if gate.metric not in VALUES_OF_TOPICS]
+
+
+def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
+    from .gate import Against, parse_threshold
+
+    gates: list[Gate] = []
+    for threshold in thresholds:
+        patterns = _patterns(threshold.result, where)
+        for condition in threshold.conditions:
+            gate = replace(
+                parse_threshold(threshold.metric, condition, patterns), results=patterns, accepted=threshold.accepted
+            )
+            kind = gate.metric, gate.statistic, gate.against is Against.NEW
+            gates = [
+                replace(earlier, unless=(*earlier.unless, patterns))
+                if (earlier.metric, earlier.statistic, earlier.against is Against.NEW) == kind
+                and earlier.results != patterns
+                else earlier
+                for earlier in gates
+            ]
+            gates.append(gate)
+    return gates
+
+
+def _patterns(result: str, where: str) -> Patterns:
+    from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
+    from dds_trace.base.limits import nearest, shown
+
+    if result.startswith("/"):
+        return (("data_type", result),)
+    words = [word.partition("=") for word in re.split(r" +(?=\w+=)", result.strip()) if word]
+    for column, equals, _ in words:
+        if not equals or column not in MATCH_COLUMNS:
+            raise OptionError(
+                f"{where}: {shown(result)} names no result: write COLUMN=PATTERN ..., or a topic; "
+                f"{nearest(column, MATCH_COLUMNS)}"
+            )
+    return tuple((column, pattern) for column, _, pattern in words)
+
+
+def limits_text(comparison: Comparison) -> str:
+    from dds_trace.analyzer.model.names import group_words, varying_parameters
+
+    names = varying_parameters(comparison.delivery, comparison.options.match)
+    sections: dict[str, list[str]] = {}
+    for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
+        if (row["metric"], row["statistic"]) in {("latency", "p50"), ("latency", "p99"), ("age", "p99")}:
+            key = _section(group_words(row, names))
+            sections.setdefault(key, []).extend(_limits_of_time(f"{row['metric']}_{row['statistic']}", change.new))
+    for row, delivery in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        share = delivery.new
+        if share.value is not None and share.lower is not None:
+            least = share.value - max(LEAST_LOSS, 2 * (share.value - share.lower))
+            line = f'received_ratio = "> {math.floor(1000 * max(0.0, least)) / 10:g} %"'
+            sections.setdefault(_section(group_words(row, names)), []).append(line)
+    return _text(sections)
+
+
+def topic_limits_text(topics: pl.DataFrame) -> str:
+    import polars as pl  # not of a sweep
+
+    from dds_trace.extensions.bags.card import OTHER_CLOCK_NS
+
+    sections: dict[str, list[str]] = {}
+    high = pl.col("missing_high")
+    worst = topics.group_by("topic", maintain_order=True).agg(
+        pl.col("rate_hz").min(), (high / (pl.col("messages") + high)).max().alias("missing"), pl.col("age_p99_ns").max()
+    )
+    for topic, rate_hz, missing, age_ns in worst.iter_rows():
+        lines = sections.setdefault(_section(topic), [])
+        if missing is not None and rate_hz:
+            lines.append(f'rate = "> {three_digits((1 - LEAST_ROOM) * rate_hz)} Hz"')
+            lines.append(f'missing = "< {math.ceil(1000 * max(LEAST_LOSS, 2 * missing)) / 10:g} %"')
+        if age_ns is not None and 0 < age_ns < OTHER_CLOCK_NS:
+            lines.append(f'age_p99 = "< {_time_above(1.5 * age_ns)}"')
+    return _text({key: lines for key, lines in sections.items() if lines})
+
+
+def _text(sections: Mapping[str, Sequence[str]]) -> str:
+    head = "# Written by `--write-limits` from good runs; docs/how-to/ci.md says what may be in it.\n"
+    return head + "".join(f"\n{key}\n" + "".join(f"{line}\n" for line in lines) for key, lines in sections.items())
+
+
+def _section(words: str) -> str:
+    return f"[thresholds.{json.dumps(glob.escape(words))}]"
+
+
+def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
+    if not new.value or not new.upper or math.isinf(new.upper):
+        return
+    # Of n runs the reach of the mean, times sqrt(n + 1), is that of a single further run.
+    room = max(LEAST_ROOM, (new.upper / new.value) ** math.sqrt(new.units + 1) - 1)
+    yield f'{metric} = ["< {_time_above(new.value * (1 + room))}", "< +{5 * math.ceil(20 * room):g} %"]'
+
+
+def _time_above(limit_ns: float) -> str:
+    digits = 10 ** (math.floor(math.log10(limit_ns)) - 1)
+    return format_duration(math.ceil(limit_ns / digits) * digits).replace("µs", "us")
+
+
+def write_limits(text: str, path: Path) -> None:
+    from dds_trace.analyzer.exports.kinds import write_text_file
+
+    if path.exists():
+        raise OutputError(f"{path} exists already; give another --write-limits")
+    say(f"Wrote {write_text_file(path, text)}")
+
+
+def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:
+    from .gate import Against
+
+    return [gate for gate in gates if gate.against is Against.NEW]

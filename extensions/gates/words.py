@@ -1,0 +1,212 @@
+"""Numbers of a comparison in words, the same in each of its reports."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.units import MISSING, counted, format_duration, format_number, format_rate, three_digits
+from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, format_ratio, joined, time_words
+from dds_trace.reports.book.verdicts import episodes_words
+
+from .gate import Against, GateOutcome
+from .gates import GateResult
+
+
+def tone_of(verdict: str) -> str:
+    is_bad = verdict in ("no reply came back", "loses more", "slower")
+    return "bad" if is_bad else "good" if verdict in ("loses less", "faster") else ""
+
+
+def metric_words(metric: str) -> str:
+    return ALL_METRIC_LABELS.get(metric, metric)
+
+
+def statistic_words(statistic: str) -> str:
+    return STATISTIC_LABELS.get(statistic, statistic)
+
+
+def with_article(statistic: str) -> str:
+    label = statistic_words(statistic)
+    return f"the {label}" if label.isalpha() else label
+
+
+def unjudged_words(statistics: Sequence[str]) -> list[str]:
+    tails = [with_article(name) for name in statistics if name.startswith("p9")]
+    others = [with_article(name) for name in statistics if not name.startswith("p9")]
+    reasons = (("the runs differ too much", others), ("there are too few messages", tails))
+    return [f"{reason} to judge {joined(names)}" for reason, names in reasons if names]
+
+
+def both_words(row: Mapping[str, Any]) -> str:
+    return f"{time_words(row['base_typical_ns'])} → {time_words(row['new_typical_ns'])}"
+
+
+def side_words(row: Mapping[str, Any], side: str) -> str:
+    value_ns, received_ns = row[f"{side}_typical_ns"], row[f"{side}_survivors_ns"]
+    words = time_words(value_ns)
+    if words == LOST and received_ns is not None:
+        words += f" (received {format_duration(received_ns)})"
+    bursts = episodes_words(row, side)
+    return f"{words} ({bursts})" if bursts else words
+
+
+MOST_PERCENT = 1000
+
+MOST_RATIO = 10.0
+"""A smallest visible change beyond which a statistic cannot be judged."""
+
+TOO_WIDE = 100.0
+"""Upper by lower end of an interval that says nothing."""
+
+WIDE = "uncertain"
+
+
+def change_words(ratio: float | None) -> str:
+    if ratio is None:
+        return MISSING
+    if math.isinf(ratio):
+        return LOST
+    percent = 100 * (ratio - 1)
+    if abs(percent) < 0.005:
+        return "0 %"
+    digits = ".3g" if abs(percent) >= 1 else ".2f"
+    return f"{percent:+{digits}} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
+
+
+def interval_words(row: Mapping[str, Any]) -> str:
+    ends = row["ratio_low"], row["ratio_high"]
+    low, high = map(change_words, ends)
+    if MISSING in (low, high) or low == high == LOST:
+        return MISSING
+    return WIDE if _is_wide(*ends) else f"{low.removesuffix(' %')} to {high}"
+
+
+def _is_wide(low: float, high: float) -> bool:
+    return math.isfinite(high) and high > TOO_WIDE * low
+
+
+def change_with_interval(row: Mapping[str, Any]) -> str:
+    interval = interval_words(row)
+    short = interval.replace("+", "").removesuffix(" %")
+    return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
+
+
+def measured_words(result: GateResult, value: float | None) -> str:
+    if value is None:
+        return "unknown"
+    if result.gate.metric == "rate":
+        return format_rate(value)
+    if result.gate.against is Against.RATIO:
+        return change_words(value)
+    if result.gate.statistic or result.gate.metric in ("jitter", "hole"):
+        return time_words(value)
+    if result.gate.against is Against.DIFFERENCE:
+        return f"{'+' if value > 0 else ''}{three_digits(100 * value)} points"
+    return format_ratio(value)
+
+
+def gate_interval_words(result: GateResult) -> str:
+    low, high = result.low, result.high
+    is_ratio = result.gate.against is Against.RATIO or (result.gate.statistic and result.gate.against is Against.NEW)
+    if is_ratio and low is not None and high is not None and _is_wide(low, high):
+        return WIDE
+    return ends_words(measured_words(result, low), measured_words(result, high))
+
+
+def ends_words(low: str, high: str) -> str:
+    _, space, unit = high.rpartition(" ")
+    if low == high == unit:  # lost, unknown
+        return low
+    return f"{low.removesuffix(space + unit)} to {high}"
+
+
+def why_words(result: GateResult) -> str:
+    smallest = ""
+    if result.smallest_ratio is not None:
+        smallest = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
+        if result.smallest_ratio > MOST_RATIO:
+            smallest = unjudged_words([result.gate.statistic])[0]
+    elif result.smallest_drop is not None:
+        smallest = f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
+    return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)
+
+
+@dataclass(frozen=True, slots=True)
+class Gated:
+    where: str
+    result: GateResult
+
+
+MARKS = {GateOutcome.PASSED: "✓", GateOutcome.REGRESSED: "✗", GateOutcome.INCONCLUSIVE: "?"}
+GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Found (80 %) from", "Result")
+MOST_ROWS = 10
+
+GateCells = tuple[str, str, str, str, str]
+
+
+def gate_rows(gates: Sequence[Gated], *, shows_all: bool = False) -> list[tuple[GateOutcome, GateCells]]:
+    rows: dict[object, list[Gated]] = {}
+    for number, gated in enumerate(gates):
+        is_single = shows_all or gated.result.outcome is GateOutcome.REGRESSED
+        rows.setdefault(number if is_single else (gated.result.outcome, gated.result.gate.text), []).append(gated)
+    return [(alike[0].result.outcome, _gate_cells(alike)) for alike in rows.values()]
+
+
+def _gate_cells(alike: Sequence[Gated]) -> GateCells:
+    is_above = alike[0].result.gate.operator in (">", ">=")
+    measured = [gated for gated in alike if gated.result.value is not None] or alike
+    worst = max(measured, key=lambda gated: (gated.result.value or 0.0) * (1 if is_above else -1))
+    limits = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
+    is_ratio = worst.result.gate.against is Against.RATIO
+    limit_words = [found_from_words(end) if is_ratio else measured_words(worst.result, end) for end in limits]
+    words = measured_words(worst.result, worst.result.value)
+    interval = gate_interval_words(worst.result)
+    _, space, unit = words.rpartition(" ")
+    more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
+    return (
+        MARKS[worst.result.outcome],
+        worst.result.gate.text,
+        words if interval in (words, "unknown") else f"{words} ({interval.removesuffix(space + unit)})",
+        ends_words(limit_words[0], limit_words[-1]) if len(set(limit_words)) > 1 else "".join(limit_words[:1]),
+        worst.where + more,
+    )
+
+
+def found_from_words(ratio: float) -> str:
+    return WIDE if ratio > MOST_RATIO else change_words(ratio)
+
+
+def gate_notes(gates: Sequence[Gated]) -> list[str]:
+    notes = [
+        f"{gated.result.gate.text}: {gated.where}: {gated.result.reason}"
+        for gated in gates
+        if gated.result.outcome is GateOutcome.REGRESSED and gated.result.reason
+    ]
+    notes += dict.fromkeys(
+        f"Accepted: {gated.result.gate.text} in {gated.where}: {gated.result.gate.accepted}"
+        for gated in gates
+        if gated.result.gate.accepted
+    )
+    unsure = [gated for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
+    by_runs = [gated for gated in unsure if gated.result.needs is not None]
+    if by_runs:
+        most = max(by_runs, key=lambda gated: gated.result.needs or 0)
+        result, present = most.result, min(gated.result.runs_present for gated in by_runs)
+        where = f" ({result.gate.text} in {most.where} takes most)" if len(by_runs) > 1 else ""
+        rests = (
+            f"an estimate from the spread of {present} runs"
+            if present >= MIN_RUNS
+            else f"there {'is' if present == 1 else 'are'} {present}"
+        )
+        notes.append(
+            f"Undecided: {counted(len(by_runs), 'gate')}; {result.needs} runs a side would decide{where}: {rests}."
+        )
+    others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.needs is None)
+    notes += [f"Undecided: {counted(count, 'gate')}: {reason.rstrip('.')}." for reason, count in others.items()]
+    return [printable(note, MAX_FINDING_CHARACTERS) for note in notes]

@@ -1,0 +1,193 @@
+"""Counts of one run on the wire."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.base.records import to_json
+from dds_trace.recorder.kernel.sockets import TcpConnection
+
+from .classes import WireClass
+from .format import AGAIN_CLASSES, DISCOVERY_CLASSES, Direction
+from .messages import RepeatCount
+
+if TYPE_CHECKING:
+    from .frames import Frame
+
+
+@dataclass(slots=True)
+class ClassCount:
+    """Traffic of a `WireClass` in one direction (`sent`, `received`, or `local` on loopback, where it is both).
+
+    Attributes:
+        packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
+        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
+            their own, so the classes' bytes sum to the packets' bytes.
+        submessages: RTPS submessages; 0 for TCP and other UDP.
+        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as
+            repeated.
+    """
+
+    name: str
+    direction: str
+    packets: int = 0
+    bytes: int = 0
+    submessages: int = 0
+    fragments: int = 0
+    ip_fragments: int = 0
+
+
+class _ClassCounts(dict[tuple[WireClass, Direction], ClassCount]):
+    def __missing__(self, key: tuple[WireClass, Direction]) -> ClassCount:
+        self[key] = count = ClassCount(key[0].value, key[1].name.lower())
+        return count
+
+
+@dataclass(slots=True)
+class RunTally:
+    """Counters of a run; frames of other domains are only in `foreign_packets`."""
+
+    classes: _ClassCounts = field(default_factory=_ClassCounts)
+    foreign_packets: int = 0
+    unseen_headers: int = 0
+    requests: int = 0
+    tcp_again_bytes: int = 0
+    heartbeat_gaps_ns: list[int] = field(default_factory=list)
+    packets: int = 0
+
+    @property
+    def heartbeat_gap_p50_ns(self) -> float | None:
+        return median(self.heartbeat_gaps_ns) if self.heartbeat_gaps_ns else None
+
+    def count_frame(self, frame: Frame, kind: WireClass, direction: Direction) -> None:
+        tally = self.classes[kind, direction]
+        tally.packets += 1
+        tally.bytes += frame.wire_bytes
+        tally.ip_fragments += bool(frame.fragment_offset or frame.more_fragments)
+
+    def move_bytes(self, bytes_of: Counter[WireClass], principal: WireClass, direction: Direction) -> None:
+        for kind, size in bytes_of.items():
+            if kind is not principal:
+                self.classes[kind, direction].bytes += size
+                self.classes[principal, direction].bytes -= size
+
+
+_IP_NAMES = {
+    # name -> that in /proc/net/snmp
+    "reassembly_requested": "ReasmReqds",
+    "reassembly_ok": "ReasmOKs",
+    "reassembly_failed": "ReasmFails",
+    "reassembly_timeout": "ReasmTimeout",
+    "datagrams_fragmented": "FragOKs",
+    "fragmentation_failed": "FragFails",
+    "fragments_created": "FragCreates",
+    "udp_receive_buffer_full": "RcvbufErrors",
+    "udp_in_errors": "InErrors",
+}
+
+
+def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    return {name: totals.get(kernels, 0) - before.get(kernels, 0) for name, kernels in _IP_NAMES.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceCount:
+    name: str
+    sent_bytes: int = 0
+    sent_packets: int = 0
+    received_bytes: int = 0
+    received_packets: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WireCounts:
+    """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
+
+    Attributes:
+        heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
+        first_spdp_ns, first_data_ns, first_reply_ns: of a participant's announcement, of a message with our stamp and of one
+            with a relay's id, since the capture began, probes included.
+        unseen_headers: packets with a submessage but not its header; its kind is missing in `classes`, its
+            bytes count for the packet's class.
+        unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not
+            found; on the receiving side of a lossy link that is the link's loss.
+        late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
+        kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
+    """
+
+    run_id: str = ""
+    interfaces: tuple[str, ...] = ()
+    begin_ns: int = 0
+    end_ns: int = 0
+    classes: tuple[ClassCount, ...] = ()
+    repeats: tuple[RepeatCount, ...] = ()
+    messages: int = 0
+    sample_bytes: int = 0
+    requests: int = 0
+    heartbeat_gap_p50_ns: float | None = None
+    first_spdp_ns: int | None = None
+    first_data_ns: int | None = None
+    first_reply_ns: int | None = None
+    ip: Mapping[str, int] = field(default_factory=lambda: ip_counts({}, {}))
+    tcp: tuple[TcpConnection, ...] = ()
+    tcp_again_bytes: int = 0
+    interface_counts: tuple[InterfaceCount, ...] = ()
+    foreign_packets: int = 0
+    unseen_headers: int = 0
+    unfollowed_datagrams: int = 0
+    late_repeats: int = 0
+    kernel_drops: int = 0
+    kernel_freezes: int = 0
+    packets: int = 0
+    cpu_s: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether the kernel delivered every packet; if not, the counts are lower bounds and prove nothing."""
+        return self.kernel_drops == 0
+
+    @property
+    def duration_s(self) -> float:
+        return (self.end_ns - self.begin_ns) / 1e9
+
+    @property
+    def total_bytes(self) -> int:
+        return sum(count.bytes for count in self.classes)
+
+    @property
+    def wire_bytes_per_sample_byte(self) -> float | None:
+        return self.total_bytes / self.sample_bytes if self.sample_bytes else None
+
+    @property
+    def discovery_bytes(self) -> int:
+        return self._bytes_of(DISCOVERY_CLASSES)
+
+    @property
+    def discovery_bytes_per_minute(self) -> float | None:
+        """Bytes of SPDP, SEDP and liveliness a minute, both directions; None if no time passed."""
+        return self.discovery_bytes * 60 / self.duration_s if self.duration_s else None
+
+    @property
+    def again_bytes_share(self) -> float | None:
+        return self._bytes_of(AGAIN_CLASSES) / self.total_bytes if self.total_bytes else None
+
+    @property
+    def match_ns(self) -> int | None:
+        if self.first_spdp_ns is None or self.first_reply_ns is None:
+            return None
+        return self.first_reply_ns - self.first_spdp_ns
+
+    @property
+    def packets_per_s(self) -> float | None:
+        return self.packets / self.duration_s if self.duration_s else None
+
+    def _bytes_of(self, names: frozenset[str]) -> int:
+        return sum(count.bytes for count in self.classes if count.name in names)
+
+    def to_dict(self) -> dict[str, Any]:
+        derived = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
+        return {**to_json(self), **{name: getattr(self, name) for name in derived}}

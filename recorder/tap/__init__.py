@@ -1,1 +1,0 @@
-"""The role tap: listens to topics of other programs."""

@@ -1,1 +1,0 @@
-"""What a message costs on the wire: packets of the run's interfaces, by class and by message."""

@@ -1,1 +1,0 @@
-"""Packets by their headers, and the program that the kernel runs over each."""

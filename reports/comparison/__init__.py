@@ -1,1 +1,0 @@
-"""A comparison: `info` puts it into words, `report` into blocks."""

@@ -50,9 +50,9 @@ setup(
     package_dir={PACKAGE: "../src/dds_trace"},
     package_data={
         PACKAGE: ["py.typed"],
-        f"{PACKAGE}.recorder.tap": ["*.html"],
+        f"{PACKAGE}.extensions.topics": ["*.html"],
         f"{PACKAGE}.reports": ["report.schema.json"],
-        f"{PACKAGE}.reports.comparison": ["comparison.schema.json"],
+        f"{PACKAGE}.extensions.gates": ["comparison.schema.json"],
         f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],
     },
     data_files=[

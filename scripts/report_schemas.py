@@ -21,6 +21,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
+from dds_trace.analyzer.model.detail_frames import COMPARISON_SCHEMA
 from dds_trace.analyzer.model.finding import Finding, Source
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
@@ -33,7 +34,7 @@ from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Claim, Judgement
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.extensions.gates import document as comparison_document
 from dds_trace.extensions.gates.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.extensions.gates.comparison_rows import COMPARISON_SCHEMA, DELIVERY_SCHEMA, MEANINGS
+from dds_trace.extensions.gates.comparison_rows import DELIVERY_SCHEMA, MEANINGS
 from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.extensions.gates.gates import GateResult
 from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
@@ -13,7 +14,8 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
-from dds_trace.extensions.exports.perfetto import topic_slices, write_slices
+from dds_trace.base.units import counted
+from dds_trace.extensions.exports.perfetto import Slice, write_slices
 from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.extensions.gates.gates import overall_outcome, result_of
 from dds_trace.extensions.gates.limits_file import topic_limits_text, write_limits
@@ -22,7 +24,7 @@ from dds_trace.reports.book.groups import joined
 from dds_trace.reports.reporters import load_reporter
 from dds_trace.reports.terminal import print_report
 
-from .analyze import StampCorrector, analyze_topics
+from .analyze import StampCorrector, TopicReport, analyze_topics
 from .card import DAMAGED, HOLES, OTHER_CLOCK_NS
 from .report import BagReport, JudgedTopic
 
@@ -122,3 +124,20 @@ def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -
     assert holes is not None
     topic_holes = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
     return [max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9] * 3
+
+
+def topic_slices(report: TopicReport) -> Iterator[Slice]:
+    starts_ns, numbers = {health.path: health.start_ns for health in report.recordings}, count(1)
+    for row in report.topics.iter_rows(named=True):
+        recording, topic, at_ns = row["recording"], row["topic"], row["start_ns"]
+        parts: list[tuple[str, int, int]] = []
+        for hole in report.holes.filter(recording=recording, topic=topic).iter_rows(named=True):
+            begin_ns = starts_ns[recording] + round(hole["start_s"] * 1e9)
+            end_ns = begin_ns + round(hole["duration_s"] * 1e9)
+            name = f"hole: {counted(hole['missing'], 'message')}" if hole["missing"] else "no messages"
+            parts += [("messages", at_ns, begin_ns), (name, begin_ns, end_ns)]
+            at_ns = end_ns
+        parts.append(("messages", at_ns, row["start_ns"] + row["duration_ns"]))
+        for name, begin_ns, end_ns in parts:
+            if end_ns > begin_ns:
+                yield Slice(recording, topic, name, begin_ns, end_ns, next(numbers))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,8 +20,6 @@ from dds_trace.analyzer.clocks.boots import ping_wall_offsets
 from dds_trace.analyzer.clocks.lines import Int64
 from dds_trace.analyzer.exports.kinds import write_file
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted
-from dds_trace.extensions.bags.analyze import TopicReport
 
 MOST_SLICES = 100_000
 """More messages are thinned evenly."""
@@ -87,23 +84,6 @@ def write_slices(slices: Iterable[Slice], path: Path) -> None:
                     packet.track_event.name = printable(event.name)
                     packet.track_event.flow_ids.append(event.message)
                 builder.write_packet(packet)
-
-
-def topic_slices(report: TopicReport) -> Iterator[Slice]:
-    starts_ns, numbers = {health.path: health.start_ns for health in report.recordings}, count(1)
-    for row in report.topics.iter_rows(named=True):
-        recording, topic, at_ns = row["recording"], row["topic"], row["start_ns"]
-        parts: list[tuple[str, int, int]] = []
-        for hole in report.holes.filter(recording=recording, topic=topic).iter_rows(named=True):
-            begin_ns = starts_ns[recording] + round(hole["start_s"] * 1e9)
-            end_ns = begin_ns + round(hole["duration_s"] * 1e9)
-            name = f"hole: {counted(hole['missing'], 'message')}" if hole["missing"] else "no messages"
-            parts += [("messages", at_ns, begin_ns), (name, begin_ns, end_ns)]
-            at_ns = end_ns
-        parts.append(("messages", at_ns, row["start_ns"] + row["duration_ns"]))
-        for name, begin_ns, end_ns in parts:
-            if end_ns > begin_ns:
-                yield Slice(recording, topic, name, begin_ns, end_ns, next(numbers))
 
 
 def timeline_slices(analysis: Analysis) -> Iterator[Slice]:

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
-    from dds_trace.extensions.campaigns.plan.plan import Threshold
 
     from .compare import Comparison
     from .gate import Gate, Patterns
+    from .thresholds import Threshold
 
 LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
@@ -32,10 +32,10 @@ LEAST_LOSS = 0.005
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
     from dds_trace.base.files import read_settings
     from dds_trace.base.toml_table import TomlTable
-    from dds_trace.extensions.campaigns.plan.plan_file import read_thresholds
 
     from .compare import RECEIVED_RATIO
     from .gate import VALUES_OF_TOPICS
+    from .thresholds import read_thresholds
 
     root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
     root.allow("thresholds", "accepted")

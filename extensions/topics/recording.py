@@ -147,7 +147,7 @@ HOST = "127.0.0.1"
 def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "this device") -> Iterator[str]:
     """Serve the table of `rows` within the block; yield the address. An `OptionError` for a port in use."""
     page = (
-        (files("dds_trace.recorder.tap") / "live.html")
+        (files("dds_trace.extensions.topics") / "live.html")
         .read_text(encoding="utf-8")
         .replace("{{device}}", escape(device))
     )

@@ -58,12 +58,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dds_trace.extensions.bags.analyze import analyze_topics
-    from dds_trace.extensions.exports.foxglove import write_derived
-    from dds_trace.extensions.gates.compare import CompareOptions, Comparison, compare
-    from dds_trace.extensions.gates.gate import Gate, GateOutcome, parse_gate
-    from dds_trace.extensions.gates.gates import judge_gates
-
     from .analyzer.analysis import Analysis, Details, load_analysis
     from .analyzer.exports.kinds import export_tables
     from .analyzer.model.finding import Finding, Severity, Source
@@ -72,6 +66,11 @@ if TYPE_CHECKING:
     from .analyzer.verdicts.recommend import Recommendation
     from .base.errors import MissingEventsError, OptionError, OutputError, TraceError, TraceFormatError
     from .base.version import __version__
+    from .extensions.bags.analyze import analyze_topics
+    from .extensions.exports.foxglove import write_derived
+    from .extensions.gates.compare import CompareOptions, Comparison, compare
+    from .extensions.gates.gate import Gate, GateOutcome, parse_gate
+    from .extensions.gates.gates import judge_gates
     from .reports.reporters import write_reports
     from .tracefile.format.descriptions import Run, Session
     from .tracefile.format.events import EventColumns, Stage

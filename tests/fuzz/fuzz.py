@@ -32,11 +32,11 @@ INSTRUMENTED = [
     "dds_trace.analyzer",
     "dds_trace.cli.defaults",
     "dds_trace.recorder.backends.socket",
-    "dds_trace.recorder.beacon",
     "dds_trace.recorder.payloads",
     "dds_trace.recorder.roles",
-    "dds_trace.recorder.sweep.plan",
-    "dds_trace.recorder.tap",
+    "dds_trace.extensions.bags",
+    "dds_trace.extensions.campaigns.plan",
+    "dds_trace.extensions.topics",
     "dds_trace.reports",
 ]
 """Modules whose branches libFuzzer sees."""

@@ -16,10 +16,11 @@ from dds_trace.base.printable import is_hidden
 from dds_trace.cli.defaults import FILE_NAME, configurable, read_defaults
 from dds_trace.cli.record.command import app
 from dds_trace.extensions.topics.exchange import Exchanges
-from dds_trace.extensions.topics.tap import Tap, chosen_qos
+from dds_trace.extensions.topics.tap import Tap
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.backends.other_side import Strangers
 from dds_trace.recorder.backends.zenoh_ros import parse_token
+from dds_trace.recorder.options import chosen_qos
 from dds_trace.tracefile.format.encoding import encode_string
 
 TOKEN = "@ros2_lv/0/aa/0/1/MP/%/%/driver/%camera/sensor_msgs::msg::dds_::Image_/RIHS01_aa/::,10:,:,:,,"

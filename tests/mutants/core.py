@@ -36,7 +36,7 @@ CORE = {
         ("tracefile/writing/sink.py", "tracefile/writing/packing.py", "tracefile/writing/event_chunks.py"),
         ("tests/tracefile/writing",),
     ),
-    "gates": Part(("extensions/gates/gate.py", "extensions/gates/gates.py"), ("tests/analyzer/verdicts",)),
+    "gates": Part(("extensions/gates/gate.py", "extensions/gates/gates.py"), ("tests/extensions/gates",)),
     "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
     "headline": Part(
         tuple(f"reports/book/{name}.py" for name in ("answer", "fastest", "headline", "losses")),
@@ -46,10 +46,10 @@ CORE = {
     # `process.py` runs in a process of its own, which no trial reaches.
     "wire": Part(
         (
-            *(f"recorder/wire/{name}.py" for name in ("capture", "counts", "messages", "ring", "tally")),
+            *(f"extensions/wire/{name}.py" for name in ("capture", "counts", "messages", "ring", "tally")),
+            *(f"extensions/wire/{name}.py" for name in ("classes", "frames", "packet_filter", "rtps")),
             "recorder/kernel/sockets.py",
-            "recorder/wire/packets",
         ),
-        ("tests/recorder/wire", "tests/recorder/kernel"),
+        ("tests/extensions/wire", "tests/recorder/kernel"),
     ),
 }

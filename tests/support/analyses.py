@@ -23,6 +23,7 @@ from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA,
 from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from dds_trace.analyzer.model.detail_frames import WIRE_FRAMES
 from dds_trace.analyzer.model.metrics import schema_of
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
@@ -33,7 +34,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.extensions.gates.compare import CompareOptions
 from dds_trace.extensions.gates.costs import bridge_cost, find_head_of_line, find_interference
-from dds_trace.extensions.wire.analyze import WIRE_CLASS_SCHEMA, WIRE_FRAMES, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
+from dds_trace.extensions.wire.analyze import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 MS = 1_000_000

@@ -18,7 +18,6 @@ from typing import Any
 from event_cdr import pack_event
 from mcap.writer import CompressionType, IndexType, Writer
 
-from dds_trace.extensions.wire.format import WIRE_TOPIC
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.encoding import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.events import (
@@ -27,6 +26,7 @@ from dds_trace.tracefile.format.events import (
     HOST_TOPIC,
     RUN_TOPIC,
     SESSION_TOPIC,
+    WIRE_TOPIC,
     Stage,
 )
 

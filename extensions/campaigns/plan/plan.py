@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.extensions.bridges.base import Halves, load_bridge
+from dds_trace.extensions.gates.thresholds import Threshold
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.base import Meeting
 from dds_trace.recorder.backends.qos import warn_of_depth
@@ -189,16 +190,6 @@ class Network:
         limits.FLAG,
         "whether each side runs in its own network namespace, joined by a veth pair; implied by `[link]`",
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Conditions such as `< 20 ms` on a metric of the results that fit a pattern, all if it is empty."""
-
-    metric: str
-    conditions: tuple[str, ...]
-    result: str = ""
-    accepted: str = ""
 
 
 @dataclass(frozen=True, slots=True)

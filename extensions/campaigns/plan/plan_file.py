@@ -15,6 +15,7 @@ from dds_trace.base.files import expand_home, read_settings
 from dds_trace.base.printable import printable
 from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import parse_size
+from dds_trace.extensions.gates.thresholds import read_thresholds
 from dds_trace.recorder.choices import Security
 from dds_trace.recorder.options import DEFAULT_MESSAGES
 from dds_trace.recorder.payloads import check_data
@@ -22,7 +23,7 @@ from dds_trace.recorder.payloads import check_data
 from .cells import AXES, DEFAULTS, Cell, OutageBy
 from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, fan_out_faults, flow_cells, sender_cells
 from .link import PRESETS, Link, read_drive
-from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search, Threshold
+from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 
 if TYPE_CHECKING:
@@ -135,21 +136,6 @@ def _flows(root: TomlTable, combined: Collection[AxisValues]) -> list[Flow]:
         if is_at_fault:
             raise OptionError(f"{root.where}: {sentence}")
     return flows
-
-
-def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
-    """Yield the conditions of a table for all results, then of its tables, which have the name of a result."""
-    for metric, value in table.values.items():
-        if not isinstance(value, dict):
-            listed = value if isinstance(value, list) else [value]
-            for text in listed:
-                limits.check(limits.CONDITION, text, f"{table.where}: {limits.shown(metric)} =")
-            yield Threshold(metric, tuple(map(str, listed)), result)
-    for name, value in table.values.items():
-        if isinstance(value, dict):
-            if result:
-                raise OptionError(f"{table.where}: {limits.shown(name)} is a table within that of a result")
-            yield from read_thresholds(table.table(name), name)
 
 
 def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by_hand: bool) -> str | None:

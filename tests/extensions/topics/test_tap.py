@@ -6,9 +6,10 @@ from rosbags.typesys import Stores, get_typestore
 from trace_files import ping_session
 
 from dds_trace.extensions.bags.analyze import analyze_topics
-from dds_trace.extensions.topics.tap import MOST_ANNOUNCED, TAP, Tap, chosen_qos, definition_of, reader_of, summarize
+from dds_trace.extensions.topics.tap import MOST_ANNOUNCED, TAP, Tap, definition_of, reader_of, summarize
 from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.choices import Durability, Reliability
+from dds_trace.recorder.options import chosen_qos
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
 from dds_trace.tracefile.writing.destination import TraceDestination

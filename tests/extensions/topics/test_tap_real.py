@@ -13,12 +13,11 @@ from middlewares import needs
 from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S, read_past, wait_until
 
-from dds_trace.extensions.topics.tap import chosen_qos
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.errors import NothingHeardError
-from dds_trace.recorder.options import RecordOptions, TapOptions
+from dds_trace.recorder.options import RecordOptions, TapOptions, chosen_qos
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.recording import record
 from dds_trace.tracefile.format.descriptions import Qos

@@ -7,8 +7,9 @@ from trace_files import run
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.wire.capture import WireRecord, WireResult, open_wire
 from dds_trace.extensions.wire.counts import WireCounts
-from dds_trace.extensions.wire.format import MESSAGE_ROW, WIRE_TOPIC, rows_of_text
+from dds_trace.extensions.wire.format import MESSAGE_ROW, rows_of_text
 from dds_trace.recorder.choices import Discovery
+from dds_trace.tracefile.format.events import WIRE_TOPIC
 
 SESSION_ID = 0xABC
 

@@ -30,13 +30,13 @@ from trace_files import (
 )
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.extensions.wire.format import WIRE_TOPIC
 from dds_trace.tracefile.format.events import (
     EVENT_DTYPE,
     HOST_TOPIC,
     MOST_STAMP_NS,
     TAP_DEFINITION,
     TAP_SCHEMA_NAME,
+    WIRE_TOPIC,
     EventColumns,
     Stage,
 )

@@ -9,8 +9,7 @@ from trace_files import Message, event, relay_events, relay_session, write_trace
 
 from dds_trace.base.errors import OutputError, TraceFormatError
 from dds_trace.extensions.campaigns.run.split import CellPart, split_relay_trace
-from dds_trace.extensions.wire.format import WIRE_TOPIC
-from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
+from dds_trace.tracefile.format.events import HOST_TOPIC, WIRE_TOPIC, Stage
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink

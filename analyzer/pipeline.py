@@ -24,8 +24,9 @@ from .findings.runs import forged_groups
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
-from .loading.campaign import Campaign, Paths, Place, Progress
+from .loading.campaign import Campaign, Progress
 from .loading.event_index import total_copies
+from .loading.place import Paths, Place
 from .loading.traces import TraceSpool
 from .model.detail_frames import Topics
 from .pairing.exchanges import find_exchanges
@@ -41,11 +42,6 @@ Step = Callable[[str, float], None]
 
 PAIRING, JUDGING, WRITING = STEPS = ("pairing", "judging", "writing")
 """What follows the reading of the traces; a caller that writes reports calls the last."""
-
-
-def default_output(path: Paths) -> Path:
-    """Return the default folder for the results of `path`."""
-    return Place.of(path).default_output
 
 
 def analyze(

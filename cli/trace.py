@@ -28,7 +28,7 @@ _COMMANDS = {
     "record tap": "record.command:tap",
     "record beacon": "record.command:beacon",
     "analyze": "analyze:app",
-    "choose": "analyze:choose",
+    "choose": "choose:app",
     "recover": "recover:app",
     "doctor": "doctor:app",
 }

@@ -27,7 +27,6 @@ from .option import (
     parse_rates,
     parse_topics,
 )
-from .payloads import check_data
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json
@@ -170,6 +169,8 @@ class PingOptions:
 
     def check(self) -> None:
         check_fields(self)
+        from .payloads import check_data  # noqa: PLC0415 - help needs no payload
+
         check_data(self.data)
         for name, pairs in (("-o label", self.labels), ("-o setting", self.settings)):
             for key, value in pairs.items():

@@ -61,7 +61,10 @@ setup(
         (f"share/{PACKAGE}/launch", ["launch/ping_relay.launch.py"]),
     ],
     entry_points={
-        "console_scripts": [f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "record", "trace")]
+        "console_scripts": [
+            f"{name} = {PACKAGE}.cli.{module}:main"
+            for name, module in (("analyze", "dds_analyze"), ("record", "dds_record"), ("trace", "trace"))
+        ]
     },
     install_requires=[],  # an old setuptools would refuse to start a command for want of one; see requirements.txt
     zip_safe=False,

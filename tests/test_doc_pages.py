@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.base.errors import TraceError
-from dds_trace.extensions.bags import printing as topics
+from dds_trace.extensions.bags import command as topics
 from dds_trace.extensions.campaigns import sweep
 from dds_trace.extensions.campaigns.commands import common as sweep_command
 from dds_trace.extensions.gates.gate import GateOutcome

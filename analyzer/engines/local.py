@@ -13,8 +13,9 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.threads import in_turn
 
 from ..groups.batch import Batch
-from ..loading.campaign import Campaign, Place, Progress, load_campaign
+from ..loading.campaign import Campaign, Progress, load_campaign
 from ..loading.event_index import EventIndex
+from ..loading.place import Place
 from ..loading.traces import LoadedTrace, TraceSpool, load, load_some
 from .batches import BatchOutput, is_large, keep_freed_memory, process, process_elsewhere
 

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import MissingEventsError, OptionError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
 from dds_trace.base.files import real_path
 from dds_trace.base.units import counted
@@ -17,71 +17,12 @@ from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
 from ..model.finding import Source
 from .event_index import Copies, EventIndex, index_events
-from .traces import is_remote
+from .place import Place, is_remote
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
     from .traces import LoadAll, LoadedTrace
-
-PathText: TypeAlias = str | os.PathLike[str]
-Paths: TypeAlias = PathText | Sequence[PathText]
-
-
-OUTPUT_FOLDER = "analysis"
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """`parts` are at or below `folder`, to which names of traces are relative."""
-
-    folder: Path
-    parts: tuple[Path, ...]
-
-    @classmethod
-    def of(cls, paths: Paths) -> Place:
-        """Return the place of one path, or of several on this machine.
-
-        Raises:
-            OptionError: there is no path, or one of several is in object storage.
-        """
-        arguments = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-        parts = tuple(dict.fromkeys(Path(path) for path in arguments))
-        if not parts:
-            raise OptionError("no path; give the folder with the traces")
-        if len(parts) == 1:
-            return cls(parts[0], parts)
-        if any(map(is_remote, parts)):
-            raise OptionError("only one path in object storage can be read; give the folder that contains all of them")
-        if any(part.is_absolute() for part in parts):
-            parts = tuple(part.absolute() for part in parts)
-        return cls(Path(os.path.commonpath(parts)), parts)
-
-    @property
-    def default_output(self) -> Path:
-        """`analysis/` in the folder, next to a trace, or in the working directory for a remote path.
-
-        Raises:
-            OptionError: several paths have only the root of the file system in common.
-        """
-        if self._is_scattered:
-            raise OptionError(
-                f"the {len(self.parts)} paths have no folder in common; give a folder for the results with --out"
-            )
-        if is_remote(self.folder):
-            return Path(OUTPUT_FOLDER)
-        is_trace = self.folder.is_file() or (self.folder / "metadata.yaml").is_file()
-        return (self.folder.parent if is_trace else self.folder) / OUTPUT_FOLDER
-
-    @property
-    def own_folders(self) -> set[Path]:
-        default_outputs = {Place.of(part).default_output for part in self.parts}
-        return default_outputs if self._is_scattered else default_outputs | {self.default_output}
-
-    @property
-    def _is_scattered(self) -> bool:
-        return len(self.parts) > 1 and os.fspath(self.folder) == self.folder.anchor
-
 
 Progress = Callable[[int, int, Path], None]
 """Called before each trace is read with the number done, the number of all, and its path."""

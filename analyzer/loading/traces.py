@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
@@ -18,16 +16,10 @@ from dds_trace.tracefile.reading.reader import read_trace_in_pieces
 from dds_trace.tracefile.reading.trace import Trace
 
 from .event_index import EventKey, EventPart, split_trace
+from .place import is_remote
 from .spool import SpooledEvents, SpooledPiece, TemporaryFolder, write_events
 
 Stamp = tuple[object, ...]
-
-REMOTE = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
-"""Start of a path in object storage, as `pathlib` writes it."""
-
-
-def is_remote(path: Path) -> bool:
-    return REMOTE.match(os.fspath(path)) is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

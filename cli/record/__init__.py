@@ -1,5 +1,1 @@
-"""`dds-record`: its words, values and commands."""
-
-from .command import main
-
-__all__ = ["main"]
+"""Recordings at the terminal."""

@@ -1,5 +1,5 @@
 """`python -m dds_trace.cli.record`."""
 
-from .command import main
+from dds_trace.cli.dds_record import main
 
 main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
 
-from ..program import Version, ask_about_folder, command, make_app, run_command
+from ..program import Version, ask_about_folder, command, make_app
 from ..table_options import (
     SettingsOption,
     default_discovery,
@@ -154,17 +153,3 @@ def words_of_role(words: Sequence[str]) -> list[str]:
         if (row := rows.get(word.partition("=")[0])) is not None:
             say(f"{row.name} is a setting now: -o {key_of(row)}={row.metavar or flag_of(row)}")
     return settings_as_options(words, role)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    from ..trace import main as dds_trace
-    from ..trace import run_alias
-
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["status"]:
-        dds_trace(["record", *words])
-    run_command(lambda: run_alias("dds-record", app, ["record", *settings_as_options(words)]), needs_stdout=False)
-
-
-if __name__ == "__main__":
-    main()

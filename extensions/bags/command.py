@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, EXPORTERS, write_file, write_text_file
 from dds_trace.base import limits
-from dds_trace.cli.analyze import Opens, expand_paths, kinds_of, show_page
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units import joined
+from dds_trace.cli.outputs import Opens, expand_paths, kinds_of, show_page
 from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from dds_trace.extensions.gates.gate import Gate
+
+    from .analyze import StampCorrector
+
 _REPORTS = ("html", "md", "json", "terminal")
+HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
+_FILES = ("html", "md", "json")
+_EXPORTS = (*EXPORTERS, "perfetto")
 
 app = make_app()
 
@@ -52,12 +65,7 @@ def bag_command(
 
         dds-trace bag drive/ --report html --fail-if 'missing(/camera) > 1%'
     """
-    from dds_trace.analyzer.pipeline import analyze, default_output
-    from dds_trace.extensions.gates.gate import parse_topic_gate
-    from dds_trace.extensions.gates.limits_file import read_limits
-    from dds_trace.extensions.topics.device_clocks import ClockRequest, StampClock
-
-    from .printing import report_topics
+    from dds_trace.analyzer.loading.place import default_output
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     recordings = expand_paths(paths)
@@ -65,11 +73,19 @@ def bag_command(
     ask_about_folder(folder, "for all files")
     for path, flag in ((limits_file, "--limits"), (write_limits, "--write-limits")):
         limits.check(limits.PATH, None if path is None else str(path), flag)
-    gates = [parse_topic_gate(text) for text in fail_if or []]  # before anything is read
-    gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
-    request = None if clock is None else ClockRequest.parse(clock)
+    gates: list[Gate] = []
+    if fail_if or limits_file is not None:  # before anything is read
+        from dds_trace.extensions.gates.gate import parse_topic_gate
+        from dds_trace.extensions.gates.limits_file import read_limits
+
+        gates = [parse_topic_gate(text) for text in fail_if or []]
+        gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
     stamp_clock = None
-    if request is not None:
+    if clock is not None:
+        from dds_trace.analyzer.pipeline import analyze
+        from dds_trace.extensions.topics.device_clocks import ClockRequest, StampClock
+
+        request = ClockRequest.parse(clock)
         measured = analyze(request.folder, details=False)
         stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows).corrections
     kinds = [*(report or []), *(["html"] if open_it else [])]
@@ -78,3 +94,60 @@ def bag_command(
         print(f"Wrote {path}")
     show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
     raise typer.Exit(code)
+
+
+def report_topics(
+    paths: Sequence[Path],
+    folder: Path,
+    kinds: Sequence[str],
+    exports: Sequence[str],
+    gates: Sequence[Gate],
+    clock: StampCorrector | None = None,
+    limits_out: Path | None = None,
+) -> tuple[int, list[Path]]:
+    from dds_trace.base.streams import say
+    from dds_trace.reports.reporters import load_reporter
+    from dds_trace.reports.terminal import print_report
+
+    from .analyze import analyze_topics
+    from .card import DAMAGED, HOLES
+    from .report import BagReport
+
+    if others := sorted({*exports} - {*_EXPORTS}):
+        raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
+    report = analyze_topics(paths, skip=[folder], clock=clock)
+    judged = []
+    if gates:
+        from .limits import judge_topics
+
+        judged = list(judge_topics(report.topics, report.holes, gates))
+    contents = BagReport(report, judged)
+    print_report(contents)
+    for source in report.sources:
+        if source.status == "skipped":
+            say(f"{source.path}: skipped: {source.detail}")
+    written = [
+        write_text_file(folder / f"{contents.name}.{kind}", load_reporter(kind).render(contents))
+        for kind in dict.fromkeys(kinds)
+        if kind in _FILES
+    ]
+    for kind in exports:
+        if kind == "perfetto":
+            from dds_trace.extensions.exports.perfetto import write_slices
+
+            from .slices import topic_slices
+
+            written.append(write_file(folder / "topics.pftrace", partial(write_slices, topic_slices(report))))
+        else:
+            written.append(write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())))
+    if limits_out is not None:
+        from dds_trace.extensions.gates.limits_file import topic_limits_text, write_limits
+
+        write_limits(topic_limits_text(report.topics), limits_out)
+    if report.verdict == DAMAGED:
+        return DAMAGED_EXIT_CODE, written
+    if gates:  # they say which holes are too many
+        from dds_trace.extensions.gates.gates import overall_outcome
+
+        return overall_outcome(gated.result.outcome for gated in judged).exit_code, written
+    return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
 from dds_trace.base.printable import printable
-from dds_trace.base.units import clock_words, counted, format_duration, format_rate, format_size
-from dds_trace.extensions.gates.report import gate_blocks
-from dds_trace.extensions.gates.words import Gated
+from dds_trace.base.units import (
+    clock_words,
+    counted,
+    format_duration,
+    format_rate,
+    format_ratio,
+    format_size,
+    utc_words,
+)
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -27,11 +33,12 @@ from dds_trace.reports.blocks import (
     Span,
     Table,
 )
-from dds_trace.reports.book.groups import format_ratio
-from dds_trace.reports.book.overview import utc_words
 
 from .analyze import TopicReport
 from .card import OTHER_CLOCK_NS, RecordingHealth
+
+if TYPE_CHECKING:
+    from .limits import JudgedTopic
 
 TopicRow = Mapping[str, Any]
 
@@ -55,11 +62,6 @@ _EVIDENCE = {
     "tap": "by the tap's counts",
     "period": "",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class JudgedTopic(Gated):
-    recording: str
 
 
 def seconds_words(seconds: float) -> str:
@@ -278,7 +280,7 @@ class BagReport(blocks.Report):
     def sections(self) -> Sequence[Section]:
         recordings = enumerate(self.report.recordings, 1)
         parts = [Section([*self._recording(health)], f"recording-{number}") for number, health in recordings]
-        gates = [*gate_blocks(self.judged, None)] if self.judged else []
+        gates = _gate_blocks(self.judged) if self.judged else []
         limits = Section([Heading("Limits"), *gates] if gates else [], "gates", media=PAGE)
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
         how = Section([Sentence(HOW_TO_READ, "soft")] if parts else [])
@@ -344,3 +346,9 @@ def strip_parts(
             (round(hole["start_s"] * scale, 1), round(max(hole["duration_s"] * scale, _THINNEST), 1), kind, title)
         )
     return drawn
+
+
+def _gate_blocks(judged: Sequence[JudgedTopic]) -> list[Block]:
+    from dds_trace.extensions.gates.report import gate_blocks  # noqa: PLC0415 - only with limits
+
+    return [*gate_blocks(judged, None)]

@@ -1,10 +1,13 @@
 """Bridges between two DDS domains: configure, start, supervise."""
 
-from dds_trace.base.extension import Extension
-
-EXTENSION = Extension(
-    commands={"bridge": "command:app"},
-    choices={"--bridge": "base:BRIDGE_MODULES"},
-    checks={"bridges": "command:installed"},
-    parts={"check_bridge": "running:check_requested_bridge", "open_bridge": "running:open_bridge"},
-)
+BRIDGE_MODULES = {
+    "builtin": "dds_trace.extensions.bridges.builtin",
+    "builtin-zenoh": "dds_trace.extensions.bridges.builtin_zenoh",
+    "zenoh-bridge-dds": "dds_trace.extensions.bridges.zenoh_bridge_dds",
+    "zenoh-bridge-ros2dds": "dds_trace.extensions.bridges.zenoh_bridge_ros2dds",
+    "integration-service": "dds_trace.extensions.bridges.integration_service",
+    "ddsrouter": "dds_trace.extensions.bridges.ddsrouter",
+    "routing-service": "dds_trace.extensions.bridges.routing_service",
+    "domain_bridge": "dds_trace.extensions.bridges.domain_bridge",
+}
+"""Name -> module with its `BRIDGE`, imported at first use."""

@@ -15,17 +15,7 @@ from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import data_types
 from dds_trace.tracefile.format.descriptions import Qos
 
-BRIDGE_MODULES = {
-    "builtin": "dds_trace.extensions.bridges.builtin",
-    "builtin-zenoh": "dds_trace.extensions.bridges.builtin_zenoh",
-    "zenoh-bridge-dds": "dds_trace.extensions.bridges.zenoh_bridge_dds",
-    "zenoh-bridge-ros2dds": "dds_trace.extensions.bridges.zenoh_bridge_ros2dds",
-    "integration-service": "dds_trace.extensions.bridges.integration_service",
-    "ddsrouter": "dds_trace.extensions.bridges.ddsrouter",
-    "routing-service": "dds_trace.extensions.bridges.routing_service",
-    "domain_bridge": "dds_trace.extensions.bridges.domain_bridge",
-}
-"""Name -> module with its `BRIDGE`, imported at first use."""
+from . import BRIDGE_MODULES
 
 LOCAL_LINK = "127.0.0.1:7447"
 """Default address at which two halves on this machine meet."""

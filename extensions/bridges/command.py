@@ -9,11 +9,12 @@ from dds_trace.cli.program import argument, command, make_app, option, starting
 from dds_trace.cli.table_options import default_discovery, given_values, read_record, with_options
 from dds_trace.recorder.choices import Side
 
-from .base import BRIDGE_MODULES, Bridge, BridgeOptions, load_bridge
+from . import BRIDGE_MODULES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from .base import Bridge, BridgeOptions
     from .running import RunningBridge
 
 LOOK_S = 0.2
@@ -132,6 +133,8 @@ def _describe(bridge: RunningBridge) -> str:
 
 def installed() -> Iterator[tuple[str, str, bool, str]]:
     """Yield the checks of `doctor`: each bridge, and its version here or how to install it."""
+    from .base import load_bridge
+
     for bridge in map(load_bridge, BRIDGE_MODULES):
         program = bridge.find()
         detail = bridge.install if program is None else bridge.version(program) or str(program)

@@ -26,7 +26,8 @@ from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.recorder.payloads.base import DataType
 from dds_trace.tracefile.format.json_fields import Json
 
-from .base import BRIDGE_MODULES, BRIDGED_TOPICS, Bridge, BridgedTopic, BridgeOptions, Half, load_bridge, split_halves
+from . import BRIDGE_MODULES
+from .base import BRIDGED_TOPICS, Bridge, BridgedTopic, BridgeOptions, Half, load_bridge, split_halves
 from .programs import program_environment
 from .supervise import SupervisedProgram, describe_end, killing_signal
 

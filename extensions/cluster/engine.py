@@ -16,8 +16,9 @@ from secrets import token_hex
 
 from dds_trace.analyzer.engines.local import Engine
 from dds_trace.analyzer.loading.event_index import EventKey
+from dds_trace.analyzer.loading.place import is_remote
 from dds_trace.analyzer.loading.spool import TemporaryFolder
-from dds_trace.analyzer.loading.traces import LoadedTrace, is_remote, load
+from dds_trace.analyzer.loading.traces import LoadedTrace, load
 from dds_trace.base.errors import BackendUnavailableError, TraceFormatError
 from dds_trace.base.threads import in_turn
 from dds_trace.tracefile.format.events import EventColumns

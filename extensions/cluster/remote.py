@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
-from dds_trace.analyzer.loading.traces import REMOTE
+from dds_trace.analyzer.loading.place import REMOTE
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError, TraceError, TraceFormatError
 from dds_trace.base.printable import printable
 

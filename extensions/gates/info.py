@@ -14,8 +14,8 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Judgement, shown_changes
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import counted
-from dds_trace.reports.book.groups import VENDORS, Cell, VendorLabels, format_ratio, group_labels, groups_of
+from dds_trace.base.units import counted, format_ratio
+from dds_trace.reports.book.groups import VENDORS, Cell, VendorLabels, group_labels, groups_of
 from dds_trace.reports.book.verdicts import received_words
 
 from .compare import FAMILY, Comparison

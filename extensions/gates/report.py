@@ -13,7 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted, format_duration, format_ratio, joined
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -29,7 +29,7 @@ from dds_trace.reports.blocks import (
     Span,
     Table,
 )
-from dds_trace.reports.book.groups import format_ratio, joined, time_words
+from dds_trace.reports.book.groups import time_words
 from dds_trace.reports.book.verdicts import VERDICTS, received_words, runs_words
 
 from . import words

@@ -10,8 +10,17 @@ from typing import Any
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_number, format_rate, three_digits
-from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, format_ratio, joined, time_words
+from dds_trace.base.units import (
+    MISSING,
+    counted,
+    format_duration,
+    format_number,
+    format_rate,
+    format_ratio,
+    joined,
+    three_digits,
+)
+from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, time_words
 from dds_trace.reports.book.verdicts import episodes_words
 
 from .gate import Against, GateOutcome

@@ -16,8 +16,9 @@ from html import escape
 from pathlib import Path
 from typing import TypeAlias
 
+from dds_trace.analyzer.loading.place import default_output
 from dds_trace.analyzer.loading.traces import TraceSpool
-from dds_trace.analyzer.pipeline import analyze, default_output
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import open_regular
 from dds_trace.base.streams import say

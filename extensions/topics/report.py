@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, format_size
 from dds_trace.reports.blocks import (
     MARKDOWN,
     PAGE,
@@ -21,7 +21,7 @@ from dds_trace.reports.blocks import (
     Table,
     Words,
 )
-from dds_trace.reports.book.groups import format_count, format_ratio
+from dds_trace.reports.book.groups import format_count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -12,7 +12,7 @@ from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted, format_duration, format_ratio, joined
 
 from .fastest import Fastest, tail_sentence, winner_sentences
 from .groups import (
@@ -24,11 +24,9 @@ from .groups import (
     domain_label,
     factor_words,
     format_count,
-    format_ratio,
     group_labels,
     in_domain,
     is_of_topics,
-    joined,
     topic_parts,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate
+from dds_trace.base.units import counted, format_rate, joined
 
-from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, joined, size_span, some_of
+from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, size_span, some_of
 from .verdicts import MODES, contender_labels, place_of
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))

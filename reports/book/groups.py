@@ -26,7 +26,7 @@ from dds_trace.base.units import (
     format_number,
     format_rate,
     format_size,
-    three_digits,
+    joined,
 )
 
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
@@ -59,18 +59,6 @@ LOST = "lost"
 
 def time_words(value_ns: float | None) -> str:
     return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
-
-
-def format_ratio(value: float | None) -> str:
-    """Format a share to three digits, from 99 % on to two decimals; only exact values are `100 %` and `0 %`."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    percent = 100.0 * value
-    if 0.0 < percent < 0.01:
-        return "< 0.01 %"
-    if 99.99 < percent < 100.0:
-        return "> 99.99 %"
-    return (three_digits(percent) if percent < 99 else f"{percent:.2f}".rstrip("0").rstrip(".")) + " %"
 
 
 def format_count(value: float | None) -> str:
@@ -329,11 +317,6 @@ _FOLLOWING = (_backend_label, _rmw_label)
 def in_order_of(values: Iterable[str], order: Iterable[str]) -> list[str]:
     rank = {name: index for index, name in enumerate(order)}
     return sorted(set(values), key=lambda value: (rank.get(value, len(rank)), value))
-
-
-def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
-    *first, last = names
-    return f"{comma.join(first)} {word} {last}" if first else last
 
 
 MOST_NAMED = 3

@@ -15,11 +15,11 @@ from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted, format_duration, joined
 from dds_trace.tracefile.format.json_fields import object_of
 
 from .fastest import PERCENTILES
-from .groups import Groups, VendorLabels, factor_words, joined, some_of, way_words
+from .groups import Groups, VendorLabels, factor_words, some_of, way_words
 from .numbers import Values
 from .verdicts import link_label, setup_labels
 

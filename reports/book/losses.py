@@ -9,7 +9,7 @@ from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_rate, format_size
+from dds_trace.base.units import format_rate, format_ratio, format_size, joined
 
 from .groups import (
     MOST_NAMED,
@@ -19,10 +19,8 @@ from .groups import (
     data_type_label,
     domain_label,
     format_count,
-    format_ratio,
     group_labels,
     in_domain,
-    joined,
     size_span,
     some_of,
 )

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import timedelta
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate, format_size
+from dds_trace.base.units import counted, format_rate, format_size, utc_of
 
 from .groups import (
     VENDORS,
@@ -123,25 +123,13 @@ def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
     if not instants:
         return ""
     instants += [run.session.wall_ns(run.last_ns) for run in times if run.session is not None]
-    start, end = _utc(min(instants)), _utc(max(instants))
+    start, end = utc_of(min(instants)), utc_of(max(instants))
     if start is None or end is None:
         return ""
     if end.date() == start.date():
         span = "" if end - start < timedelta(minutes=1) else f" to {end:%H:%M}"
         return f"{start:%Y-%m-%d %H:%M}{span} UTC"
     return f"{start:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC"
-
-
-def _utc(wall_ns: int) -> datetime | None:
-    try:
-        return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
-    except (OverflowError, OSError, ValueError):
-        return None
-
-
-def utc_words(wall_ns: int) -> str:
-    at = _utc(wall_ns)
-    return "" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _traces(analysis: Analysis) -> str:

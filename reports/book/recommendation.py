@@ -17,10 +17,10 @@ from dds_trace.analyzer.verdicts.cases import Setting
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, spell_duration, spell_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_ratio, joined, spell_duration, spell_size
 
 from ..blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
-from .groups import LOST, METRIC_LABELS, Cell, VendorLabels, format_ratio, joined, setting_labels, time_words
+from .groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, time_words
 from .verdicts import few_words, place_label
 
 if TYPE_CHECKING:

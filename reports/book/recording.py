@@ -18,22 +18,12 @@ from dds_trace.analyzer.model.applied import (
     udp_receive_buffer_bytes,
 )
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted, format_duration, format_ratio
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
-from .groups import (
-    VENDORS,
-    Groups,
-    VendorLabels,
-    format_added_ns,
-    format_count,
-    format_ratio,
-    in_order_of,
-    qos_label,
-    vendor_labels,
-)
+from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
 

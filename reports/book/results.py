@@ -7,20 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, format_size
 
 from ..blocks import EVERYWHERE, MARKDOWN, TERMINAL, Block, Column, Heading, Medium, Row, Sentence, Table
 from .contents import Contents
-from .groups import (
-    METRIC_LABELS,
-    STATISTIC_LABELS,
-    Group,
-    data_type_label,
-    drift_words,
-    format_added_ns,
-    format_count,
-    format_ratio,
-)
+from .groups import METRIC_LABELS, STATISTIC_LABELS, Group, data_type_label, drift_words, format_added_ns, format_count
 
 if TYPE_CHECKING:
     from .numbers import Cost

@@ -16,11 +16,11 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_rate, format_size
+from dds_trace.base.units import counted, format_duration, format_rate, format_ratio, format_size
 
 from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
-from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, format_ratio, time_words
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, time_words
 from .numbers import Intervals
 from .verdicts import MODES, contender_labels, place_of
 

@@ -16,9 +16,9 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
 from dds_trace.base.link_words import link_words
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, format_ratio
 
-from .groups import VendorLabels, data_type_label, data_type_rank, format_ratio, setting_word, way_words
+from .groups import VendorLabels, data_type_label, data_type_rank, setting_word, way_words
 
 Key = TypeVar("Key", bound=Hashable)
 

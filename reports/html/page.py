@@ -21,7 +21,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.judgements import LOST_MUCH
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
-from dds_trace.base.units import DECIMAL_BYTES, MISSING, SHOWN_NS, format_rate, format_size
+from dds_trace.base.units import DECIMAL_BYTES, MISSING, SHOWN_NS, format_rate, format_size, utc_words
 from dds_trace.base.version import __version__
 
 from ..blocks import PAGE, Block, Facts, Heading, Points, Report, Sentence, plain_text, visible
@@ -37,7 +37,6 @@ from ..book.groups import (
     group_labels,
     topic_parts,
 )
-from ..book.overview import utc_words
 from ..book.recommendation import advice_blocks
 from ..book.recording import file_table, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block

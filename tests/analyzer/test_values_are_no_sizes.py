@@ -72,7 +72,7 @@ def test_the_memory_of_a_command_is_bounded_by_the_bytes_that_it_reads(tmp_path,
 _MEASURED = """
 import re, sys
 from pathlib import Path
-from dds_trace.cli.analyze import main
+from dds_trace.cli.dds_analyze import main
 try:
     main(sys.argv[1:])
 except SystemExit as end:

@@ -1,11 +1,11 @@
-"""The door of `extensions/`: a building is a package and its name in a list."""
+"""The door of `extensions/`: an extension is a package and a row."""
 
 import sys
 from types import ModuleType
 
 import pytest
 
-from dds_trace.base import extension
+from dds_trace import extensions
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import Extension, load, offers
 from dds_trace.cli import trace
@@ -23,14 +23,14 @@ def toy_command() -> None:
 @pytest.fixture
 def toy(monkeypatch):
     """An extension `toy` whose home `command` is this module."""
-    package, home = ModuleType("dds_trace.extensions.toy"), ModuleType("dds_trace.extensions.toy.command")
-    package.EXTENSION, home.app = Extension(commands={"toy": "command:app"}), app
-    monkeypatch.setitem(sys.modules, package.__name__, package)
-    monkeypatch.setattr(extension, "EXTENSIONS", (*extension.EXTENSIONS, "toy"))
+    home = ModuleType("dds_trace.extensions.toy.command")
+    home.app = app
+    row = Extension(name="toy", commands={"toy": "command:app"})
+    monkeypatch.setattr(extensions, "EXTENSIONS", (*extensions.EXTENSIONS, row))
     return home
 
 
-def test_a_package_and_its_name_are_all_that_an_extension_takes(toy, monkeypatch, capsys):
+def test_a_row_is_all_that_an_extension_takes(toy, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, toy.__name__, toy)
     with pytest.raises(SystemExit, match="0"):
         trace.main(["toy"])

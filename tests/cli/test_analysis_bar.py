@@ -4,7 +4,7 @@ from trace_files import TWELVE, write_pair
 
 from dds_trace import analyze
 from dds_trace.analyzer.pipeline import STEPS
-from dds_trace.cli.analyze import SHARES, AnalysisBar
+from dds_trace.cli.analysis import SHARES, AnalysisBar
 
 
 def test_every_step_after_reading_moves_the_bar_on(tmp_path):

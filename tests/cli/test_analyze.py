@@ -8,7 +8,7 @@ from commands import run_trace
 from mcap.writer import Writer
 from trace_files import TWELVE, run, write_pair
 
-from dds_trace.cli.analyze import DESKTOP_VARIABLES
+from dds_trace.cli.outputs import DESKTOP_VARIABLES
 
 
 def test_a_folder_gives_a_table_and_two_files(runs, capsys):

@@ -29,8 +29,8 @@ NOT_FOR_A_TABLE = {
 NOT_FOR_A_PING = {*HEAVY} - {"numpy", "rich", "mcap", "cramjam", "zstandard", "isal", "psutil", "asyncio", "ssl"}
 MODULES = {
     "dds-trace": "dds_trace.cli.trace",
-    "dds-record": "dds_trace.cli.record",
-    "dds-analyze": "dds_trace.cli.analyze",
+    "dds-record": "dds_trace.cli.dds_record",
+    "dds-analyze": "dds_trace.cli.dds_analyze",
 }
 COMMANDS = [*MODULES, *(f"dds-trace {name}" for name in ("record", "explain", *trace.commands()))]
 CALL = """
@@ -283,7 +283,7 @@ def test_python_m_is_the_one_program_and_a_usage_error_loads_no_heavy_library():
 
 
 def test_a_table_of_a_small_folder_loads_neither_figures_nor_middleware_nor_cluster(tmp_path):
-    shown, code, loaded = called("dds_trace.cli.analyze", SAMPLES / "losses", "--out", tmp_path)
+    shown, code, loaded = called("dds_trace.cli.dds_analyze", SAMPLES / "losses", "--out", tmp_path)
     assert code == 0
     assert f"Wrote {tmp_path / 'summary.parquet'}" in shown
     assert "polars" in loaded
@@ -292,7 +292,7 @@ def test_a_table_of_a_small_folder_loads_neither_figures_nor_middleware_nor_clus
 
 def test_a_ping_over_sockets_loads_nothing_of_the_analyzer_nor_of_another_middleware(tmp_path):
     ping = ["--role", "ping", "--backend", "socket", "--discovery", "localhost", "--wait", "0.1"]
-    _, code, loaded = called("dds_trace.cli.record", *ping, "--out", tmp_path / "ping.mcap")
+    _, code, loaded = called("dds_trace.cli.dds_record", *ping, "--out", tmp_path / "ping.mcap")
     assert code != 0  # no relay answers
     assert "numpy" in loaded
     assert loaded & NOT_FOR_A_PING == set()
@@ -301,7 +301,7 @@ def test_a_ping_over_sockets_loads_nothing_of_the_analyzer_nor_of_another_middle
 @pytest.mark.parametrize("columns", [60, 80, 200])
 def test_help_keeps_lines_narrow(columns, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
-    shown, _, _ = called("dds_trace.cli.record", "--help")
+    shown, _, _ = called("dds_trace.cli.dds_record", "--help")
     assert max(map(len, shown)) <= min(columns, 120)
     assert "\x1b" not in "".join(shown)  # a pipe gets plain text
 
@@ -311,7 +311,7 @@ def test_a_process_that_ends_leaves_no_object_to_its_collector():
     script = (
         "import atexit, gc, sys\n"
         "atexit.register(lambda: print(gc.get_freeze_count() > 1_000, len(gc.get_objects()) < 100, gc.get_threshold()[0] >= 10_000))\n"  # the last to be called
-        "from dds_trace.cli.analyze import main\n"
+        "from dds_trace.cli.dds_analyze import main\n"
         "main(['--version'])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

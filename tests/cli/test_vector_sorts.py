@@ -25,7 +25,7 @@ import sys
 from pathlib import Path
 from dds_trace.cli import vector_sorts
 vector_sorts.avoid_slow_sorts.__defaults__ = (Path(sys.argv[1]),)
-from dds_trace.cli.analyze import main
+from dds_trace.cli.dds_analyze import main
 try:
     main(["--version"])
 except SystemExit:

@@ -69,7 +69,7 @@ import signal
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under `nohup`
 from dds_trace.recorder.roles import ping
 ping.DRAIN_NS = ping.LONGEST_DRAIN_NS = 10**12
-from dds_trace.cli.record.command import main
+from dds_trace.cli.dds_record import main
 main()
 """
 

@@ -8,7 +8,7 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 from campaigns import write_runs
 from page_reader import unpacked
 
-from dds_trace.cli.analyze import main
+from dds_trace.cli.dds_analyze import main
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Facet, FigureMaker, spread_plan

@@ -21,9 +21,10 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.units import format_ratio
 from dds_trace.reports import document, terminal
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, format_ratio, markdown
+from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, markdown
 from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.book.screen import MOST_LINES
 from dds_trace.reports.book.sizes import Threshold

@@ -2,11 +2,11 @@
 
 import pytest
 
-from dds_trace.cli import analyze, trace
+from dds_trace.cli import dds_analyze, trace
 
 
 def run_main(*arguments):
-    return _code(analyze.main, arguments)
+    return _code(dds_analyze.main, arguments)
 
 
 def run_trace(*words):

@@ -31,9 +31,9 @@ from pathlib import Path
 from typing import NoReturn
 
 MODULES = {
-    "dds-record": "dds_trace.cli.record",
+    "dds-record": "dds_trace.cli.dds_record",
     "dds-trace": "dds_trace.cli.trace",
-    "dds-analyze": "dds_trace.cli.analyze",
+    "dds-analyze": "dds_trace.cli.dds_analyze",
 }
 """Commands that can be started."""
 KINDS = {name: "recording" if name == "dds-record" else "reading" for name in MODULES}

@@ -10,15 +10,13 @@ from typing import Any
 
 from .errors import OptionError
 
-EXTENSIONS = ("bags", "wire", "topics", "bridges", "campaigns", "gates", "exports", "live", "service", "cluster")
-"""Packages of `dds_trace.extensions`, in the order in which the main house asks them."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extension:
-    """`EXTENSION` of each package in `EXTENSIONS`; a value is the home of an object, `module:name` below the package, or of a module.
+    """A row of `dds_trace.extensions.EXTENSIONS`; a value is the home of an object, `module:name` below the package, or of a module.
 
     Attributes:
+        name: of its package.
         commands: words of a command -> its typer app.
         choices: an option of a recording -> the names that it takes.
         checks: what `doctor` looks at -> a function that yields part, name, whether it works, and details.
@@ -32,6 +30,7 @@ class Extension:
         parts: what the main house asks for by a name of its own.
     """
 
+    name: str
     commands: Mapping[str, str] = field(default_factory=dict)
     choices: Mapping[str, str] = field(default_factory=dict)
     checks: Mapping[str, str] = field(default_factory=dict)
@@ -48,10 +47,9 @@ class Extension:
 def offers(kind: str) -> dict[str, Callable[[], Any]]:
     """Return what all extensions offer in the field `kind`: name -> a call that imports and returns the object."""
     homes: dict[str, Callable[[], Any]] = {}
-    for extension in EXTENSIONS:
-        package = f"{__package__.rpartition('.')[0]}.extensions.{extension}"
-        for name, home in getattr(import_module(package).EXTENSION, kind).items():
-            homes[name] = partial(_load, f"{package}.{home.partition(':')[0]}", home.partition(":")[2])
+    for extension in import_module("dds_trace.extensions").EXTENSIONS:
+        for name, home in getattr(extension, kind).items():
+            homes[name] = partial(_load, f"dds_trace.extensions.{extension.name}.{home}")
     return homes
 
 
@@ -67,5 +65,7 @@ def load(kind: str, name: str) -> Any:
     return offered[name]()
 
 
-def _load(module: str, name: str) -> Any:
+def _load(home: str) -> Any:
+    module, _, name = home.partition(":")
+    module = module.rstrip(".")  # of the package itself
     return getattr(import_module(module), name) if name else import_module(module)

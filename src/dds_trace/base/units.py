@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from datetime import datetime, timezone
 
 from .errors import OptionError
 from .limits import shown
@@ -153,3 +154,32 @@ def clock_words(seconds: float) -> str:
     minutes, seconds_part = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{seconds_part:02}" if hours else f"{minutes:02}:{seconds_part:02}"
+
+
+def format_ratio(value: float | None) -> str:
+    """Format a share to three digits, from 99 % on to two decimals; only exact values are `100 %` and `0 %`."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    percent = 100.0 * value
+    if 0.0 < percent < 0.01:
+        return "< 0.01 %"
+    if 99.99 < percent < 100.0:
+        return "> 99.99 %"
+    return (three_digits(percent) if percent < 99 else f"{percent:.2f}".rstrip("0").rstrip(".")) + " %"
+
+
+def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
+    *first, last = names
+    return f"{comma.join(first)} {word} {last}" if first else last
+
+
+def utc_of(wall_ns: int) -> datetime | None:
+    try:
+        return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
+    except (OverflowError, OSError, ValueError):
+        return None
+
+
+def utc_words(wall_ns: int) -> str:
+    at = utc_of(wall_ns)
+    return "" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"

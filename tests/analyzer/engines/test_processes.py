@@ -34,7 +34,7 @@ class Sleeping(ProcessPoolExecutor):
 processes.ProcessPoolExecutor = Sleeping
 local.FILES_FOR_PROCESSES = dds_trace.analyzer.engines.batches.BATCH_EVENTS = 1
 local.is_large = lambda batch: False
-from dds_trace.cli.analyze import main
+from dds_trace.cli.dds_analyze import main
 sys.argv = ["dds-analyze", *sys.argv[1:]]
 main()
 """

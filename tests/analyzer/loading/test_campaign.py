@@ -28,7 +28,8 @@ from dds_trace.analyzer.loading.event_index import (
     split_trace,
     total_copies,
 )
-from dds_trace.analyzer.pipeline import analyze, default_output
+from dds_trace.analyzer.loading.place import default_output
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 from dds_trace.tracefile.reading.reader import read_trace

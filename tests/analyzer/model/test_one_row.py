@@ -44,7 +44,7 @@ def analyze_with(tmp_path, file, rows, runs):
         (tmp_path / "traces" / str(number)).mkdir()
         write_pair(tmp_path / "traces" / str(number), messages, runs=[of_run])
     out = tmp_path / "out"
-    command = "from dds_trace.cli.analyze import main; main()"
+    command = "from dds_trace.cli.dds_analyze import main; main()"
     reports = [option for kind in ("html", "md", "json") for option in ("--report", kind)]
     ran = subprocess.run(
         [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), *reports],

@@ -15,7 +15,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputEr
 from dds_trace.cli import doctor, recover
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import describe_progress, print_result
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE_S
 
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.bridges.command import installed
 
 BRIDGE = [sys.executable, "-m", "dds_trace", "bridge"]

@@ -13,8 +13,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.bridges.base import (
-    BRIDGE_MODULES,
     BRIDGED_TOPICS,
     BridgedTopic,
     BridgeOptions,

@@ -7,8 +7,7 @@ from processes import relay, run
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.extensions.bridges import command
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES, command
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -16,9 +15,9 @@ SUPPORT = Path(__file__).parents[2] / "support"
 WITH_TOY = f"""
 import sys
 sys.path.insert(0, {str(SUPPORT)!r})
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 BRIDGE_MODULES["toy"] = "toy_bridge"
-from dds_trace.cli.record import main
+from dds_trace.cli.dds_record import main
 main()
 """
 """`dds-record` with one more row; the row is all that it has more."""

@@ -13,7 +13,8 @@ from stand_in_bridge import StandInBridge
 from waiting import wait_until
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES, BridgeOptions, Halves
+from dds_trace.extensions.bridges import BRIDGE_MODULES
+from dds_trace.extensions.bridges.base import BridgeOptions, Halves
 from dds_trace.extensions.bridges.guard import LOG_LIMIT_BYTES
 from dds_trace.extensions.bridges.running import BridgeState, open_bridge
 from dds_trace.recorder.errors import BridgeError
@@ -167,7 +168,7 @@ RECORDER = """
 import sys
 sys.path[:0] = {path!r}
 import stand_in_bridge
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.bridges.base import BridgeOptions
 from dds_trace.extensions.bridges.running import open_bridge
 from dds_trace.recorder.bridges.process import supervise

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.bags.analyze import analyze_topics
-from dds_trace.extensions.bags.printing import judge_tap
+from dds_trace.extensions.bags.limits import judge_tap
 from dds_trace.extensions.gates.command import app
 from dds_trace.extensions.gates.compare import CompareOptions, compare
 from dds_trace.extensions.gates.gate import Against, GateOutcome, parse_gate

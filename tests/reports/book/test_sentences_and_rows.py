@@ -18,7 +18,7 @@ from dds_trace.analyzer.model.setting import CONDITIONS
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
-from dds_trace.base.units import format_duration, format_number, format_rate, format_size
+from dds_trace.base.units import format_duration, format_number, format_rate, format_ratio, format_size
 from dds_trace.extensions.campaigns.plan.cells import AXES
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
 from dds_trace.extensions.gates.gate import parse_gates
@@ -29,7 +29,7 @@ from dds_trace.extensions.gates.words import change_words, gate_notes
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio
+from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count
 from dds_trace.reports.book.verdicts import conditions_label, setup_labels
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dds_trace.base.errors import OptionError
-from dds_trace.extensions.bridges.base import BRIDGE_MODULES
+from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
 from dds_trace.extensions.campaigns.plan.link import PRESETS
 from dds_trace.extensions.campaigns.plan.plan import Order

@@ -1,0 +1,63 @@
+"""`dds-trace choose runs/`: the measured setups for a message, a rate and a deadline, best first."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from dds_trace.base.streams import say
+from dds_trace.base.units import spell_size
+
+from .analysis import run_analysis
+from .outputs import Opens, Out, Paths, Reports, ShowsAll
+from .program import command, make_app, option
+
+MOST_KINDS = 12
+
+app = make_app()
+
+
+@command(app, "choose", often=("size", "rate", "deadline", "reliability", "data", "report", "out", "open_it"))
+def choose_command(
+    paths: Paths,
+    size: Annotated[str, option("--size SIZE", "Size of a message: 33KB, 4MB.")],
+    rate: Annotated[str, option("--rate HZ", "Messages a second.")],
+    deadline: Annotated[str, option("--deadline TIME", "Time within which a reply has to come, e.g. 50ms.")],
+    reliability: Annotated[
+        str, option("--reliability SHARE", "Share of the messages that have to come in time.", show_default=True)
+    ] = "0.99",
+    data: Annotated[
+        str, option("--data KIND", "Data of the messages: binary, string, imu.", show_default=True)
+    ] = "binary",
+    domain: Annotated[
+        str | None, option("--domain MODE", "same or different: only setups of one domain, or of two. Default: both")
+    ] = None,
+    metric: Annotated[
+        str,
+        option(
+            "--metric NAME",
+            "What the deadline is for: response (planned send to reply), or another.",
+            show_default=True,
+        ),
+    ] = "response",
+    report: Reports = None,
+    shows_all: ShowsAll = False,
+    out: Out = None,
+    open_it: Opens = False,
+) -> None:
+    """Rank the measured setups for a size, a rate and a deadline.
+
+    For example:
+
+        dds-trace choose runs/ --size 502KB --rate 20 --deadline 50ms
+    """
+    from dds_trace.analyzer.verdicts.job import make_job
+
+    job = make_job(
+        size=size, rate=rate, deadline=deadline, reliability=reliability, data=data, domain=domain, metric=metric
+    )
+    analysis = run_analysis(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
+    recommendation = analysis.details.recommendation
+    if recommendation is not None and not recommendation.candidates:
+        kinds = analysis.summary.select("data_type", "payload_bytes", "rate_hz").unique(maintain_order=True)
+        shown = [f"{data} {spell_size(size)} at {rate:g} Hz" for data, size, rate in kinds.head(MOST_KINDS).iter_rows()]
+        say(f"measured: {', '.join(shown)}{' ...' if kinds.height > MOST_KINDS else ''}")

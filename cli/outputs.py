@@ -1,0 +1,78 @@
+"""Options of commands that write reports: where the traces are, what is written, and the page that is shown."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dds_trace.base import limits
+from dds_trace.base.errors import MissingEventsError
+from dds_trace.reports.reporters import REPORT_MODULES
+
+from .program import argument, option, starting
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from typer.models import OptionInfo
+
+
+def expand_paths(texts: Sequence[str]) -> list[Path]:
+    paths: list[Path] = []
+    for text in texts:
+        limits.check(limits.INPUT, text, "PATH")
+        if not glob.has_magic(text) or Path(text).exists() or "://" in text:
+            paths.append(Path(text))
+            continue
+        matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - pathlib's takes no absolute pattern
+        if not matches:
+            raise MissingEventsError(f"{text}: no file or folder matches; give the folder with the traces")
+        paths += map(Path, matches)
+    return paths
+
+
+DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+
+
+def kinds_of(table: Collection[str], name: str, help_: str) -> OptionInfo:
+    def check(kinds: list[str] | None) -> list[str] | None:
+        for kind in kinds or ():
+            if kind not in table:
+                raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, table))}.")
+        return kinds
+
+    return option(name, f"{help_}: {', '.join(table)}; repeatable.", callback=check, autocompletion=starting(table))
+
+
+Paths = Annotated[
+    list[str],
+    argument(
+        "PATH...",
+        "Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
+    ),
+]
+Reports = Annotated[
+    list[str] | None, kinds_of(REPORT_MODULES, "--report KIND", "Report to write in addition to the answer")
+]
+Out = Annotated[
+    Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces")
+]
+ShowsAll = Annotated[bool, option("--all", "Print findings and tables of all results, too, and the answer last.")]
+Opens = Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")]
+
+
+def show_page(pages: list[Path], *, open_it: bool) -> None:
+    import webbrowser
+
+    for page in pages:
+        has_desktop = any(map(os.environ.get, DESKTOP_VARIABLES))
+        if open_it and not (has_desktop and webbrowser.open(page.absolute().as_uri())):
+            print(
+                "no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr
+            )
+        print(page.absolute().as_uri())

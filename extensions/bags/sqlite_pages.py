@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 from bisect import bisect
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from mmap import ACCESS_READ, mmap
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -22,10 +21,11 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 SQLITE_HEADER = struct.Struct(">H2xB7xI")
 """After the magic: page size, bytes reserved in each page, and pages."""
 _CELLS, _PAGE_CELLS = struct.Struct(">H"), struct.Struct(">HH")
-_LEAF_PAGE = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL)
+_LEAF_PAGE, _LEAF_BYTES = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL), 8
 _LOGS = {"wal": (24, 0), "journal": (4, 4)}
 """Bytes in front of and after a page in a log, the first four of them its number."""
-_INTERIOR, _PAGE_KINDS, _USUAL_PAGE_BYTES = 5, {2, 5, 10, 13}, 4096
+_INTERIOR, _LEAF, _PAGE_KINDS, _USUAL_PAGE_BYTES = 5, 13, {2, 5, 10, 13}, 4096
+_FIRST_HEADER_BYTES = 100
 _PAGE_SIZES, _MOST_FIT, _ENOUGH_LEAVES = [1 << bits for bits in range(9, 17)], 0.6, 500
 _MOST_RESERVED = 32
 """Bytes of a page that an extension of SQLite reserves."""
@@ -33,50 +33,152 @@ _MOST_RESERVED = 32
 _MOST_MOVES, _MOST_LOST_PAGES, _SEARCHED_BYTES = 16, 1000, 1 << 20
 
 
-def rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
+class Image:
+    """Bytes of a file, or of a database with the pages that a log has of it: read when a slice of them is asked for."""
+
+    def __init__(self, file: BinaryIO, log_kind: str = "") -> None:
+        self._file, self.log_kind, self._size = file, log_kind, os.fstat(file.fileno()).st_size
+        self._under, self._page_bytes, self._offsets = self, 0, dict[int, int]()
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        at, stop, _ = part.indices(self._size)
+        if self._under is self:
+            return os.pread(self._file.fileno(), max(stop - at, 0), at)
+        parts = []
+        while at < stop:
+            index, skipped = divmod(at, self._page_bytes)
+            end = min(stop, (index + 1) * self._page_bytes)
+            logged_at = self._offsets.get(index + 1)
+            data = (
+                self._under[at:end]
+                if logged_at is None
+                else os.pread(self._file.fileno(), end - at, logged_at + skipped)
+            )
+            parts.append(data.ljust(end - at, b"\0"))
+            at = end
+        return b"".join(parts)
+
+    def with_pages(self, log: Image, page_bytes: int, pages: int, offsets: dict[int, int]) -> Image:
+        """Return these bytes with pages of a log in their places, `pages` long, but no longer than both have bytes for."""
+        joined = Image(log._file)
+        joined._under, joined._page_bytes, joined._offsets = self, page_bytes, offsets
+        most = len(self) // page_bytes + len(offsets) + _MOST_LOST_PAGES
+        joined._size = min(pages, most) * page_bytes
+        return joined
+
+    def leaf_pages(self) -> Iterator[int]:
+        """Yield the offsets of what begins as a leaf page."""
+        for start in range(0, self._size, _SEARCHED_BYTES):
+            for match in _LEAF_PAGE.finditer(self[start : start + _SEARCHED_BYTES + _LEAF_BYTES - 1]):
+                yield start + match.start()
+
+
+def rows_of_pages(image: Image, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
     """Yield the rows of all leaf pages, wherever they are in the file; last those that go on in other pages."""
-    if not path.stat().st_size:
-        return
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-        _, _, header = data[:_SEARCHED_BYTES].partition(SQLITE_MAGIC)
-        claimed, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
-        number_bytes, after_bytes = _LOGS.get(path.name.rpartition("-")[2], (0, 0))
-        page_bytes = _page_bytes(data, 65536 if claimed == 1 else claimed, number_bytes + after_bytes)
-        usable_bytes = page_bytes - (reserved if reserved <= _MOST_RESERVED else 0)
-        pages = _Pages(data, page_bytes, usable_bytes, number_bytes, after_bytes)
-        cells, leaves = list[_Cell](), dict[int, int]()
-        for cell in pages.cells():
-            leaves[cell.page_at] = cell.row_id
-            if cell.size > len(cell.start):
+    _, _, header = image[:_SEARCHED_BYTES].partition(SQLITE_MAGIC)
+    claimed, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
+    number_bytes, after_bytes = _LOGS.get(image.log_kind, (0, 0))
+    page_bytes = _page_bytes(image, 65536 if claimed == 1 else claimed, number_bytes + after_bytes)
+    usable_bytes = page_bytes - (reserved if reserved <= _MOST_RESERVED else 0)
+    pages = _Pages(image, page_bytes, usable_bytes, number_bytes, after_bytes)
+    cells, leaves = list[_Cell](), dict[int, int]()
+    for cell in pages.cells():
+        leaves[cell.page_at] = cell.row_id
+        if cell.size > len(cell.start):
+            cells.append(cell)
+            continue
+        with suppress(ValueError, IndexError):
+            values = _values(cell.start)
+            budget.take()
+            yield cell.row_id, values
+    if cells:
+        pages.find(leaves)
+    for is_last_try in (False, True):
+        remaining, cells = cells, []
+        for cell in remaining:
+            try:
+                values = _values(pages.payload(cell, is_last_try=is_last_try))
+            except (ValueError, IndexError):
                 cells.append(cell)
                 continue
-            with suppress(ValueError, IndexError):
-                values = _values(cell.start)
-                budget.take()
-                yield cell.row_id, values
-        if cells:
-            pages.find(leaves)
-        for is_last_try in (False, True):
-            remaining, cells = cells, []
-            for cell in remaining:
-                try:
-                    values = _values(pages.payload(cell, is_last_try=is_last_try))
-                except (ValueError, IndexError):
-                    cells.append(cell)
-                    continue
-                budget.take()
-                yield cell.row_id, values
+            budget.take()
+            yield cell.row_id, values
 
 
-def _page_bytes(data: mmap, claimed: int, in_log: int) -> int:
+class Tables:
+    """Rows of the tables of a database, by the pages that lead to them from the first one; none of these is read twice.
+
+    `ValueError`, `IndexError` or `struct.error` where a page is none.
+    """
+
+    def __init__(self, image: Image) -> None:
+        header = image[: len(SQLITE_MAGIC) + SQLITE_HEADER.size]
+        claimed, reserved, _ = SQLITE_HEADER.unpack_from(header, len(SQLITE_MAGIC))
+        self._page_bytes = 65536 if claimed == 1 else claimed
+        if not header.startswith(SQLITE_MAGIC) or self._page_bytes not in _PAGE_SIZES:
+            raise ValueError("it does not start as a database does")
+        self._image, self._usable_bytes = image, self._page_bytes - reserved
+        self._pages = _Pages(image, self._page_bytes, self._usable_bytes, 0, 0)
+        self._reached = bytearray(len(image) // self._page_bytes + 1)
+        self._roots = {
+            values[1]: values[3]
+            for _, values in self._rows_below(1)
+            if values[0] == "table" and isinstance(values[3], int)
+        }
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._roots
+
+    def rows(self, name: str) -> Iterator[tuple[int, list[Any]]]:
+        """Yield the rows in ascending order."""
+        return self._rows_below(self._roots[name])
+
+    def _rows_below(self, root: int) -> Iterator[tuple[int, list[Any]]]:
+        numbers = [root]
+        while numbers:
+            number = numbers.pop()
+            page, head = self._page(number), _FIRST_HEADER_BYTES if number == 1 else 0
+            (cells,) = _CELLS.unpack_from(page, head + 3)
+            if page[head] == _INTERIOR:
+                offsets = struct.unpack_from(f">{cells}H", page, head + 12)
+                children = [int.from_bytes(page[offset : offset + 4], "big") for offset in (*offsets, head + 8)]
+                numbers += reversed(children)
+            elif page[head] == _LEAF:
+                for offset in struct.unpack_from(f">{cells}H", page, head + 8):
+                    cell = self._pages.cell(page, offset, 0)
+                    yield cell.row_id, _values(self._payload(cell))
+            else:
+                raise ValueError(f"page {number} is not a page of a table")
+
+    def _payload(self, cell: _Cell) -> bytes:
+        parts, number, size = [cell.start], cell.number, cell.size - len(cell.start)
+        while size > 0:
+            page = self._page(number)
+            number = int.from_bytes(page[:4], "big")
+            parts.append(page[4 : min(4 + size, self._usable_bytes)])
+            size -= len(parts[-1])
+        return b"".join(parts)
+
+    def _page(self, number: int) -> bytes:
+        page = self._image[(number - 1) * self._page_bytes : number * self._page_bytes] if number > 0 else b""
+        if len(page) < self._page_bytes or self._reached[number]:
+            raise ValueError(f"page {number} is {'reached twice' if page else 'missing'}")
+        self._reached[number] = True
+        return page
+
+
+def _page_bytes(data: Image, claimed: int, in_log: int) -> int:
     """Return the claimed size, unless another one fits the leaf pages, each with `in_log` bytes around it."""
     starts, largest = list[int](), list[int]()
-    for match in _LEAF_PAGE.finditer(data):
-        cells, content_at = _PAGE_CELLS.unpack_from(data, match.start() + 3)
-        offsets = data[match.start() + 8 : match.start() + 8 + 2 * cells] if 8 + 2 * cells <= content_at else b""
+    for at in data.leaf_pages():
+        cells, content_at = _PAGE_CELLS.unpack(data[at + 3 : at + 7])
+        offsets = data[at + 8 : at + 8 + 2 * cells] if 8 + 2 * cells <= content_at else b""
         numbers = struct.unpack(f">{len(offsets) // 2}H", offsets[: len(offsets) // 2 * 2])
         if numbers and min(numbers) == content_at:
-            starts.append(match.start())
+            starts.append(at)
             largest.append(max(numbers))
         if len(starts) == _ENOUGH_LEAVES:
             break
@@ -107,7 +209,7 @@ class _Pages:
     In a log each page follows its own number. `_moved` has offsets of pages, and how far they were moved in bytes.
     """
 
-    def __init__(self, data: mmap, page_bytes: int, usable_bytes: int, number_bytes: int, after_bytes: int) -> None:
+    def __init__(self, data: Image, page_bytes: int, usable_bytes: int, number_bytes: int, after_bytes: int) -> None:
         self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
         self._number_bytes = number_bytes
         self._stride = self._number_bytes + page_bytes + after_bytes
@@ -120,20 +222,19 @@ class _Pages:
 
     def cells(self) -> Iterator[_Cell]:
         """Yield the rows on leaf pages, wherever these are."""
-        for match in _LEAF_PAGE.finditer(self._data):
-            at = match.start()
-            (cells,) = _CELLS.unpack_from(self._data, at + 3)
-            if len(self._data) - at < self._page_bytes or cells > self._page_bytes // 4:
-                continue
+        for at in self._data.leaf_pages():
             page = self._data[at : at + self._page_bytes]
+            (cells,) = _CELLS.unpack_from(page, 3)
+            if len(page) < self._page_bytes or cells > self._page_bytes // 4:
+                continue
             offsets = struct.unpack_from(f">{cells}H", page, 8)
             if at % self._page_bytes and not all(8 + 2 * cells <= offset < self._page_bytes for offset in offsets):
                 continue
             for offset in offsets:
                 with suppress(ValueError, IndexError):
-                    yield self._cell(page, offset, at)
+                    yield self.cell(page, offset, at)
 
-    def _cell(self, page: bytes, offset: int, page_at: int) -> _Cell:
+    def cell(self, page: bytes, offset: int, page_at: int) -> _Cell:
         size, offset = _varint(page, offset)
         row_id, offset = _varint(page, offset)
         if size > MAX_RECORD_BYTES:

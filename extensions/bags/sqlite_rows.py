@@ -5,19 +5,17 @@ In single pages a row of `messages` is known by its columns (no value, number, n
 
 from __future__ import annotations
 
-import os
-import shutil
 import sqlite3
+import struct
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
@@ -34,8 +32,9 @@ from dds_trace.tracefile.reading.source import (
     full_type,
     unpack_message,
 )
+from dds_trace.tracefile.reading.sqlite_log import open_database
 
-from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, rows_of_pages
+from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, Image, Tables, rows_of_pages
 
 SQLITE_TABLES = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
@@ -65,6 +64,8 @@ _COMPUTED = (
 )
 _TOPICS = "SELECT id, name, type, serialization_format, {}, {} FROM topics LIMIT {}"
 _MESSAGES = "SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END FROM messages ORDER BY id"
+_NO_TABLES = "it is no rosbag2 database: no tables 'topics' and 'messages' as it makes them"
+_MANY_TOPICS = f"it is no rosbag2 database: more than {_MOST_TOPICS} topics"
 _MOST_COLUMNS = 7
 _LEAST_REACHED = 0.1
 """Share of a database's bytes below which its tables may not reach all rows."""
@@ -75,20 +76,21 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     budget, seen, rows = Budget(path.stat().st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
     topics: dict[int, RecordedTopic] = {}
     fault, size_bytes, read_bytes = "", path.stat().st_size, 0
-    with _joined(path, condition) as (joined, files):
+    with open_database(path, condition) as (joined, files):
         surplus_bytes = 0
         try:
-            surplus_bytes = -_missing_bytes(joined)
+            surplus_bytes = 0 if joined else -_missing_bytes(files[0])
             if surplus_bytes < 0:
                 fault = f"{counted(-surplus_bytes, 'byte')} of it {'is' if surplus_bytes == -1 else 'are'} missing"
-            for message in _rows_of_tables(joined, topics, budget, seen, condition):
+            tables = _rows_by_page(joined, topics) if joined else _rows_by_sqlite(path, topics)
+            for message in _messages(tables, topics, budget, seen, condition):
                 read_bytes += len(message.data)
                 yield message
-        except (sqlite3.Error, MemoryError) as err:
+        except (sqlite3.Error, MemoryError, ValueError, IndexError, struct.error) as err:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
         is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < size_bytes * _LEAST_REACHED
-        has_wal = len(files) > 1 and files[1].name.endswith("-wal")  # perhaps of another database
+        has_wal = any(file.log_kind == "wal" for file in files)  # perhaps of another database
         doubtful = files if is_in_doubt else files[: 2 * has_wal]
         rows = _unreached_rows(doubtful, budget, seen, topics)
         fault = fault or ("its tables do not reach all of its pages" if rows else "")
@@ -104,80 +106,85 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             yield RawMessage(topics[topic_id], time_ns, None, None, data)
 
 
-def _rows_of_tables(
-    path: Path, topics: dict[int, RecordedTopic], budget: Budget, seen: dict[int, int], condition: Condition
+def _messages(
+    rows: Iterator[Sequence[Any]],
+    topics: dict[int, RecordedTopic],
+    budget: Budget,
+    seen: dict[int, int],
+    condition: Condition,
 ) -> Iterator[RawMessage]:
-    with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as database:
+    for row_id, topic_id, time_ns, data in rows:
+        budget.take()
+        if topic_id not in topics:
+            continue
+        # Columns of SQLite have no fixed type: a damaged page may contain anything.
+        if isinstance(data, bytes):
+            seen[row_id] = crc32(data)
+        if isinstance(data, bytes) and isinstance(time_ns, int):
+            yield RawMessage(topics[topic_id], time_ns, None, None, data)
+        else:
+            condition.unreadable[topics[topic_id].name] += 1
+
+
+def _rows_by_sqlite(path: Path, topics: dict[int, RecordedTopic]) -> Iterator[Sequence[Any]]:
+    """Yield the rows of a database that has no log; SQLite opens nothing else and makes no file next to it (`immutable`)."""
+    with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)) as database:
         _bound_work(database, path.stat().st_size)
         topics |= _read_topics(database)
         if sys.version_info >= (3, 11):
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES + _MOST_TEXT_BYTES)
-        for row_id, topic_id, time_ns, data in database.execute(_MESSAGES, [MAX_RECORD_BYTES]):
-            budget.take()
-            if topic_id not in topics:
-                continue
-            # Columns of SQLite have no fixed type: a damaged page may contain anything.
-            if isinstance(data, bytes):
-                seen[row_id] = crc32(data)
-            if isinstance(data, bytes) and isinstance(time_ns, int):
-                yield RawMessage(topics[topic_id], time_ns, None, None, data)
-            else:
-                condition.unreadable[topics[topic_id].name] += 1
+        yield from database.execute(_MESSAGES, [MAX_RECORD_BYTES])
 
 
-@contextmanager
-def _joined(database: Path, condition: Condition) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield a database, joined with its log in a copy, and all files with pages: first those that no page was written to too early."""
-    wal, journal = (database.with_name(f"{database.name}-{suffix}") for suffix in ("wal", "journal"))
-    has_wal, is_unfinished = wal.is_file() and wal.stat().st_size > 0, False
-    if journal.is_file():
-        with journal.open("rb") as stream:
-            is_unfinished = stream.read(len(_JOURNAL_MAGIC)) == _JOURNAL_MAGIC
-    if not has_wal and not is_unfinished:
-        yield database, [database]
-        return
-    with tempfile.TemporaryDirectory(prefix="dds-trace-") as folder:
-        copy = Path(folder) / database.name
-        for file in [database, *[wal] * has_wal, *[journal] * is_unfinished]:
-            shutil.copyfile(file, copy.with_name(file.name))
-        try:
-            with closing(sqlite3.connect(copy)) as joined:
-                joined.execute("PRAGMA synchronous=OFF")
-                joined.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-                joined.execute("PRAGMA journal_mode=DELETE").fetchall()
-        except sqlite3.Error as err:
-            condition.damages.append(f"its log {(wal if has_wal else journal).name} cannot be read ({err})")
-        if has_wal:
-            condition.notes.append(f"the messages in {wal.name} are included")
-        if is_unfinished:
-            condition.notes.append(f"its last transaction was not finished, and is undone as {journal.name} says")
-        yield copy, [database, wal, copy] if has_wal else [journal, copy, database]
-
-
-_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+def _rows_by_page(joined: Image, topics: dict[int, RecordedTopic]) -> Iterator[Sequence[Any]]:
+    """Yield the rows of a database that has a log."""
+    tables = Tables(joined)
+    if "topics" not in tables or "messages" not in tables:
+        raise UnreadableError(_NO_TABLES)
+    definitions = dict[str, tuple[str, str]]()
+    for name in ("topics", "message_definitions"):
+        for row_id, values in tables.rows(name) if name in tables else ():
+            _take_description(row_id, values, topics, definitions)
+            if len(topics) > _MOST_TOPICS:
+                raise UnreadableError(_MANY_TOPICS)
+    _add_definitions(topics, definitions)
+    for row_id, values in tables.rows("messages"):
+        yield row_id, *values[1:4]
 
 
 def _unreached_rows(
-    files: list[Path], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
+    files: list[Image], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
     stored = {*seen.items()}
     for row_id, values in (row for file in files for row in rows_of_pages(file, budget)):
-        kinds = [type(value) for value in values]
-        if kinds == [type(None), int, int, bytes] and (row_id, crc := crc32(values[3])) not in stored:
+        if [type(value) for value in values] != [type(None), int, int, bytes]:
+            _take_description(row_id, values, topics, definitions)
+        elif (row_id, crc := crc32(values[3])) not in stored:
             stored.add((row_id, crc))
             rows.append((row_id, values[1], values[2], values[3]))
-        elif kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
-            definitions[full_type(values[1])] = values[3], values[2]
-        elif kinds[:4] == [type(None), str, str, str] and len(values) < _MOST_COLUMNS and values[1].startswith("/"):
-            qos = values[4] if len(values) > 4 and isinstance(values[4], str) else ""
-            if row_id not in topics or not topics[row_id].name.startswith("/"):
-                topics[row_id] = RecordedTopic(values[1], full_type(values[2]), values[3], qos=qos)
+    _add_definitions(topics, definitions)
+    return sorted(rows)
+
+
+def _take_description(
+    row_id: int, values: list[Any], topics: dict[int, RecordedTopic], definitions: dict[str, tuple[str, str]]
+) -> None:
+    """Keep a row if its columns are as in `topics` or `message_definitions`."""
+    kinds = [type(value) for value in values]
+    if kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
+        definitions[full_type(values[1])] = values[3], values[2]
+    elif kinds[:4] == [type(None), str, str, str] and len(values) < _MOST_COLUMNS and values[1].startswith("/"):
+        qos, type_hash = (value if isinstance(value, str) else "" for value in [*values[4:], "", ""][:2])
+        if row_id not in topics or not topics[row_id].name.startswith("/"):
+            topics[row_id] = RecordedTopic(values[1], full_type(values[2]), values[3], qos=qos, type_hash=type_hash)
+
+
+def _add_definitions(topics: dict[int, RecordedTopic], definitions: dict[str, tuple[str, str]]) -> None:
     for row_id, topic in topics.items():
         if not topic.definition and topic.message_type in definitions:
             text, encoding = definitions[topic.message_type]
             topics[row_id] = replace(topic, definition=text, definition_encoding=encoding)
-    return sorted(rows)
 
 
 def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
@@ -185,12 +192,12 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
     ((tables,),) = database.execute(_TABLES)
     ((computed,),) = database.execute(_COMPUTED)
     if tables != 2 or computed:
-        raise UnreadableError("it is no rosbag2 database: no tables 'topics' and 'messages' as it makes them")
+        raise UnreadableError(_NO_TABLES)
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
     later = [name if name in columns else "''" for name in ("offered_qos_profiles", "type_description_hash")]
     rows = database.execute(_TOPICS.format(*later, _MOST_TOPICS + 1)).fetchall()
     if len(rows) > _MOST_TOPICS:
-        raise UnreadableError(f"it is no rosbag2 database: more than {_MOST_TOPICS} topics")
+        raise UnreadableError(_MANY_TOPICS)
     definitions: dict[str, tuple[str, str]] = {}
     with suppress(sqlite3.Error):  # before ROS 2 Iron there is no such table
         definitions = {
@@ -228,15 +235,13 @@ def _bound_work(database: sqlite3.Connection, size_bytes: int) -> None:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_TEXT_BYTES)
 
 
-def _missing_bytes(path: Path) -> int:
+def _missing_bytes(database: Image) -> int:
     """Return how many bytes the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
-    with open_regular(path) as stream:
-        header = stream.read(len(SQLITE_MAGIC) + SQLITE_HEADER.size)[len(SQLITE_MAGIC) :]
-        size = stream.seek(0, os.SEEK_END)
+    header = database[len(SQLITE_MAGIC) : len(SQLITE_MAGIC) + SQLITE_HEADER.size]
     if len(header) < SQLITE_HEADER.size:
         return 0  # SQLite will report what is wrong
     page_bytes, _, pages = SQLITE_HEADER.unpack(header)
-    return int(65536 if page_bytes == 1 else page_bytes) * int(pages) - size
+    return int(65536 if page_bytes == 1 else page_bytes) * int(pages) - len(database)
 
 
 _BATCH_ROWS = 8192

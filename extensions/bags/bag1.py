@@ -39,9 +39,11 @@ _USUAL_HEADER = re.compile(_OP + rb"\t\0{3}conn=(.{4})" + _OP + rb"\r\0{3}time=(
 """A message's header as ROS and rosbags write it."""
 
 _USUAL_BYTES = 38
-_OPCODE = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
-_MOST_HEADER_BYTES = 1 << 20
-_SEARCHED_BYTES, _SEARCHED_HEADER_BYTES = 1 << 20, 1024
+_HEADER_START = re.compile(rb"(?=..\0\0..\0\0[a-z0-9_]{1,24}=)", re.DOTALL)
+"""The lengths of a header and of its first field, both under 64 KiB, and the name of that field."""
+
+_MOST_HEADER_BYTES, _HEADER_START_BYTES, _MOST_FIELDS = (1 << 16) - 1, 33, 64
+_FIRST_SEARCHED_BYTES, _SEARCHED_BYTES = 512, 1 << 20
 _BZ2_WEIGHT = 4
 """bz2 needs at least three times as long for a byte as lz4."""
 
@@ -125,7 +127,8 @@ class _Bag1Walk:
                 resumed_at = self._resume(source, at + 1, source.size)
                 unread_bytes = (resumed_at or source.size) - at
                 what = counted(unread_bytes, "byte is no record", "bytes are no records")
-                self._condition.damages.append(f"at byte {at} {what}")
+                where = "" if source is self._file else "in a chunk, "
+                self._condition.damages.append(f"{where}at byte {at} {what}")
                 at = resumed_at or source.size
                 following = self._record_at(source, at)
                 continue
@@ -166,8 +169,9 @@ class _Bag1Walk:
         except (struct.error, ValueError):
             return None
         opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
+        is_nested = opcode == _CHUNK and source is not self._file
         is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {}).items())
-        if opcode not in _NEEDED or is_short or (opcode == _CHUNK and "compression" not in fields):
+        if opcode not in _NEEDED or is_nested or is_short or (opcode == _CHUNK and "compression" not in fields):
             return None
         is_container = opcode == _CHUNK and fields.get("compression") == b"none"
         if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
@@ -175,33 +179,30 @@ class _Bag1Walk:
         return _Record(opcode, fields, at, data_at, end)
 
     def _resume(self, source: Records, start: int, stop: int) -> int | None:
-        """Return the first record in a range, by the opcode in its header and the fields around."""
-        at = start
+        """Return the first record in a range; each byte of it is looked at once, in steps that grow."""
+        at, size = start, _FIRST_SEARCHED_BYTES
         while at < stop:
-            size = min(_SEARCHED_BYTES, stop - at)
-            data = source.read(at, min(size + _SEARCHED_HEADER_BYTES, source.size - at))
-            for match in _OPCODE.finditer(data):
-                last = min(match.start() - _LENGTH.size, size - 1)
-                for header_at in range(last, max(match.start() - _SEARCHED_HEADER_BYTES, -1), -1):
-                    (header_bytes,) = _LENGTH.unpack_from(data, header_at)
-                    has_opcode = match.end() <= header_at + _LENGTH.size + header_bytes
-                    if has_opcode and self._record_at(source, at + header_at) is not None:
-                        return at + header_at
-            at += _SEARCHED_BYTES
+            size = min(size, stop - at)
+            data = source.read(at, min(size + _HEADER_START_BYTES, source.size - at))
+            for match in _HEADER_START.finditer(data):
+                if match.start() < size and self._record_at(source, at + match.start()) is not None:
+                    return at + match.start()
+            at += size
+            size = min(2 * size, _SEARCHED_BYTES)
         return None
 
     def _unpacked(self, source: Records, record: _Record) -> _Record:
         compression, size = record.fields["compression"].decode(errors="replace"), _number(record, "size")
         weight = _BZ2_WEIGHT if compression == "bz2" else 1
+        self._left_bytes -= weight * max(record.end - record.data_at, size if size <= MAX_RECORD_BYTES else 0)
+        if self._left_bytes < 0:
+            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
         try:
             packed = source.read(record.data_at, record.end - record.data_at)
             data = _unpack_bz2(packed, size) if compression == "bz2" else unpack_records(compression, packed, size)
         except (DamagedChunkError, ValueError, OSError, EOFError) as err:
             self._condition.damages.append(f"the chunk at byte {record.at} is damaged ({err}) and left out")
             return record
-        self._left_bytes -= weight * len(data)
-        if self._left_bytes < 0:
-            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
         return record._replace(unpacked=Records(bytes(data)))
 
     def _add_topic(self, record: _Record, data: bytes) -> None:
@@ -232,14 +233,16 @@ def _fields(header: bytes) -> dict[str, bytes]:
         return {"op": b"\x02", "conn": usual[1], "time": usual[2]}
     fields: dict[str, bytes] = {}
     at = 0
-    while at < len(header):
+    for _ in range(_MOST_FIELDS):
+        if at == len(header):
+            return fields
         (length,) = _LENGTH.unpack_from(header, at)
         at += _LENGTH.size + length
         name, sign, value = header[at - length : at].partition(b"=")
         if at > len(header) or not sign:
-            raise ValueError("its header is no list of fields")
+            break
         fields[name.decode()] = value
-    return fields
+    raise ValueError("its header is no list of fields")
 
 
 def _unpack_bz2(packed: bytes, size: int) -> bytes:

@@ -1,4 +1,6 @@
+import random
 import re
+import struct
 from contextlib import suppress
 
 import pytest
@@ -12,6 +14,7 @@ from dds_trace.extensions.bags.payload import load_payload
 from dds_trace.extensions.bags.read import read_messages
 from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile.mcapfile import blocks, chunks
+from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading.source import Condition
 
 KB = 1000
@@ -64,3 +67,59 @@ def test_no_piece_is_unpacked_beyond_a_record(write_bag, monkeypatch):
     with suppress(TraceFormatError):
         assert not list(read_messages(path, condition))
     assert re.search(r"unpacks to more than|it claims", f"{condition.damages}") or path.name == "ros2-messages"
+
+
+def record(data=b"", **fields):
+    values = [f"{name}=".encode() + value for name, value in fields.items()]
+    header = b"".join(struct.pack("<I", len(value)) + value for value in values)
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def chunk(data):
+    return record(data, op=b"\5", compression=b"none", size=struct.pack("<I", len(data)))
+
+
+CONNECTION = record(
+    record(topic=b"/t", type=b"std_msgs/String")[4:-4], op=b"\7", conn=bytes(4), topic=b"/t"
+)  # its data are fields as in a header
+MESSAGE = record(b"\0\0\0\0", op=b"\2", conn=bytes(4), time=bytes(8))
+
+
+@pytest.mark.parametrize("depth", [1, 2, 1000])
+def test_a_chunk_in_a_chunk_is_damage(tmp_path, depth):
+    inner, condition = MESSAGE, Condition()
+    for _ in range(depth):
+        inner = chunk(inner)
+    (tmp_path / "x.bag").write_bytes(bag1.BAG1_MAGIC + CONNECTION + chunk(MESSAGE) + inner + chunk(MESSAGE))
+    assert len(list(read_messages(tmp_path / "x.bag", condition))) == 3
+    assert [("in a chunk" in damage) for damage in condition.damages] == [True] * (depth > 1)
+
+
+PIECES = [
+    *(struct.pack("<I", value) for value in (0, 4, 8, 13, 16, 44, 60, 255, 40_000)),
+    *(b"op=\2", b"op=\5", b"op=\7", b"conn=abcd", b"time=abcdefgh", b"compression=none", b"compression=zstd"),
+    *(b"size=\20\0\0\0", b"a=", b"\0", b"\4\0\0\0op=\2", b"\4\0\0\0op=\5\20\0\0\0compression=zstd"),
+    *(MESSAGE[:-4], MESSAGE, CONNECTION, chunk(MESSAGE), chunk(MESSAGE)[:-10]),
+]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_reading_on_after_damage_is_linear(tmp_path, seed, monkeypatch):
+    """Of any pattern: twice the bytes cost twice the tries and twice the bytes read, and few of both for each byte."""
+    draw = random.Random(seed)
+    pattern = b"".join(draw.choices(PIECES, k=draw.randrange(1, 7)))
+    tries, read_bytes = [], []
+    record_at, read_file = bag1._Bag1Walk._record_at, RecordFile.read
+    monkeypatch.setattr(bag1._Bag1Walk, "_record_at", lambda *a: tries.append(1) or record_at(*a))
+    monkeypatch.setattr(RecordFile, "read", lambda file, at, size: read_bytes.append(size) or read_file(file, at, size))
+    costs = []
+    for size in (20 * KB, 40 * KB):
+        (tmp_path / "x.bag").write_bytes(bag1.BAG1_MAGIC + MESSAGE + pattern * (size // len(pattern)))
+        with suppress(TraceFormatError):
+            list(read_messages(tmp_path / "x.bag", Condition()))
+        costs.append((len(tries), sum(read_bytes)))
+        tries.clear(), read_bytes.clear()
+    assert costs[1][0] < 2.5 * costs[0][0] + 100
+    assert costs[1][1] < 2.5 * costs[0][1] + 100 * KB
+    assert costs[1][0] < 40 * KB
+    assert costs[1][1] < 400 * 40 * KB  # a few pieces of 4 KB for each record

@@ -138,7 +138,7 @@ chaos minutes="30" *args: setup
     {{bin}}/python tests/chaos/chaos.py {{minutes}} {{args}}
 
 # Fuzz what reads the bytes of strangers, guided by coverage (atheris), for so many seconds a target of tests/fuzz/fuzz.py
-fuzz seconds="600" *targets="reader descriptions plan bag ring watch peers strangers": setup
+fuzz seconds="600" *targets="reader descriptions plan bag bag1 logs limits state ring watch peers strangers": setup
     uv pip install --quiet --python {{bin}}/python -e '.[fuzz]'
     export TMPDIR=$(mktemp -d -p /dev/shm dds-trace-fuzz-XXXXXX); trap 'rm -r "$TMPDIR"' EXIT; \
         finds=; for target in {{targets}}; do \

@@ -36,6 +36,7 @@ _STATE, _PARTS = "state.json", ".parts"
 """A sweep's state, and the folder of what it records."""
 
 _DONE = ("recorded", "complete")
+_MOST_LEFT_S = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +72,14 @@ def sweep_status(folder: Path) -> SweepStatus:
                 state, changed_s = json.load(file), os.fstat(file.fileno()).st_mtime
             recorded = sum(cell["status"] in _DONE for cell in state["cells"].values())
             planned, left_s = int(state["planned"]), float(state["left_s"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             continue
         age_s = max(0.0, time.time() - changed_s)
         total = SweepStatus(
             total.done + recorded,
             total.planned + planned,
             age_s if total.age_s is None else min(age_s, total.age_s),
-            total.left_s + (max(0.0, left_s - age_s) if recorded < planned else 0.0),
+            total.left_s + (min(max(0.0, left_s - age_s), _MOST_LEFT_S) if recorded < planned else 0.0),
         )
     return total
 

@@ -124,7 +124,7 @@ class SweepState:
             }
             for name, state in self._cells.items():
                 _check_names(name, state)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as err:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as err:
             raise TraceFormatError(
                 self.path, f"not the state of a sweep ({err}); move the folder away to start over"
             ) from err

@@ -59,7 +59,7 @@ def test_other_settings_of_the_plan_are_not_mixed_in(tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        *((text, "not the state") for text in ("", "{", "[]", '{"format": 1}')),
+        *((text, "not the state") for text in ("", "{", "[]", '{"format": 1}', "[" * 100_000)),
         ('{"format": 1, "plan_digest": "d1", "cells": 3}', "not the state"),
         ('{"format": 2, "plan_digest": "d1", "cells": {}}', "format 2"),
         (None, "not a regular file"),

@@ -6,8 +6,11 @@ import errno
 import inspect
 import os
 import re
+import signal
 import sys
 import textwrap
+import threading
+from contextlib import contextmanager, nullcontext
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +24,7 @@ from dds_trace.base.version import __version__
 from .defaults import PRINT_CONFIG, set_defaults, values_in_force
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from typer.models import ArgumentInfo, OptionInfo
 
@@ -157,7 +160,7 @@ def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> 
     Words that stderr or stdout does not take are lost; for stdout that is an error where `needs_stdout`.
     """
     ended: SystemExit | None = None
-    with plain_streams() as stdout:
+    with plain_streams() as stdout, _unwinding_at_sigterm() if needs_stdout else nullcontext():
         try:
             _run(command)
         except SystemExit as end:
@@ -171,6 +174,24 @@ def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> 
         sys.exit(OutputError.exit_code)
     if ended is not None:
         raise ended
+
+
+@contextmanager
+def _unwinding_at_sigterm() -> Iterator[None]:
+    """Let SIGTERM remove temporary files as Ctrl-C does; a second one ends at once, and a handler of the command's own counts."""
+
+    def unwind(number: int, _frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        sys.exit(128 + number)
+
+    is_default = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if is_default and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, unwind)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGTERM) is unwind:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _run(command: Callable[[], object]) -> None:

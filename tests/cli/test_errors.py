@@ -1,8 +1,11 @@
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import zstandard
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceFormatError
 from dds_trace.cli.program import run_command
@@ -71,3 +74,38 @@ def test_a_package_that_belongs_to_no_extra_is_a_fault_of_the_installation():
     command = [sys.executable, "-c", WITHOUT.format(module="analyze"), "mcap", SAMPLES]
     ran = subprocess.run(command, check=False, capture_output=True, text=True)
     assert ran.stderr.splitlines()[-1].startswith("ModuleNotFoundError")
+
+
+STOPPED = """
+import sys, time
+from pathlib import Path
+from dds_trace.analyzer.loading.spool import TemporaryFolder
+from dds_trace.cli.program import run_command
+from dds_trace.tracefile.reading.storage import unpacked
+
+def command():
+    folder = TemporaryFolder()
+    with unpacked(Path(sys.argv[1])) as path:
+        print(path.stat().st_size, folder.path.is_dir(), flush=True)
+        time.sleep(600)
+
+run_command(command)
+"""
+
+
+def test_sigterm_leaves_no_temporary_file(tmp_path):
+    packed, temporary = tmp_path / "bag.mcap.zstd", tmp_path / "temporary"
+    packed.write_bytes(zstandard.compress(bytes(5000)))
+    temporary.mkdir()
+    command = subprocess.Popen(
+        [sys.executable, "-c", STOPPED, str(packed)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+    assert command.stdout.readline() == b"5000 True\n"
+    assert len(list(temporary.iterdir())) == 2
+    command.terminate()
+    _, errors = command.communicate(timeout=60)
+    assert (command.returncode, errors) == (128 + signal.SIGTERM, b"")
+    assert not list(temporary.iterdir())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import shutil
 import tempfile
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import zstandard
 
-from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, OutputError, TraceFormatError
 from dds_trace.base.extension import load, offers
 from dds_trace.base.files import real_path
 
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from .source import Source
 
 ZSTD_SUFFIX = ".zstd"
-_COPY_BYTES = 1 << 20
+_COPY_BYTES, _FRAME_HEAD_BYTES = 1 << 20, 18
 
 
 def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
@@ -109,24 +111,43 @@ def _opener_suffix(file: Path) -> str | None:
 
 @contextmanager
 def unpacked(packed: Path, ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> Iterator[Path]:
-    """Yield a file, of a packed one a copy, unpacked as far as possible; the reader reports one that is cut off."""
+    """Yield a file, of a packed one a copy, unpacked as far as possible; the reader reports one that is cut off.
+
+    Raises:
+        OutputError: the temporary folder has no room for the copy.
+    """
     if packed.suffix != ZSTD_SUFFIX:
         yield packed
         return
     limit = max(packed.stat().st_size * ratio, unsuspected_bytes)
     with tempfile.TemporaryDirectory(prefix="dds-trace-") as folder:
         path = Path(folder) / packed.stem
-        with (
-            path.open("wb") as copy,
-            packed.open("rb") as stream,
-            zstandard.ZstdDecompressor().stream_reader(stream) as reader,
-        ):
-            try:
-                while data := reader.read(_COPY_BYTES):
-                    copy.write(data)
-                    if copy.tell() > limit:
-                        raise TraceFormatError(packed, f"unpacks to more than {ratio} times its size; not read")
-            except zstandard.ZstdError as err:
-                if not copy.tell():
-                    raise TraceFormatError(packed, f"cannot be unpacked ({err})", 0) from err
+        try:
+            _unpack(packed, path, ratio, limit)
+        except OSError as err:
+            if err.errno not in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+                raise
+            where = f"it is unpacked into {Path(folder).parent}, which has no room for that"
+            raise OutputError(f"{packed}: {where} ({err.strerror}); set TMPDIR to a folder with more") from err
         yield path
+
+
+def _unpack(packed: Path, path: Path, ratio: int, limit: int) -> None:
+    with (
+        path.open("wb") as copy,
+        packed.open("rb") as stream,
+        zstandard.ZstdDecompressor().stream_reader(stream) as reader,
+    ):
+        try:
+            size_bytes = zstandard.frame_content_size(stream.read(_FRAME_HEAD_BYTES))
+            stream.seek(0)
+            free_bytes = shutil.disk_usage(path.parent).free
+            if free_bytes < size_bytes <= limit:
+                raise OSError(errno.ENOSPC, f"{size_bytes >> 20} MiB are needed, {free_bytes >> 20} MiB are free")
+            while data := reader.read(_COPY_BYTES):
+                copy.write(data)
+                if copy.tell() > limit:
+                    raise TraceFormatError(packed, f"unpacks to more than {ratio} times its size; not read")
+        except zstandard.ZstdError as err:
+            if not copy.tell():
+                raise TraceFormatError(packed, f"cannot be unpacked ({err})", 0) from err

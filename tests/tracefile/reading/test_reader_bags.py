@@ -2,11 +2,14 @@
 
 import base64
 import itertools
+import resource
 import shutil
 import sqlite3
+import tempfile
 import zlib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 import zstandard
@@ -16,8 +19,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trace_files import EVENT, STRING, WALL_ANCHOR_NS, Message, ping_events, ping_session, run, string_cdr, write_trace
 
-from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.errors import MissingEventsError, OutputError, TraceFormatError
 from dds_trace.tracefile.format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, Stage
+from dds_trace.tracefile.reading import storage
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace
 from dds_trace.tracefile.reading.storage import find_traces, open_source, storage_files
 
@@ -224,6 +228,29 @@ class TestPackedFiles:
         path.write_bytes(zstandard.compress(bytes(200_000_000)))
         with pytest.raises(TraceFormatError, match="unpacks to more than 1000 times its size"):
             read_trace(bag)
+
+    @pytest.mark.parametrize("plugin", StoragePlugin)
+    @pytest.mark.parametrize("is_known", [True, False], ids=["size known", "size unknown"])
+    def test_room_is_asked_before_a_file_is_unpacked(self, tmp_path, plugin, is_known, monkeypatch):
+        bag = write_bag(tmp_path / "bag", plugin=plugin, mode=CompressionMode.FILE)
+        (path,) = bag.glob("*.zstd")
+        plain = zstandard.ZstdDecompressor().decompress(path.read_bytes(), 1 << 24)
+        path.write_bytes(zstandard.ZstdCompressor(write_content_size=is_known).compress(plain))
+        if is_known:
+            monkeypatch.setattr(storage.shutil, "disk_usage", lambda _: SimpleNamespace(free=len(plain) - 1))
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        (tmp_path / "temporary").mkdir()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before[0] if is_known else len(plain) // 2, before[1]))
+        try:
+            with pytest.raises(OutputError, match="TMPDIR") as caught:
+                read_trace(bag)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert str(tmp_path / "temporary") in str(caught.value)
+        assert caught.value.exit_code == 6
+        assert not list((tmp_path / "temporary").iterdir())
 
 
 def test_files_and_bags_are_found_below_and_sorted(tmp_path):

@@ -36,11 +36,8 @@ def share_boot(first: Session, other: Session | None) -> bool | None:
     return None if None in ids else ids[0] == ids[1]
 
 
-def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the boot of each run's ping by run_id: wall clock at monotonic zero in whole seconds, 0 where the session is unknown.
-
-    Stamps of two boots must not be mixed.
-    """
+def session_boots(sessions: Iterable[Session]) -> dict[int, int]:
+    """Return the boot of each session by session_id: wall clock of its device at monotonic zero in whole seconds."""
     boot_of_session: dict[int, int] = {}
     boots_of_device: dict[str, list[_Boot]] = {}
     for session in sessions:
@@ -53,7 +50,16 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
             boot = _Boot(zero_s, boot_id)
             boots.append(boot)
         boot_of_session[session.session_id] = boot.number
-    return {run.run_id: boot_of_session.get(session_of_run(run), 0) for run in runs}
+    return boot_of_session
+
+
+def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
+    """Return the boot of each run's ping by run_id, 0 where the session is unknown.
+
+    Stamps of two boots must not be mixed.
+    """
+    boots = session_boots(sessions)
+    return {run.run_id: boots.get(session_of_run(run), 0) for run in runs}
 
 
 def ping_wall_offsets(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:

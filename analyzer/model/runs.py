@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 
 import numpy as np
 import polars as pl
@@ -24,6 +25,12 @@ UNSENT = "unsent"
 
 MOST_ROWS = 1_000_000
 """For one run, which is lost either way."""
+
+
+def tap_run_id(topic: str, sender: str, session_id: int) -> int:
+    """Return the run that a tap's messages of a topic from a device count as."""
+    words = f"{topic} {sender} {session_id:016x}"
+    return int.from_bytes(blake2b(words.encode(), digest_size=8).digest(), "little")
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:

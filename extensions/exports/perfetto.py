@@ -1,7 +1,8 @@
 """One timeline of all devices for https://ui.perfetto.dev, written by the protobufs of the package `perfetto` (extra of that name).
 
-A track for each device, below it lanes of round trips and topics; arrows lead from sending to reception. All times are of the wall
-clock of the first device, the others' by the fits of their clocks.
+A track for each device, below it lanes of round trips and topics; an arrow leads from each sending to its reception. A ping's slice begins
+at `publish_utc` of its row where its device is the first; times of other devices are of the first one's wall clock, by the fits of their
+clocks in that boot, without a fit of their own wall clock.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.clocks.boots import ping_wall_offsets
+from dds_trace.analyzer.clocks.boots import boot_id_of, ping_wall_offsets, session_boots, session_of_run
 from dds_trace.analyzer.clocks.lines import Int64
 from dds_trace.analyzer.exports.kinds import write_file
+from dds_trace.analyzer.model.runs import tap_run_id
 from dds_trace.base.printable import printable
 
 MOST_SLICES = 100_000
@@ -28,7 +30,10 @@ _SEQUENCE = 1
 
 
 class Slice(NamedTuple):
-    """A stretch of time on a device; slices of one `message` are joined by an arrow in the order of time."""
+    """A stretch of time on a device; the two slices of one `message`, its sending and its reception, are joined by an arrow.
+
+    `row` names the row of `roundtrips.parquet`: run and relay in hex, sequence.
+    """
 
     device: str
     lane: str
@@ -36,6 +41,7 @@ class Slice(NamedTuple):
     begin_ns: int
     end_ns: int
     message: int
+    row: str = ""
 
 
 def write_perfetto(analysis: Analysis, path: Path) -> None:
@@ -83,48 +89,54 @@ def write_slices(slices: Iterable[Slice], path: Path) -> None:
                 if kind == TrackEvent.TYPE_SLICE_BEGIN:
                     packet.track_event.name = printable(event.name)
                     packet.track_event.flow_ids.append(event.message)
+                    if event.row:
+                        packet.track_event.debug_annotations.add(name="row", string_value=event.row)
                 builder.write_packet(packet)
 
 
 def timeline_slices(analysis: Analysis) -> Iterator[Slice]:
-    clock = _Reference(analysis)
-    yield from _roundtrips(analysis, clock)
-    yield from _topics(analysis, clock)
+    clock, flows = _Reference(analysis), count(1)
+    yield from _roundtrips(analysis, clock, flows)
+    yield from _topics(analysis, clock, flows)
 
 
-def _roundtrips(analysis: Analysis, clock: _Reference) -> Iterator[Slice]:
-    names = ["run_id", "sequence", "vendor", "data_type", "payload_bytes", "ping_device", "relay_device"]
-    times = ["publish_ns", "receive_ns", "outbound_ns", "return_ns"]
+def _roundtrips(analysis: Analysis, clock: _Reference, flows: Iterator[int]) -> Iterator[Slice]:
+    names = ["run_id", "relay_id", "sequence", "vendor", "data_type", "payload_bytes", "ping_device", "relay_device"]
+    times = ["publish_ns", "publish_utc", "receive_ns", "outbound_ns", "return_ns"]
     rows = _thinned(analysis.scan_roundtrips().filter(outcome="completed").select(*names, *times).collect())
-    for part in rows.partition_by("ping_device", maintain_order=True):
-        shift_ns = clock.wall_ns(part["ping_device"][0], part["publish_ns"].to_numpy()) - part["publish_ns"].to_numpy()
-        shifted = part.with_columns(pl.col("publish_ns", "receive_ns") + pl.Series(shift_ns))
-        for row in shifted.iter_rows(named=True):
+    pings = {run.run_id: session_of_run(run) for run in analysis.runs}
+    for part in rows.partition_by("run_id", maintain_order=True):
+        begins_ns = clock.wall_ns(pings.get(part["run_id"][0], -1), part["publish_ns"].to_numpy())
+        if begins_ns is None:  # a run that names no session
+            begins_ns = part["publish_utc"].to_physical().fill_null(part["publish_ns"]).to_numpy()
+        for begin_ns, row in zip(begins_ns.tolist(), part.iter_rows(named=True), strict=True):
             kind = f"{row['data_type']} {row['payload_bytes']} B"
-            message = hash((row["run_id"], row["sequence"])) & (1 << 63) - 1
             track, name = f"{row['vendor']} {kind}", f"{kind} {row['sequence']}"
-            yield Slice(row["ping_device"], track, name, row["publish_ns"], row["receive_ns"], message)
+            message = next(flows), f"{row['run_id']:016x} {row['relay_id']:08x} {row['sequence']}"
+            end_ns = begin_ns + row["receive_ns"] - row["publish_ns"]
+            yield Slice(row["ping_device"], track, name, begin_ns, end_ns, *message)
             if row["relay_device"] is not None and row["outbound_ns"] is not None:
-                begin_ns, end_ns = row["publish_ns"] + row["outbound_ns"], row["receive_ns"] - row["return_ns"]
-                yield Slice(row["relay_device"], track, name, begin_ns, end_ns, message)
+                there_ns = begin_ns + row["outbound_ns"], end_ns - row["return_ns"]
+                yield Slice(row["relay_device"], track, name, *there_ns, *message)
 
 
-def _topics(analysis: Analysis, clock: _Reference) -> Iterator[Slice]:
+def _topics(analysis: Analysis, clock: _Reference, flows: Iterator[int]) -> Iterator[Slice]:
     names = ["run_id", "sequence", "data_type", "ping_device", "relay_device"]
-    times = ["publish_ns", "one_way_ns", "stamp_to_publish_ns"]
+    times = ["relay_in_ns", "one_way_ns", "stamp_to_publish_ns"]
     rows = _thinned(analysis.topic_messages.select(*names, *times).filter(pl.col("one_way_ns").is_not_null()))
-    for part in rows.partition_by("ping_device", maintain_order=True):
-        sent_ns = part["publish_ns"].to_numpy()
-        on_wall = part.with_columns(publish_ns=pl.Series(clock.wall_ns(part["ping_device"][0], sent_ns)))
-        for row in on_wall.iter_rows(named=True):
-            message = hash((row["run_id"], row["sequence"])) & (1 << 63) - 1
-            topic, publish_ns = row["data_type"], row["publish_ns"]
-            name = f"{topic} {row['sequence']}"
+    taps = [session.session_id for session in analysis.sessions if session.role == "tap"]
+    for part in rows.partition_by("run_id", maintain_order=True):
+        run_id, topic, sender = part.select("run_id", "data_type", "ping_device").row(0)
+        tap = next(session_id for session_id in taps if tap_run_id(topic, sender, session_id) == run_id)
+        instants_ns = clock.wall_ns(tap, part["relay_in_ns"].to_numpy())
+        assert instants_ns is not None
+        for taken_ns, row in zip(instants_ns.tolist(), part.iter_rows(named=True), strict=True):
+            publish_ns, name = taken_ns - row["one_way_ns"], f"{topic} {row['sequence']}"
+            message = next(flows), f"{run_id:016x} {0:08x} {row['sequence']}"
             if (row["stamp_to_publish_ns"] or 0) > 0:
                 stamped_ns = publish_ns - row["stamp_to_publish_ns"]
-                yield Slice(row["ping_device"], topic, f"{name} stamp", stamped_ns, publish_ns, message)
-            taken_ns = publish_ns + row["one_way_ns"]
-            yield Slice(row["relay_device"], topic, f"{name} one way", publish_ns, taken_ns, message)
+                yield Slice(sender, topic, f"{name} stamp", stamped_ns, publish_ns, *message)
+            yield Slice(row["relay_device"], topic, f"{name} one way", publish_ns, taken_ns, *message)
 
 
 def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
@@ -132,28 +144,46 @@ def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 class _Reference:
-    """The wall clock of the first device, on which the instants of all devices are expressed."""
+    """The wall clock of the device that pinged first, on which the instants of all devices and boots are expressed."""
 
     def __init__(self, analysis: Analysis) -> None:
-        self._zero_ns = {
-            session.device: session.wall_anchor_ns - session.monotonic_anchor_ns for session in analysis.sessions
+        boots = session_boots(analysis.sessions)
+        self._sessions = {
+            session.session_id: (session, (session.device, boots[session.session_id])) for session in analysis.sessions
         }
-        pings = ping_wall_offsets(analysis.sessions, analysis.runs)
-        knots = analysis.details.clock_knots.filter(pl.col("run_id").is_in(list(pings))).sort("at_ns")
-        self._first = knots["ping_device"][0] if len(knots) else next(iter(self._zero_ns), "")
-        first_knots = knots.filter(pl.col("ping_device") == self._first)
-        self._knots = first_knots.partition_by("relay_device", as_dict=True, maintain_order=True)
+        relays = {
+            (session.relay_id, session.device, boot_id_of(session)): boot for session, boot in self._sessions.values()
+        }
+        wall_ns = ping_wall_offsets(analysis.sessions, analysis.runs)
+        by_run = pl.DataFrame(
+            {"run_id": list(wall_ns), "zero_ns": list(wall_ns.values())}, {"run_id": pl.UInt64, "zero_ns": pl.Int64}
+        )
+        on_relay, on_wall = pl.col("at_ns") + pl.col("offset_ns"), pl.col("at_ns") + pl.col("zero_ns")
+        knots = (
+            analysis.details.clock_knots.join(by_run, on="run_id")
+            .select("ping_device", "relay_id", "relay_device", "relay_boot", relay_ns=on_relay, wall_ns=on_wall)
+            .sort("wall_ns")
+        )
+        self._first = knots["ping_device"][0] if len(knots) else ""
+        of_relays = knots.filter(ping_device=self._first).partition_by(
+            "relay_id", "relay_device", "relay_boot", as_dict=True, maintain_order=True
+        )
+        self._knots: dict[tuple[str, int], list[pl.DataFrame]] = defaultdict(list)
+        for relay, part in of_relays.items():
+            if relay in relays:
+                self._knots[relays[relay]].append(part.select("relay_ns", "wall_ns"))
 
-    def wall_ns(self, device: str, monotonic_ns: Int64) -> Int64:
-        """Return instants of a device's monotonic clock; of one without a fit by its own wall clock."""
-        knots = self._knots.get((device,))
-        if device == self._first or knots is None:
-            return monotonic_ns + self._zero_ns.get(device, 0)
-        offset_ns, at_ns = knots["offset_ns"].to_numpy(), knots["at_ns"].to_numpy()
-        first_ns = int(offset_ns[0])
-        on_first_ns = monotonic_ns - first_ns
-        drifted = np.interp(on_first_ns - at_ns[0], at_ns - at_ns[0], (offset_ns - first_ns).astype(np.float64))
-        on_wall: Int64 = on_first_ns - drifted.astype(np.int64) + self._zero_ns[self._first]
+    def wall_ns(self, session_id: int, monotonic_ns: Int64) -> Int64 | None:
+        """Return instants of the monotonic clock of a session, None if the session is unknown."""
+        session, boot = self._sessions.get(session_id, (None, ("", 0)))
+        if session is None:
+            return None
+        if session.device == self._first or boot not in self._knots:
+            return monotonic_ns + session.wall_ns(0)
+        knots = pl.concat(self._knots[boot]).sort("relay_ns")
+        at_ns, shift_ns = knots["relay_ns"].to_numpy(), (knots["wall_ns"] - knots["relay_ns"]).to_numpy()
+        drift_ns = np.interp(monotonic_ns - at_ns[0], at_ns - at_ns[0], (shift_ns - shift_ns[0]).astype(np.float64))
+        on_wall: Int64 = monotonic_ns + shift_ns[0] + drift_ns.astype(np.int64)
         return on_wall
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from hashlib import blake2b
 from itertools import product
 
 import numpy as np
@@ -21,6 +20,7 @@ from dds_trace.analyzer.model.detail_frames import (
 )
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, ParameterValue
+from dds_trace.analyzer.model.runs import tap_run_id
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.units import SECOND_NS
 from dds_trace.extensions.bags.periods import spread
@@ -158,8 +158,7 @@ def _with_parameters(delivery: Delivery) -> pl.DataFrame:
         "connectivity": session.connectivity,
         "setting": "",
     }
-    run = f"{delivery.heard.topic} {origin_name(delivery)} {session.session_id:016x}"
-    run_id = int.from_bytes(blake2b(run.encode(), digest_size=8).digest(), "little")
+    run_id = tap_run_id(delivery.heard.topic, origin_name(delivery), session.session_id)
     described = [pl.lit(values[column.name], column.dtype).alias(column.name) for column in PARAMETER_COLUMNS]
     messages = delivery.messages.with_columns(
         pl.lit(run_id, pl.UInt64).alias("run_id"), pl.lit(0, pl.UInt32).alias("relay_id"), *described

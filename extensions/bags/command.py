@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, EXPORTERS, write_file, write_text_file
+from dds_trace.analyzer.exports.kinds import EXPORTERS, TOPIC_EXPORTS, write_file, write_text_file
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import joined
@@ -40,7 +40,7 @@ def bag_command(
         Path | None,
         option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all recordings"),
     ] = None,
-    export: Annotated[list[str] | None, kinds_of(EXPORT_KINDS, "--export KIND", "Further file to write")] = None,
+    export: Annotated[list[str] | None, kinds_of(TOPIC_EXPORTS, "--export KIND", "Further file to write")] = None,
     fail_if: Annotated[
         list[str] | None,
         option("--fail-if LIMIT", "Fail if it holds: 'missing(/camera) > 1%', 'age_p99(/camera) > 50ms'; repeatable."),

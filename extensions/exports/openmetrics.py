@@ -20,6 +20,9 @@ _COUNTS = {
     "published": "messages that were sent",
     "received": "messages that were received",
     "lost_outbound": "messages lost on the way to the receiver",
+    "lost_in_relay": "messages that the relay received and did not send back",
+    "lost_return": "messages lost on the way back",
+    "lost_unknown": "messages lost where nobody recorded",
     "duplicates": "messages received more than once",
     "reordered": "messages received after a later one",
 }
@@ -38,7 +41,9 @@ def openmetrics_text(analysis: Analysis) -> str:
     for name, meaning in _COUNTS.items():
         lines += _family(f"{_PREFIX}_{name}_messages", "counter", "", meaning)
         for rows, labels in ((groups, PARAMETER_NAMES), (topics, _TOPIC_LABELS)):
-            lines += [f"{_PREFIX}_{name}_messages_total{_labels(row, labels)} {row[name]}" for row in rows]
+            lines += [
+                f"{_PREFIX}_{name}_messages_total{_labels(row, labels)} {row[name]}" for row in rows if name in row
+            ]
     for column, (name, unit, meaning) in _GAUGES.items():
         lines += _family(f"{_PREFIX}_{name}", "gauge", unit, meaning)
         for rows, labels in ((groups, PARAMETER_NAMES), (topics, _TOPIC_LABELS)):
@@ -72,7 +77,7 @@ def _labels(row: Mapping[str, object], names: Sequence[str], more: Mapping[str, 
 
 
 def _word(value: object) -> str:
-    text = f"{value:g}" if isinstance(value, float) else plain(str(value))
+    text = f"{value:.15g}" if isinstance(value, float) else plain(str(value))
     return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 

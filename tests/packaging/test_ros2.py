@@ -41,6 +41,7 @@ def told(monkeypatch):
 
 def test_every_file_that_names_the_version_names_this_one(told):
     citation = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert re.search(r"^date-released: \d{4}-\d\d-\d\d\b", (ROOT / "CITATION.cff").read_text(), re.MULTILINE), "a year"
     manifest = ET.parse(ROS2 / "package.xml").getroot()
     assert [told["version"], citation[1], manifest.findtext("version")] == [__version__] * 3
 

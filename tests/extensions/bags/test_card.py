@@ -9,6 +9,7 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 from wording import numbers
 
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.cli import trace
 from dds_trace.extensions.bags.card import qos_words
 from dds_trace.extensions.bags.periods import find_grid, find_regularity
@@ -375,3 +376,16 @@ def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path,
     assert "40 messages" in capsys.readouterr().out
     assert "/a" in (tmp_path / "health" / "topics.html").read_text()
     assert b"40 messages" in (tmp_path / "health" / "topics.pftrace").read_bytes()
+
+
+def test_help_names_each_export_that_a_bag_has_and_no_other(tmp_path, capsys):
+    write(tmp_path / "x.mcap", {"/a": timer(20, 3)})
+    with pytest.raises(SystemExit):
+        trace.main(["bag", "--help"])
+    (listed,) = re.findall(r"Further file to write: ([^;]*);", " ".join(capsys.readouterr().out.split()))
+    for kind in EXPORT_KINDS:
+        with pytest.raises(SystemExit) as ended:
+            trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / kind), "--export", kind])
+        is_listed = kind in listed.split(", ")
+        assert (ended.value.code, (tmp_path / kind).exists()) == ((0, True) if is_listed else (2, False))
+    assert 0 < len(listed.split(", ")) < len(EXPORT_KINDS)

@@ -39,10 +39,28 @@ def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
     return rows.with_columns(texts.str.replace(_FORMULA, "'$0").str.replace_all(_HIDDEN, "\ufffd"))
 
 
+def _hex_ids(rows: pl.LazyFrame) -> pl.LazyFrame:
+    """Return rows with run ids as 16 hex digits, as `report.json` has them: readers of CSV round numbers from 2^63 on."""
+    import polars as pl
+
+    def hex_of(ids: pl.Series) -> pl.Series:
+        unique = ids.unique()
+        texts = pl.Series([f"{run_id:016x}" for run_id in unique], dtype=pl.String)
+        return ids.to_frame("id").select(pl.col("id").replace_strict(unique, texts, return_dtype=pl.String)).to_series()
+
+    if "run_id" not in rows.collect_schema():
+        return rows
+    return rows.with_columns(pl.col("run_id").map_batches(hex_of, return_dtype=pl.String, is_elementwise=True))
+
+
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
-    "csv": lambda rows, path: _inert(rows).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
+    "csv": lambda rows, path: _inert(_hex_ids(rows)).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
     "arrow": lambda rows, path: _without_hidden(rows).sink_ipc(path),
 }
+
+
+TOPIC_EXPORTS = (*EXPORTERS, "perfetto")
+"""Kinds that the recordings of other tools have: they have no round trips."""
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> Path:

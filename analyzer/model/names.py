@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from hashlib import blake2b
 from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.base.printable import printable
@@ -46,6 +47,17 @@ def tell_apart(
         for index in rule(tuple(names), words):
             names[index] += f", {words[index]}" if words[index] else ""
     return names
+
+
+def distinct(names: Sequence[str], keys: Sequence[str]) -> list[str]:
+    """Return identifiers as distinct as the keys that they are made of: where two keys share a name, each ends in its hash."""
+    keys_by_name: dict[str, set[str]] = defaultdict(set)
+    for name, key in zip(names, keys, strict=True):
+        keys_by_name[name].add(key)
+    return [
+        name if len(keys_by_name[name]) == 1 else f"{name}_{blake2b(key.encode(), digest_size=4).hexdigest()}"
+        for name, key in zip(names, keys, strict=True)
+    ]
 
 
 _FIRST = ("vendor", "bridge")

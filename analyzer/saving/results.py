@@ -21,7 +21,8 @@ from dds_trace.base.files import folder_lock, output_errors, remove_drafts
 RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
-    *("openmetrics.txt", "latency.hlog", "timeline.pftrace"),
+    *("openmetrics.txt", "latency.hlog", "timeline.pftrace", "otava.csv", "otava.yaml", "bencher.json"),
+    *("github-benchmark-smaller.json", "github-benchmark-bigger.json"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",
 )

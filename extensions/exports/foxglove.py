@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,15 +134,23 @@ def topic_name(row: Mapping[str, ParameterValue]) -> str:
 
 
 def topic_words(rows: pl.DataFrame) -> dict[str, str]:
-    """Return topic -> its name in words, `fastdds, builtin, binary 33 KB, 10 Hz, run 2`; runs are counted by their start."""
-    counts: dict[str, int] = defaultdict(int)
+    """Return topic -> its name in words, `fastdds, builtin, binary 33 KB, 10 Hz, run 2, relay pi4`.
+
+    Runs are counted by their start. The relay is left out where its run has no other; its id replaces a device that several have.
+    """
+    by_name: dict[str, dict[int, int]] = defaultdict(dict)
+    topics = list(rows.unique("topic", maintain_order=True).iter_rows(named=True))
+    relays = Counter(row["run_id"] for row in topics)
+    devices = Counter((row["run_id"], row["relay_device"]) for row in topics)
     words = {}
-    for row in rows.unique("topic", maintain_order=True).iter_rows(named=True):
+    for row in topics:
         ways = [row["vendor"]] if row["bridge"] == "none" else [row["vendor"], row["bridge"]]
         message = f"{row['data_type']} {format_size(row['payload_bytes'])}"
         name = printable(", ".join((*ways, message, f"{row['rate_hz']:g} Hz")))
-        counts[name] += 1
-        words[row["topic"]] = f"{name}, run {counts[name]}"
+        run_id, device = row["run_id"], row["relay_device"]
+        number = by_name[name].setdefault(run_id, len(by_name[name]) + 1)
+        relay = printable(device) if device and devices[run_id, device] == 1 else f"{row['relay_id']:08x}"
+        words[row["topic"]] = f"{name}, run {number}" + (f", relay {relay}" if relays[run_id] > 1 else "")
     return words
 
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.exports.kinds import write_text_file
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
-from dds_trace.analyzer.model.names import name_groups
+from dds_trace.analyzer.model.names import distinct, name_groups
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.statistics.percentiles import histogram_of
 from dds_trace.base.version import __version__
 
@@ -40,7 +41,11 @@ def hdr_log(analysis: Analysis) -> str:
         f"#[StartTime: {start_s:.3f} (seconds since epoch)]",
         '"StartTimestamp","Interval_Length","Interval_Max","Interval_Compressed_Histogram"',
     ]
-    for tag, duration_s, value_ns, count in _histograms(analysis):
+    histograms = list(_histograms(analysis))
+    names = [name for name, *_ in histograms]
+    for tag, (_, duration_s, value_ns, count) in zip(
+        distinct([_tag(name) for name in names], names), histograms, strict=True
+    ):
         counted = value_ns >= 0
         if counted.any():
             packed = encode_histogram(np.rint(value_ns[counted]).astype(np.int64), count[counted].astype(np.int64))
@@ -50,13 +55,14 @@ def hdr_log(analysis: Analysis) -> str:
 
 
 def _histograms(analysis: Analysis) -> Iterator[tuple[str, float, NDArray[np.float64], NDArray[np.uint64]]]:
-    names = name_groups(analysis.summary) if len(analysis.summary) else []
+    groups = analysis.summary.select(PARAMETER_NAMES)
+    names = distinct(name_groups(groups), [str(row) for row in groups.rows()]) if len(groups) else []
     lasted = dict(analysis.run_times.group_by("group").agg((pl.col("last_ns") - pl.col("origin_ns")).sum()).iter_rows())
     for (group, metric), part in analysis.distributions.partition_by(
         "group", "metric", as_dict=True, maintain_order=True
     ).items():
         yield (
-            _tag(f"{names[group]} {metric}"),
+            f"{names[group]} {metric}",
             lasted.get(group, 0) / 1e9,
             part["value_ns"].to_numpy(),
             part["count"].to_numpy(),
@@ -69,7 +75,7 @@ def _histograms(analysis: Analysis) -> Iterator[tuple[str, float, NDArray[np.flo
         lasted_s = float(np.ptp(arrived)) / 1e9 if len(arrived) else 0.0
         for metric in TOPIC_METRICS:
             histogram = histogram_of(np.sort(part[f"{metric}_ns"].drop_nulls().to_numpy()))
-            yield _tag(f"{topic} {sender} to {receiver} {metric}"), lasted_s, histogram.value_ns, histogram.count
+            yield f"{topic} {sender} to {receiver} {metric}", lasted_s, histogram.value_ns, histogram.count
 
 
 def _tag(words: str) -> str:

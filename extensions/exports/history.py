@@ -13,11 +13,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import polars as pl
-
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.exports.kinds import write_text_file
-from dds_trace.analyzer.model.names import group_words
+from dds_trace.analyzer.model.names import distinct, group_words
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.base.streams import plain
 from dds_trace.base.units import finite
@@ -25,17 +23,20 @@ from dds_trace.base.units import finite
 _OF_A_MACHINE = ("ping_device", "relay_device", "ping_domain_id", "relay_domain_id")
 """Left out of names where results differ in others: they change from job to job."""
 
-_MOST_NAME, _MOST_MEASURE = 1024, 64
+_MOST_NAME, _MOST_MEASURE = 1024 - 9, 64
+"""Characters, without the hash of `distinct`."""
 
 COMMIT_VARIABLES = ("GITHUB_SHA", "CI_COMMIT_SHA")
 
 
 class Measure(NamedTuple):
+    """A measure of a result; `value` is None where it is not known, and the result of a plan has every measure."""
+
     result: str
     name: str
-    value: float
-    low: float | None
-    high: float | None
+    value: float | None
+    low: float | None = None
+    high: float | None = None
 
 
 def _measures(analysis: Analysis) -> Iterator[Measure]:
@@ -43,15 +44,20 @@ def _measures(analysis: Analysis) -> Iterator[Measure]:
     short = [name for name in PARAMETER_NAMES if name not in _OF_A_MACHINE]
     words = [_words(row, short) for row in rows]
     counts = Counter(words)
-    names = [word if counts[word] == 1 else _words(row, PARAMETER_NAMES) for word, row in zip(words, rows, strict=True)]
-    is_shown = (pl.col("metric") == "latency") & pl.col("percentile").is_in(["p50", "p99"])
-    for row in analysis.details.intervals.filter(is_shown).iter_rows(named=True):
-        value, low, high = (finite(row[f"{name}_ns"]) for name in ("estimate", "low", "high"))
-        if value is not None:
-            yield Measure(names[row["group"]], f"latency_{row['percentile']}", value, low, high)
-    for name, row in zip(names, rows, strict=True):
-        if row["received_ratio"] is not None:
-            yield Measure(name, "received_ratio", row["received_ratio"], None, None)
+    words = [word if counts[word] == 1 else _words(row, PARAMETER_NAMES) for word, row in zip(words, rows, strict=True)]
+    names = distinct(words, [str([row[name] for name in PARAMETER_NAMES]) for row in rows])
+    intervals = {
+        (row["group"], row["percentile"]): [finite(row[f"{name}_ns"]) for name in ("estimate", "low", "high")]
+        for row in analysis.details.intervals.filter(metric="latency").iter_rows(named=True)
+    }
+    for group, (name, row) in enumerate(zip(names, rows, strict=True)):
+        for percentile in ("p50", "p99"):
+            yield Measure(name, f"latency_{percentile}", *intervals.get((group, percentile), [None]))
+        yield Measure(name, "received_ratio", row["received_ratio"])
+
+
+def _known_measures(analysis: Analysis) -> Iterator[tuple[Measure, float]]:
+    return ((measure, measure.value) for measure in _measures(analysis) if measure.value is not None)
 
 
 def _words(row: dict[str, Any], columns: Sequence[str]) -> str:
@@ -60,8 +66,8 @@ def _words(row: dict[str, Any], columns: Sequence[str]) -> str:
 
 def bencher_json(analysis: Analysis) -> str:
     benchmarks: dict[str, dict[str, dict[str, float]]] = {}
-    for measure in _measures(analysis):
-        ends = {"value": measure.value, "lower_value": measure.low, "upper_value": measure.high}
+    for measure, value in _known_measures(analysis):
+        ends = {"value": value, "lower_value": measure.low, "upper_value": measure.high}
         metric = {name: end for name, end in ends.items() if end is not None}
         benchmarks.setdefault(measure.result, {})[measure.name[:_MOST_MEASURE]] = metric
     return json.dumps(benchmarks, indent=1, allow_nan=False) + "\n"
@@ -69,10 +75,10 @@ def bencher_json(analysis: Analysis) -> str:
 
 def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
     files: dict[str, list[dict[str, object]]] = {"smaller": [], "bigger": []}
-    for measure in _measures(analysis):
+    for measure, value in _known_measures(analysis):
         is_time = measure.name.startswith("latency")
         entry: dict[str, object] = {"name": f"{measure.result} {measure.name}", "unit": "ns" if is_time else "%"}
-        entry["value"] = measure.value if is_time else 100 * measure.value
+        entry["value"] = value if is_time else 100 * value
         if measure.low is not None and measure.high is not None:
             entry["range"] = f"± {(measure.high - measure.low) / 2:.0f}"
         files["smaller" if is_time else "bigger"].append(entry)
@@ -83,17 +89,44 @@ def github_benchmark_files(analysis: Analysis) -> dict[str, str]:
     }
 
 
+def _otava_columns(analysis: Analysis) -> dict[str, Measure]:
+    measures = list(_measures(analysis))
+    names = [f"{measure.result} {measure.name}" for measure in measures]
+    columns = distinct([re.sub(r"\W+", "_", name) for name in names], names)
+    return dict(sorted(zip(columns, measures, strict=True)))
+
+
 def otava_csv(analysis: Analysis) -> str:
+    """Return a row with a column for each measure of each result, sorted by name, empty where the measure is not known."""
     started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")
-    values = {re.sub(r"\W+", "_", f"{measure.result} {measure.name}"): measure.value for measure in _measures(analysis)}
+    columns = _otava_columns(analysis)
+    values = ["" if measure.value is None else f"{measure.value:.6g}" for measure in columns.values()]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(
-        [["time", "commit", *values], [time, plain(commit), *(f"{value:.6g}" for value in values.values())]]
-    )
+    writer.writerows([["time", "commit", *columns], [time, plain(commit), *values]])
     return text.getvalue()
+
+
+def otava_yaml(analysis: Analysis) -> str:
+    """Return the configuration by which Otava reads `latency.csv`, a file of such rows: which direction of a column is better."""
+    directions = {
+        name: 1 if measure.name == "received_ratio" else -1 for name, measure in _otava_columns(analysis).items()
+    }
+    metrics = (f"      {name}: {{column: {name}, direction: {way}}}\n" for name, way in directions.items())
+    return "".join([_OTAVA_CONFIG, *metrics])
+
+
+_OTAVA_CONFIG = """tests:
+  latency:
+    type: csv
+    file: latency.csv
+    time_column: time
+    attributes: [commit]
+    csv_options: {delimiter: ","}
+    metrics:
+"""
 
 
 def export_bencher(analysis: Analysis, folder: Path) -> list[Path]:
@@ -105,4 +138,5 @@ def export_github_benchmark(analysis: Analysis, folder: Path) -> list[Path]:
 
 
 def export_otava(analysis: Analysis, folder: Path) -> list[Path]:
-    return [write_text_file(folder / "otava.csv", otava_csv(analysis))]
+    texts = {"otava.csv": otava_csv(analysis), "otava.yaml": otava_yaml(analysis)}
+    return [write_text_file(folder / name, text) for name, text in texts.items()]

@@ -266,6 +266,11 @@ def report_schema() -> Schema:
             **or_null(of_record(Recommendation)),
             "description": "the ranking that `dds-trace choose` asked for, best first; null without it",
         },
+        "parquet_encodings": {
+            "type": "object",
+            "additionalProperties": {"type": "string"},
+            "description": "encoding of columns of roundtrips.parquet, of which docs/how-to/tables.md names the readers",
+        },
         "own_cost": a_list(of_record(OwnCost), " ".join((getdoc(OwnCost) or "").partition("\n")[0].split())),
     }
     added = {
@@ -280,7 +285,7 @@ def report_schema() -> Schema:
             "What `dds-trace analyze --report json` writes. Times are in ns, sizes in bytes; `group` is an index of `groups`; null "
             "means that there is no such number, never 0. A later version of the same format may add fields."
         ),
-        **an_object(properties, added | {"recommendation", "own_cost"}),
+        **an_object(properties, added | {"recommendation", "own_cost", "parquet_encodings"}),
         "$defs": {name: of_record(record) for record, name in SHARED.items()},
     }
 

@@ -55,6 +55,13 @@ ROUNDTRIP_COLUMNS = (
     + PARAMETER_COLUMNS[_PARAMETERS_BEFORE_RUNS:]
 )
 
+PARQUET_ENCODINGS = {
+    column.name: "DELTA_BINARY_PACKED"
+    for column in ROUNDTRIP_COLUMNS
+    if column.unit in ("ns", "UTC") or column.name == "sequence"
+}
+"""Encoding of columns of `roundtrips.parquet`, for which times ascend by steps or stay within a range; others are dictionaries."""
+
 COUNT_COLUMNS = (
     Column("published", pl.UInt64, "", "messages published, times the relays that took part"),
     Column("received", pl.UInt64, "", "messages whose reply came back"),

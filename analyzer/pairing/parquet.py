@@ -19,7 +19,7 @@ from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
 from ..loading.campaign import Campaign
-from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from ..model.columns import PARQUET_ENCODINGS, ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from ..model.metrics import Column
 from .exchanges import Exchanges
 from .pair import OUTCOMES
@@ -45,12 +45,9 @@ _ARROW_TYPES = {
 def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -> Iterator[Callable[[pa.Table], None]]:
     """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`.
 
-    Times ascend by steps or stay within a range, for which delta encoding is small.
-
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-    deltas = [c.name for c in ROUNDTRIP_COLUMNS if c.unit in ("ns", "UTC") or c.name == "sequence"]
     # Texts are written as dictionaries; readers get the schema with texts, units and meanings.
     schema = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
     with ExitStack() as stack:
@@ -63,8 +60,8 @@ def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -
                 _WRITTEN_SCHEMA,
                 compression="zstd",
                 compression_level=1,
-                use_dictionary=[name for name in _WRITTEN_SCHEMA.names if name not in deltas],
-                column_encoding=dict.fromkeys(deltas, "DELTA_BINARY_PACKED"),
+                use_dictionary=[name for name in _WRITTEN_SCHEMA.names if name not in PARQUET_ENCODINGS],
+                column_encoding=PARQUET_ENCODINGS,
                 store_schema=False,
                 write_batch_size=_ROWS_PER_PAGE,
                 max_rows_per_page=_ROWS_PER_PAGE,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
+from dds_trace.analyzer.model.columns import PARQUET_ENCODINGS
 
 from ..blocks import MARKDOWN, Block, Facts, Heading, Points, Report, Section, Sentence
 from .contents import Contents
@@ -48,6 +49,7 @@ class Book(Contents, Report):
             "deadline_ns": details.deadline_ns,
             "deadline_metric": details.deadline_metric,
             "recommendation": details.recommendation,
+            "parquet_encodings": PARQUET_ENCODINGS,
         }
 
     @property

@@ -10,8 +10,6 @@ import typer
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, TOPIC_EXPORTS, write_file, write_text_file
 from dds_trace.base import limits
-from dds_trace.base.errors import OptionError
-from dds_trace.base.units import joined
 from dds_trace.cli.outputs import Opens, expand_paths, kinds_of, show_page
 from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
 _REPORTS = ("html", "md", "json", "terminal")
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
 _FILES = ("html", "md", "json")
-_EXPORTS = (*EXPORTERS, "perfetto")
 
 app = make_app()
 
@@ -113,8 +110,6 @@ def report_topics(
     from .card import DAMAGED, HOLES
     from .report import BagReport
 
-    if others := sorted({*exports} - {*_EXPORTS}):
-        raise OptionError(f"a bag has no round trips: it exports {joined(_EXPORTS)}; leave out --export {others[0]}")
     report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = []
     if gates:

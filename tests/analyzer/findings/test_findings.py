@@ -27,7 +27,7 @@ from wording import numbers
 import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import findings as rooms
 from dds_trace.analyzer.findings.evidence import Check
-from dds_trace.analyzer.findings.table import all_checks
+from dds_trace.analyzer.findings import table
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze
@@ -68,7 +68,7 @@ def test_a_sound_recording_has_no_finding(tmp_path):
 def test_every_check_that_is_a_function_is_in_the_table():
     modules = [import_module(f"{rooms.__name__}.{module.name}") for module in iter_modules(rooms.__path__)]
     checks = {value for module in modules for value in vars(module).values() if isinstance(value, Check)}
-    assert checks == {check for check in all_checks() if check.observe.__module__ != f"{rooms.__name__}.rows"}
+    assert checks == {check for check in table.CHECKS if check.observe.__module__ != f"{rooms.__name__}.rows"}
 
 
 def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):

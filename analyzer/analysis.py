@@ -19,6 +19,7 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.columns import SUMMARY_COLUMNS
 from .model.detail_frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
+from .model.finding import UNUSABLE
 from .model.metrics import schema_of
 from .model.presenter import presenter
 from .model.runs import with_unsent
@@ -164,15 +165,19 @@ class Analysis:
         barred = {group for finding in self.findings if finding.code == "not_applied" for group in finding.groups}
         return self.summary[sorted(barred)]
 
+    @property
+    def unusable_groups(self) -> frozenset[int]:
+        """Rows of `summary` that are in no answer: their replies are not their relay's, or not of the messages' size."""
+        return frozenset(group for finding in self.findings if finding.code in UNUSABLE for group in finding.groups)
+
     @cached_property
     def judgements(self) -> pl.DataFrame:
         """What is said of setups, links, devices, bridges, flows and a job, a row each (`judgements.JUDGEMENT_SCHEMA`); empty without details."""
         details = self.details
-        forged = {group for finding in self.findings if finding.code == "forged_or_foreign" for group in finding.groups}
         rows = [
             *(replace(row, subject=f"{row.subject}; {a.words}") for a in details.answers for row in a.judgements),
             *judge_own_nodes(details.answers, self.summary),
-            *judge_places(self.summary, details.intervals, forged),
+            *judge_places(self.summary, details.intervals, self.unusable_groups),
             *judged_costs(details.bridge_costs, details.interference),
             *(judged_candidates(details.recommendation) if details.recommendation else ()),
         ]

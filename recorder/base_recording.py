@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 from dds_trace.base.extension import load
+from dds_trace.base.limits import RELAY_ID
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
@@ -128,7 +129,7 @@ class BaseRecording(ABC):
         self.watch = watch
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
-        self.relay_id = options.relay_id or secrets.randbits(32) or 1
+        self.relay_id = options.relay_id or 1 + secrets.randbelow(RELAY_ID.high)
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
         self.bridge: Any = None  # what `open_bridge` of the extension gives

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 
 import polars as pl
 
@@ -157,6 +158,23 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
+@check(
+    "reply_size",
+    Severity.ERROR,
+    Subject.RUN,
+    "Do not use this result: its times are of other messages than the run describes. Look for a relay or a bridge that cuts or "
+    "fills messages, or, of calls, give both sides one -o response_size.",
+)
+def other_sizes(evidence: Evidence) -> Iterator[Observation]:
+    """Replies had another size than the messages."""
+    for exchange, group, counts in evidence.counts_by_exchange():
+        if counts["resized"]:
+            what = f"{counts['resized']} of {counted(counts['replied'], 'reply', 'replies')} had {counts['least_reply_bytes']} to "
+            what += f"{counts['most_reply_bytes']} B, which is not the size that was sent or requested."
+            effect = min(counts["resized"] / max(counts["replied"], 1), 1.0)
+            yield Observation(exchange_name(exchange), what, (group,), effect)
+
+
 def _second_sources(evidence: Evidence, exchange: Exchange, counts: Mapping[str, int]) -> int:
     relay = exchange.relay
     is_sure = relay is not None and _is_direct(exchange) and _is_whole(evidence, relay)
@@ -194,7 +212,7 @@ def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str
 def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple[int, ...]:
     """Return the results that are not to be used, before details: nothing is judged by them."""
     suspect = evidence.summary.exchange_counts.select(
-        pl.col("relay_gaps", "early", "negative_latency", "second_source").sum()
+        pl.col("relay_gaps", "early", "negative_latency", "second_source", "resized").sum()
     )
     if not any(suspect.row(0)):
         return ()
@@ -203,7 +221,8 @@ def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple
         boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())
         clock_fits = segment_table(fit_devices(clock_knots, boots))
         details = replace(details, clock_fits=clock_fits, clock_knots=clock_knots)
-    findings = forged_or_foreign(replace(evidence, details=details))
+    with_clocks = replace(evidence, details=details)
+    findings = chain(forged_or_foreign(with_clocks), other_sizes(with_clocks))
     return tuple(sorted({group for finding in findings for group in finding.groups}))
 
 

@@ -43,6 +43,7 @@ CHECKS: tuple[Check, ...] = (
         "again.",
     ),
     runs.forged_or_foreign,
+    runs.other_sizes,
     runs.UNPLACED.error(
         "undescribed_run",
         "No trace describes a run",
@@ -64,6 +65,14 @@ CHECKS: tuple[Check, ...] = (
         "These runs have replies of more relays than their messages explain; those with the fewest events were left out. "
         "{events:# event}, {runs}.",
         "Look for a program that forges replies, or a recorder with a new relay_id for each message.",
+    ),
+    runs.UNPLACED.error(
+        "unnamed_relay",
+        "Replies name no relay",
+        pl.col("reason") == "names_no_relay",
+        "These runs have replies of the ids 0 and ffffffff, which only messages on their way out have; they were left out. "
+        "{events:# event}, {runs}.",
+        "Look for a program that forges replies, or give each relay an id of its own.",
     ),
     runs.RUNS_OF_RESULTS.error(
         "no_relay",

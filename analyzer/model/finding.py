@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+UNUSABLE = ("forged_or_foreign", "reply_size")
+"""Codes of findings whose results are in no answer."""
+
 
 @dataclass(frozen=True, slots=True)
 class Source:

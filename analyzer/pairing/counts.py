@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import EventColumns
 
 from .pair import LOSSES, MISSING, OUTCOMES, Outcome, PairedMessages, Published, chosen_of
@@ -42,6 +43,9 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "longest_gap_ns": pl.Int64,
     "sent": pl.Int64,
     "reached": pl.Int64,
+    "resized": pl.Int64,
+    "least_reply_bytes": pl.Int64,
+    "most_reply_bytes": pl.Int64,
 }
 """Columns of the frame `counts`, one row per exchange; all i64.
 
@@ -56,6 +60,7 @@ due and never published. `in_flight`: messages without a row: the ping was kille
 `absent`: messages without a row as the relay was not there (all three `roundtrips.py`). `outlived`: lost messages between two
 arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest such time.
 `sent`, `reached`: messages with T1, and of these with T3, also those that were not to be sent back, as the first two spans have them.
+`resized`: T2 of another size than was sent, or requested of a call; `least_reply_bytes`, `most_reply_bytes`: of these.
 """
 
 
@@ -122,6 +127,26 @@ def count_all(t1: EventColumns, t3: EventColumns, warmup_messages: int) -> dict[
         "reached": len(np.intersect1d(t1.sequence, t3.sequence)),
         "publish_span_ns": _span_ns(t1.monotonic_ns, t1.monotonic_ns),
         "relay_span_ns": _span_ns(t3.monotonic_ns, t3.monotonic_ns),
+    }
+
+
+def count_sizes(t1: EventColumns, t2: EventColumns, run: Run) -> dict[str, int | None]:
+    """Count replies of a size of their own; in traces of earlier versions none, as their T2 repeat the size that was sent."""
+    t2 = t2.take(t2.sequence >= np.uint64(run.warmup_messages))
+    requested = run.extra.get("reply_bytes")
+    if isinstance(requested, int):
+        is_other = t2.payload_bytes != requested
+    elif not len(t1) or (t1.payload_bytes == t1.payload_bytes[0]).all():
+        is_other = t2.payload_bytes != t1.payload_bytes[:1]
+    else:
+        order = np.argsort(t1.sequence, kind="stable")
+        row = order[np.minimum(np.searchsorted(t1.sequence[order], t2.sequence), len(t1) - 1)]
+        is_other = (t1.sequence[row] == t2.sequence) & (t1.payload_bytes[row] != t2.payload_bytes)
+    others = t2.payload_bytes[is_other]
+    return {
+        "resized": len(others),
+        "least_reply_bytes": int(others.min()) if len(others) else None,
+        "most_reply_bytes": int(others.max()) if len(others) else None,
     }
 
 

@@ -93,6 +93,7 @@ Parts = tuple[EventPart, ...]
 
 
 NO_RELAY = 0
+_NAMES_NO_RELAY = frozenset((NO_RELAY, (1 << 32) - 1))
 
 _ANY_RELAYS = 16
 _ROWS_PER_EVENT = 4
@@ -133,8 +134,8 @@ class Exchange:
         return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
-        """Return keys of T1 to T4; all relays of the run share T1."""
-        run_id, relay_id = self.run.run_id, self.relay_id
+        """Return keys of T1 to T4; all relays of the run share T1. Events of the relay 0 are of no exchange."""
+        run_id, relay_id = self.run.run_id, self.relay_id or -1
         return (
             (Stage.T1, run_id, NO_RELAY),
             (Stage.T2, run_id, relay_id),
@@ -195,6 +196,12 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             reason = "no_ping_session" if run else "no_run_description"
             unplaced.append(_unplaced(reason, run_id, NO_RELAY, [t1]))
             continue
+        unnamed = [
+            parts for relay_id in every_relay.keys() & _NAMES_NO_RELAY for parts in every_relay[relay_id].values()
+        ]
+        if unnamed:
+            unplaced.append(_unplaced("names_no_relay", run_id, NO_RELAY, unnamed))
+        every_relay = {name: stages for name, stages in every_relay.items() if name not in _NAMES_NO_RELAY}
         relays, surplus = _within_bounds(every_relay, _count(t1))
         if surplus:
             unplaced.append(_unplaced("too_many_relays", run_id, NO_RELAY, surplus))

@@ -17,7 +17,7 @@ from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from ..model.runs import MOST_MESSAGES
-from .counts import COUNT_SCHEMA, count_all, count_messages
+from .counts import COUNT_SCHEMA, count_all, count_messages, count_sizes
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import (
     MISSING,
@@ -165,12 +165,11 @@ def pair_exchanges(
     rows = int(bounds[-1])
 
     filled, counts = _Filled(rows), []
-    of_all = [
-        count_all(events[exchange.event_keys()[0]], events[exchange.event_keys()[2]], exchange.run.warmup_messages)
-        if exchange.run.ping_every > 1
-        else {}
-        for exchange in exchanges
-    ]
+    of_all = []
+    for exchange in exchanges:
+        t1, t2, t3, _ = (events[key] for key in exchange.event_keys())
+        of_one_way = count_all(t1, t3, exchange.run.warmup_messages) if exchange.run.ping_every > 1 else {}
+        of_all.append(count_sizes(t1, t2, exchange.run) | of_one_way)
     for exchange, all_messages, is_there, mask, first in zip(
         exchanges, messages_of_exchanges, in_service, masks, bounds[:-1].tolist(), strict=True
     ):

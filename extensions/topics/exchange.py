@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field
 
-from dds_trace.base.limits import STORED_RELAY_ID, STORED_TIME_NS, Whole
+from dds_trace.base.limits import RELAY_ID, STORED_TIME_NS, Whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import DRIFT_LIMIT_PPB, SECOND_NS, counted
 from dds_trace.recorder.backends.node import Publisher, RawMessage
@@ -243,7 +243,7 @@ def parse_note(message: RawMessage) -> ClockNote | None:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     are_good = not any(STORED_TIME_NS.fault(number) for number in numbers.values())
-    if not are_good or _SEQUENCE.fault(sequence) or STORED_RELAY_ID.fault(relay_id):
+    if not are_good or _SEQUENCE.fault(sequence) or RELAY_ID.fault(relay_id):
         return None
     return ClockNote(run_id=run_id, sequence=sequence, relay_id=relay_id, **texts, **numbers)  # type: ignore[arg-type]
 

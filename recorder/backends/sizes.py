@@ -22,6 +22,10 @@ class Sizes(NamedTuple):
 
 VENDORS_SIZES = Sizes()
 
+ACTION_RESULT_BYTES = 33_000
+LEAST_RESPONSE_BYTES = 64
+"""A response has our whole stamp."""
+
 
 def size_option(name: str, text: str, limit: Whole) -> int | None:
     parse = partial(parse_size, what=f"-o {name}")
@@ -41,6 +45,17 @@ def response_size_option(limit: Whole) -> int | None:
     return option(
         None, "--response-size SIZE", help_text, roles=(Role.PING, Role.RELAY), limit=limit, parse=parse, axis=axis
     )
+
+
+def text_bytes(text: str) -> int:
+    return len(text) if text.isascii() else len(text.encode(errors="replace"))
+
+
+def requested_bytes(call: Call, response_bytes: int | None) -> int | None:
+    """Return the bytes of a response, None where it is as long as its request."""
+    if call is Call.ACTION:  # its result has whole numbers of four bytes
+        return 4 * max((response_bytes or ACTION_RESULT_BYTES) // 4, 1)
+    return None if response_bytes is None else max(response_bytes, LEAST_RESPONSE_BYTES)
 
 
 _WITH_SIZES = {

@@ -26,6 +26,7 @@ from .base import Backend, Meeting, has_package
 from .dds_types import DDS_TYPES
 from .node import RELAY_SUFFIX, Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
 from .qos import refuse_policies
+from .sizes import LEAST_RESPONSE_BYTES, requested_bytes
 from .zenoh_ros import GRAPH_KEY, data_key, origin_of, parse_token
 
 if TYPE_CHECKING:
@@ -40,7 +41,6 @@ KEY_PREFIX = "dds_trace"
 """Start of every key: topic `NAME` of domain 10 has `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
 LONGEST_CALL_S = 60
-LEAST_RESPONSE_BYTES = 64
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
 _SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
     Transport.DEFAULT: {},
@@ -267,7 +267,8 @@ class ZenohCallNode(ZenohNode):
         if topic.endswith(RELAY_SUFFIX):
             self._takers[topic] = receive
             return NodeSubscription(token.undeclare)
-        take, key, size = self._guarded(receive), self._key("data", topic), self.options.response_bytes
+        take, key = self._guarded(receive), self._key("data", topic)
+        size = requested_bytes(self.options.call, self.options.response_bytes)
 
         def on_query(query: Any) -> None:
             if query.payload is not None:

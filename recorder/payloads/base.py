@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
@@ -72,11 +72,17 @@ class Form(Generic[SentT, ReceivedT]):
         payload_bytes_of: returns the application bytes of a received message; raises for one that is cut short.
         sizing_bytes_of: returns how many first bytes determine, with the length of the message, its `payload_bytes_of`;
             None for message objects.
+        whole_bytes_of: returns the length of a response that was requested in a size of its own.
     """
 
     stamp: StampPlace[SentT, ReceivedT]
     payload_bytes_of: Callable[[ReceivedT], int]
     sizing_bytes_of: Callable[[RawMessage], int] | None = None
+    whole_bytes_of: Callable[[Any], int] = len
+
+
+MOST_PADDING_BYTES = 3
+"""Some vendors pad a message to four bytes."""
 
 
 def sized_by_length(_message: RawMessage) -> int:

@@ -16,7 +16,7 @@ from dds_trace.base.files import open_regular
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from ..backends.node import RawMessage, RosMessage
-from .base import DataType, Form, Message, Payload, Source, check_size, check_stop
+from .base import MOST_PADDING_BYTES, DataType, Form, Message, Payload, Source, check_size, check_stop
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
@@ -61,8 +61,8 @@ def payload_bytes_of(message: RawMessage) -> int:
         (data_bytes,) = _UINT32.unpack_from(message, data_offset - 4)
     except struct.error:
         return 0
-    padding = len(message) - (data_offset + data_bytes)  # some vendors pad to four bytes
-    return int(data_bytes) if 0 <= padding < 4 else 0
+    padding = len(message) - (data_offset + data_bytes)
+    return int(data_bytes) if 0 <= padding <= MOST_PADDING_BYTES else 0
 
 
 def sizing_bytes_of(message: RawMessage) -> int:

@@ -15,13 +15,14 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
 
 from ..backends.node import RawMessage, RosMessage
-from .base import DataType, Form, Message, Payload, Source, check_size, check_stop, sized_by_length
+from .base import MOST_PADDING_BYTES, DataType, Form, Message, Payload, Source, check_size, check_stop, sized_by_length
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
 FIELDS = (4, 9, 3, 9, 3, 9)
 PAYLOAD_BYTES = 8 * sum(FIELDS)
+MESSAGE_BYTES = 4 + 64 + PAYLOAD_BYTES  # encapsulation, header with our stamp to the next eighth byte
 
 COLUMNS = "time in s, three angular velocities in rad/s and three accelerations in m/s^2"
 _COLUMN_COUNT = 7
@@ -100,7 +101,12 @@ def check_path(where: str) -> None:
         raise OptionError(f"--data imu:{where}: write imu:FILE, a file of {COLUMNS}")
 
 
-def payload_bytes_of(_message: RawMessage | RosMessage) -> int:
+def payload_bytes_of(message: RawMessage) -> int:
+    surplus = len(message) - MESSAGE_BYTES
+    return PAYLOAD_BYTES if 0 <= surplus <= MOST_PADDING_BYTES else max(PAYLOAD_BYTES + surplus, 0)
+
+
+def object_bytes_of(_message: RosMessage) -> int:
     return PAYLOAD_BYTES
 
 
@@ -109,7 +115,7 @@ IMU = DataType(
     topic="imu_data",
     type_name="sensor_msgs/msg/Imu",
     raw=Form(RAW_HEADER_STAMP, payload_bytes_of, sized_by_length),
-    objects=Form(HEADER_STAMP, payload_bytes_of),
+    objects=Form(HEADER_STAMP, object_bytes_of),
     object_stamp=HEADER_STAMP,
     make=make_payload,
 )

@@ -15,6 +15,8 @@ PROBE_RUN_ID = 0
 """Run id of readiness probes, which relays echo and nobody records."""
 NO_REPLY = (1 << 32) - 1
 """In place of a relay's id: relays record the message and do not send it back."""
+NO_RELAYS = (0, NO_REPLY)
+"""What stands in messages on their way out, where replies have the id of their relay."""
 
 SentT = TypeVar("SentT")
 ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)

@@ -12,7 +12,8 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from ..backends.node import RawMessage, RosMessage
-from .base import DataType, Form, Message, Payload, check_stop, sized_by_length
+from ..backends.sizes import text_bytes
+from .base import MOST_PADDING_BYTES, DataType, Form, Message, Payload, check_stop, sized_by_length
 from .cdr import CdrWriter
 from .stamp import RAW_STRING_STAMP, STAMP_BYTES, STRING_STAMP, stamp_text
 
@@ -55,11 +56,12 @@ def payload_bytes_of(message: RawMessage) -> int:
     (length,) = _UINT32.unpack_from(message, 4)
     if not STAMP_BYTES < length <= len(message) - 8:
         raise ValueError("the string is longer than its message")
-    return int(length) - 1 - STAMP_BYTES
+    surplus = len(message) - 8 - length
+    return int(length) - 1 - STAMP_BYTES + (surplus if surplus > MOST_PADDING_BYTES else 0)
 
 
 def object_bytes_of(message: RosMessage) -> int:
-    return len(message.data) - STAMP_BYTES
+    return text_bytes(message.data) - STAMP_BYTES
 
 
 STRING = DataType(

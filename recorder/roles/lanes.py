@@ -67,8 +67,12 @@ def message_objects_of(node: Node) -> ObjectNode:
     return node
 
 
+def _call_bytes(call: CallMessage) -> int:
+    return call.payload_bytes
+
+
 def call_lane(calls: CallNode) -> Lane[CallMessage, CallMessage]:
-    form = Form(CALL_STAMP, lambda call: call.payload_bytes)
+    form = Form(CALL_STAMP, _call_bytes, whole_bytes_of=_call_bytes)
     return Lane(
         lambda _data_type: form,
         lambda _data_type, message: CallMessage("", message.data, message.payload_bytes),

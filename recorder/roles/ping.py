@@ -18,7 +18,7 @@ from ..applied.applied import Traffic
 from ..errors import RelayLostError
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import start_thread_use, tuned_gc
-from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
+from ..payloads.stamp import NO_RELAYS, NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import Clients, open_lane
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
@@ -66,6 +66,7 @@ MEETING_NS = SECOND_NS
 T1, T2 = 1, 2
 UNSENT = "reply to a message that was not sent"
 UNMET = "reply of a relay that did not answer a probe"
+UNNAMED = "reply that names no relay"
 
 
 class Record(Protocol):
@@ -103,14 +104,16 @@ class Ping(Generic[SentT, ReceivedT]):
         self._now = self._clock.monotonic_ns
         data_type = plan.payload.data_type
         self._lane = lane
-        self._stamps = lane.form_of(data_type).stamp
+        form = lane.form_of(data_type)
+        self._stamps = form.stamp
+        self._bytes_of = form.payload_bytes_of if plan.reply_bytes is None else form.whole_bytes_of
         self._messages = [lane.message_of(data_type, message) for message in plan.payload.messages]
 
         self._nonce = secrets.randbits(63)  # of the first probe
         self._nonces: dict[int, int] = {}  # of a probe -> time of sending
         self._opened_ns = self._now()
         self._met: dict[int, tuple[int, int]] = {}  # relay -> when it first sent a probe back, and probes it had missed
-        self._pending: deque[tuple[int, int, int, int, int]] = deque(maxlen=MAX_PENDING)  # replies of others
+        self._pending: deque[tuple[int, int, int, int, int, int]] = deque(maxlen=MAX_PENDING)  # replies of others
         self._probed_ns = 0  # of the latest probe within the run
         self._probing_ns = 0  # while a probe is being sent
         self._strangers = strangers
@@ -139,12 +142,16 @@ class Ping(Generic[SentT, ReceivedT]):
         receive_ns = self._now()
         try:
             stamp = self._stamps.read(message)
+            payload_bytes = 0 if stamp is None else self._bytes_of(message)
         except Exception:  # noqa: BLE001 - whatever a peer sends costs only its message
             stamp = None
         if stamp is None:
             self._strangers.count(UNSTAMPED)
             return
         run_id, sequence, relay_id = stamp
+        if relay_id in NO_RELAYS:
+            self._strangers.count(UNNAMED)
+            return
         if run_id != self.run_id:
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
                 self._first_echo_ns = self._first_echo_ns or receive_ns - self._nonces[self._nonce]
@@ -159,9 +166,8 @@ class Ping(Generic[SentT, ReceivedT]):
         if relay_id not in self._met:
             if len(self._pending) == MAX_PENDING:
                 self._strangers.count(UNMET)
-            self._pending.append((relay_id, sequence, receive_ns, source_ns, received_ns))
+            self._pending.append((relay_id, sequence, receive_ns, source_ns, received_ns, payload_bytes))
             return
-        payload_bytes = replies.payload_bytes[sequence]
         self._record(T2, run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
         replies.note(sequence, relay_id, receive_ns)
 
@@ -175,8 +181,7 @@ class Ping(Generic[SentT, ReceivedT]):
             if waiting[0] != relay_id:
                 self._pending.append(waiting)
                 continue
-            _, sequence, receive_ns, source_ns, received_ns = waiting
-            payload_bytes = self._replies.payload_bytes[sequence]
+            _, sequence, receive_ns, source_ns, received_ns, payload_bytes = waiting
             self._record(T2, self.run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
             self._replies.note(sequence, relay_id, receive_ns)
 

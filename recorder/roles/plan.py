@@ -12,6 +12,7 @@ from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 from ..backends import load_backend
+from ..backends.sizes import requested_bytes
 from ..choices import Call, Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, run_settings
 
@@ -49,6 +50,7 @@ class RunPlan:
     relay_domain_id: int | None = None
     clients: int = 1
     call_timeout_s: float = 0.0
+    reply_bytes: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
     extra: JsonObject = field(default_factory=dict)
 
@@ -64,6 +66,8 @@ class RunPlan:
         return -(-messages // self.ping_every)
 
     def describe(self, run_id: int) -> Run:
+        more = {"ping_every": self.ping_every} if self.ping_every > 1 else {}
+        more |= {} if self.reply_bytes is None else {"reply_bytes": self.reply_bytes}
         return Run(
             run_id=run_id,
             data_type=self.payload.data_type.name,
@@ -76,7 +80,7 @@ class RunPlan:
             serialization=self.serialization.value,
             qos=self.qos,
             labels=self.labels,
-            extra={**self.extra, **({"ping_every": self.ping_every} if self.ping_every > 1 else {})},
+            extra={**self.extra, **more},
         )
 
 
@@ -104,6 +108,7 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
         serialization=Serialization.TYPED if is_typed else options.serialization,
         clients=ping.clients,
         call_timeout_s=ping.call_timeout_s,
+        reply_bytes=requested_bytes(options.node.call, options.node.response_bytes),
         ping_every=round(1 / share),
         is_timed=math.isinf(rate_hz) and ping.messages is None,
         bridge=ping.bridge,

@@ -30,7 +30,7 @@ from .groups import (
     topic_parts,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
-from .losses import FORGED, UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
+from .losses import UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
 from .numbers import Values
 from .sizes import late_by_group, late_share
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
@@ -96,7 +96,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     answers = analysis.details.answers if has_latency else ()
     costs = analysis.details.bridge_costs if has_latency else analysis.details.bridge_costs.clear()
     cures = {group: finding.cure for finding in analysis.findings if finding.cure for group in finding.groups}
-    forged = {group for finding in analysis.findings if finding.code == FORGED for group in finding.groups}
+    forged = analysis.unusable_groups
     usable = replace(groups, groups=tuple(group for group in groups.groups if group.index not in forged))
     losses, unreached = loss_sentence(usable, values), found_sentence(analysis, groups, UNREACHED)
     remarks = (

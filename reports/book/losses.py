@@ -27,10 +27,11 @@ from .groups import (
 from .numbers import Values
 from .verdicts import contender_labels, place_of
 
-FORGED, DOUBTFUL = "forged_or_foreign", "doubtful_replies"
-
-
-_FORGED = {FORGED: "Do not use, as somebody else may have answered", DOUBTFUL: "Doubtful"}
+_FORGED = {
+    "forged_or_foreign": "Do not use, as somebody else may have answered",
+    "reply_size": "Do not use, as replies had another size",
+    "doubtful_replies": "Doubtful",
+}
 UNREACHED = {"unreached": "Lost on the way to the relay"}
 
 

@@ -32,7 +32,7 @@ class CellResult:
     Attributes:
         run_id: 16 hex digits.
         published: messages that were to be sent back, all without `ping_share`; `received`: those with a reply.
-        sent_bytes: application bytes of all published messages; `returned_bytes`: of those with a reply.
+        sent_bytes: application bytes of all published messages; `returned_bytes`: of the first reply to each.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
     """
@@ -81,7 +81,7 @@ def read_result(path: Path) -> CellResult:
     receive_ns = replies.monotonic_ns[first]
     answered_sequences, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
     published = trace.events[Stage.T1]
-    returned = np.isin(published.sequence, trace.events[Stage.T2].sequence)
+    _, returned = np.unique(trace.events[Stage.T2].sequence, return_index=True)
     not_applied = trace.sessions[-1].extra.get("not_applied") if trace.sessions else None
     entries = not_applied if isinstance(not_applied, list) else ()
     span_ns = int(all_sent.monotonic_ns[-1] - all_sent.monotonic_ns[0]) if len(all_sent) > 1 else 0
@@ -91,7 +91,7 @@ def read_result(path: Path) -> CellResult:
         published=len(sent),
         received=len(answered_sequences),
         sent_bytes=int(published.payload_bytes.sum(dtype=np.int64)),
-        returned_bytes=int(published.payload_bytes[returned].sum(dtype=np.int64)),
+        returned_bytes=int(trace.events[Stage.T2].payload_bytes[returned].sum(dtype=np.int64)),
         achieved_rate_hz=(len(all_sent) - 1) / (span_ns / 1e9) if span_ns else None,
         rtt_ms=_percentiles_ms(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
         response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]) if run.rate_hz else None,

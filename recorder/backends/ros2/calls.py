@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...choices import Call, ExecutorKind
 from ..node import RELAY_SUFFIX, CallMessage, Endpoint, NodeSubscription, TopicView
+from ..sizes import requested_bytes, text_bytes
 from .fastdds_profile import uses_tcp
 from .installation import message_class
 from .node import Ros2Node, qos_profile
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 SERVICE, ACTION = "rcl_interfaces/srv/SetParameters", "test_msgs/action/Fibonacci"
 INTEGER_ARRAY = 7
 """`PARAMETER_INTEGER_ARRAY` of `rcl_interfaces/msg/ParameterType`."""
-ACTION_RESULT_BYTES = 33_000
 RESULT_KEPT_S = 10
 CONVERSIONS = 5
 _UINT32 = 0xFFFFFFFF
@@ -56,7 +56,7 @@ class Ros2CallNode(Ros2Node):
             self._response = _Response()
             return self._response
         kind = _ActionClient if self.options.call is Call.ACTION else _ServiceClient
-        return kind(self._node, topic, qos, self._take_response)
+        return kind(self._node, topic, qos, self._take_response, self.options.response_bytes)
 
     def create_server(self, topic: str, receive: Receive[CallMessage], qos: Qos) -> Subscription:
         if topic.endswith(RELAY_SUFFIX):
@@ -70,7 +70,8 @@ class Ros2CallNode(Ros2Node):
             return response.stamp
 
         serve = _serve_action if self.options.call is Call.ACTION else _serve_service
-        return NodeSubscription(serve(self._node, topic, qos_profile(qos), respond, self.options.response_bytes))
+        size = requested_bytes(self.options.call, self.options.response_bytes)
+        return NodeSubscription(serve(self._node, topic, qos_profile(qos), respond, size))
 
     def look_at(self, topic: str) -> TopicView:
         name = topic.removesuffix(RELAY_SUFFIX) + ("/_action/send_goal" if self.options.call is Call.ACTION else "")
@@ -99,8 +100,11 @@ def _conversion_ns(*messages: RosMessage) -> int:
 
 
 class _ServiceClient:
-    def __init__(self, node: Any, name: str, qos: Qos, receive: Receive[CallMessage]) -> None:
+    def __init__(
+        self, node: Any, name: str, qos: Qos, receive: Receive[CallMessage], response_bytes: int | None
+    ) -> None:
         service = message_class(SERVICE)
+        self._has_own_size = response_bytes is not None
         self._client = node.create_client(service, name, qos_profile=qos_profile(qos))
         self.close = partial(node.destroy_client, self._client)
         self.is_matched = self._client.service_is_ready
@@ -117,11 +121,15 @@ class _ServiceClient:
             message.built = message_class(SERVICE).Request(parameters=[kinds.Parameter(value=value)])
         self._request = message.built
         self._request.parameters[0].name = message.stamp
-        self._client.call_async(self._request).add_done_callback(self._on_response)
+        around_bytes = 0  # beyond the payload, in a response as long as its request
+        if not self._has_own_size:
+            around_bytes = -(-len(message.data) // 8) * 8 - message.payload_bytes
+        self._client.call_async(self._request).add_done_callback(partial(self._on_response, around_bytes))
 
-    def _on_response(self, future: Any) -> None:
+    def _on_response(self, around_bytes: int, future: Any) -> None:
         self._response = response = future.result()
-        self._receive(CallMessage(response.results[0].reason[:46] if response.results else ""))
+        text = response.results[0].reason if response.results else ""
+        self._receive(CallMessage(text[:46], payload_bytes=max(text_bytes(text) - around_bytes, 0)))
 
     def describe(self) -> dict[str, int]:
         return {"typed_ns": _conversion_ns(self._request, self._response)}
@@ -149,7 +157,9 @@ def _serve_service(
 
 
 class _ActionClient:
-    def __init__(self, node: Any, name: str, qos: Qos, receive: Receive[CallMessage]) -> None:
+    def __init__(
+        self, node: Any, name: str, qos: Qos, receive: Receive[CallMessage], _response_bytes: int | None
+    ) -> None:
         action, profile = message_class(ACTION), qos_profile(qos)
         profiles = dict.fromkeys(
             (f"{part}_qos_profile" for part in ("goal_service", "result_service", "feedback_sub")), profile
@@ -188,7 +198,8 @@ class _ActionClient:
     def _on_result(self, stamp: str, future: Any) -> None:
         self._result = future.result().result
         first = self._result.sequence[:1]
-        self._receive(CallMessage(f"{stamp[:-8]}{first[0] & _UINT32:08x}" if first else ""))
+        text = f"{stamp[:-8]}{first[0] & _UINT32:08x}" if first else ""
+        self._receive(CallMessage(text, payload_bytes=4 * len(self._result.sequence)))
 
     def describe(self) -> dict[str, int]:
         steps = {f"{step}_p50_ns": round(statistics.median(times)) for step, times in self._times_ns.items()}
@@ -202,7 +213,7 @@ def _serve_action(
     profiles = dict.fromkeys(
         (f"{part}_qos_profile" for part in ("goal_service", "result_service", "feedback_pub")), profile
     )
-    numbers = array("i", bytes(4 * max((response_bytes or ACTION_RESULT_BYTES) // 4, 1)))
+    numbers = array("i", bytes(response_bytes or 4))
 
     def execute(goal_handle: Any) -> Any:
         digits = bytes(goal_handle.goal_id.uuid).hex()

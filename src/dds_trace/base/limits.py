@@ -179,7 +179,7 @@ MAX_MESSAGES = 100_000_000
 """A run's ledger needs 20 bytes of memory for each."""
 
 DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
-RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")
+RELAY_ID = Whole(1, (1 << 32) - 2, "a relay's id")
 SIZE_BYTES = Whole(0, MAX_PAYLOAD_BYTES, "the size of a message in bytes")
 RESPONSE_BYTES = Whole(1, MAX_PAYLOAD_BYTES, "the size of a response in bytes")
 CLIENTS = Whole(1, 64, "the number of clients")

@@ -73,6 +73,8 @@ NO_CURE = {
     # what to look for
     *(
         "forged_or_foreign",
+        "reply_size",
+        "unnamed_relay",
         "doubtful_replies",
         "too_many_relays",
         "strangers",

@@ -26,8 +26,8 @@ from wording import numbers
 
 import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import findings as rooms
-from dds_trace.analyzer.findings.evidence import Check
 from dds_trace.analyzer.findings import table
+from dds_trace.analyzer.findings.evidence import Check
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze

@@ -1,11 +1,13 @@
 import ast
 import re
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 import pytest
 from trace_files import (
+    RELAY_ID,
     WALL_ANCHOR_NS,
     Message,
     event,
@@ -451,6 +453,60 @@ def test_a_reply_between_that_of_the_relay_and_its_arrival(tmp_path, sources_ns,
     (kind, text), *_ = Book(analysis).answer.sentences
     assert (kind is PointKind.FORGED) == (expected is not None)
     assert ("Doubtful" in text) == (expected == "doubtful_replies")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "replies", "run_changes", "expected"),
+    [
+        ([33_000], [33_000], {}, 0),
+        ([33_000], [0], {}, 100),
+        ([33_000], [33_000, 3_000_000], {}, 50),
+        ([33_000, 200], [33_000, 200], {}, 0),  # files of several sizes
+        ([33_000, 200], [200, 33_000], {}, 100),
+        ([33_000], [2000], {"reply_bytes": 2000}, 0),  # responses to calls, of a size of their own
+        ([33_000], [33_000, 2000], {"reply_bytes": 2000}, 50),
+    ],
+)
+def test_a_result_with_replies_of_another_size_is_in_no_answer(
+    tmp_path, sizes, replies, run_changes, expected, sentences
+):
+    messages = drawn(count=100)
+    events = ping_events(messages)
+    for stage, sizes_of_stage in ((Stage.T1, sizes), (Stage.T2, replies)):
+        events[stage] = [
+            (*one[:6], size, one[7]) for one, size in zip(events[stage], cycle(sizes_of_stage), strict=False)
+        ]
+    described = run(planned_messages=100, published=100, extra=run_changes)
+    write_trace(tmp_path / "ping.mcap", ping_session(), [described], events)
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
+    analysis = analyze(tmp_path)
+    found = [finding for finding in analysis.findings if finding.code == "reply_size"]
+    assert [finding.effect for finding in found] == [expected / 100] * bool(expected)
+    (kind, text), *others = Book(analysis).answer.sentences
+    assert (kind is PointKind.FORGED) == bool(expected)
+    if expected:
+        assert found[0].severity is Severity.ERROR
+        assert f"{expected} " in text
+        assert analysis.unusable_groups == {0}
+        assert analysis.details.answers == ()
+        assert not [text for _, text in others if "median" in text]
+        sentences(found[0].what)
+
+
+@pytest.mark.parametrize("relay_ids", [(0,), (0xFFFFFFFF,), (0, 0xFFFFFFFF)])
+@pytest.mark.parametrize("others", [True, False])
+def test_events_of_an_id_that_names_no_relay_are_left_out(tmp_path, relay_ids, others):
+    messages = drawn(count=100)
+    ids = [*relay_ids, RELAY_ID] if others else relay_ids
+    events = merged_events(
+        [ping_events(messages), *({Stage.T2: ping_events(messages, relay_id=r)[Stage.T2]} for r in ids)]
+    )
+    events[Stage.T2] = [one for one in events[Stage.T2] if one[7] in ids]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=100, published=100)], events)
+    analysis = analyze(tmp_path)
+    assert f"{100 * len(relay_ids)} events" in {f.code: f for f in analysis.findings}["unnamed_relay"].what
+    (group,) = analysis.summary.to_dicts()
+    assert (group["published"], group["received"]) == (100, 100 if others else 0)
 
 
 @pytest.mark.parametrize("offset_ns", [1_000_000 * MS, 5 * MS])

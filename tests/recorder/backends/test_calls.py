@@ -19,16 +19,16 @@ PACKAGES = {"ros2": ("rclpy", "test_msgs"), "zenoh": ("zenoh",)}
 
 @pytest.mark.middleware
 @pytest.mark.parametrize(
-    ("backend", "call", "more", "size"),
+    ("backend", "call", "more", "size", "back"),
     [
-        ("ros2", "service", ("--size", "33KB", "--clients", 2), 33_000),
-        ("ros2", "service", ("--transport", "large-data", "--size", "33KB"), 33_000),
-        ("ros2", "action", ("--response-size", "2KB"), 4),
-        ("ros2", "action", ("--transport", "large-data", "--response-size", "2KB"), 4),
-        ("zenoh", "service", ("--size", "33KB", "--response-size", "1KB", "--clients", 2), 33_000),
+        ("ros2", "service", ("--size", "33KB", "--clients", 2), 33_000, 33_000),
+        ("ros2", "service", ("--transport", "large-data", "--size", "33KB"), 33_000, 33_000),
+        ("ros2", "action", ("--response-size", "2KB"), 4, 2000),
+        ("ros2", "action", ("--transport", "large-data", "--response-size", "2KB"), 4, 2000),
+        ("zenoh", "service", ("--size", "33KB", "--response-size", "1KB", "--clients", 2), 33_000, 1000),
     ],
 )
-def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more, size):
+def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more, size, back):
     if not all(map(find_spec, PACKAGES[backend])):
         pytest.skip(f"{PACKAGES[backend]} are not all installed")
     common = ("--backend", backend, "--call", call, "--no-own-cost", *ROOMY)
@@ -45,7 +45,7 @@ def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more,
     for stage in (Stage.T1, Stage.T3, Stage.T4, Stage.T2):
         events = (trace if stage in (Stage.T1, Stage.T2) else other).events[stage]
         assert sorted(events.sequence.tolist()) == list(range(MESSAGES + WARMUP))
-        assert set(events.payload_bytes.tolist()) == {size}
+        assert set(events.payload_bytes.tolist()) == {back if stage is Stage.T2 else size}
     (run,) = trace.runs
     assert run.extra["call"]["first_ns"] > 0
     assert run.extra["call"]["timed_out"] == 0
@@ -57,7 +57,12 @@ def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more,
     assert group["received"] == MESSAGES
     assert f"call={call}" in group["setting"]
     assert "relay." not in group["setting"]
-    assert {"calls"} == {finding.code for finding in analysis.findings} & {"calls", "calls_timed_out", "strangers"}
+    assert {"calls"} == {finding.code for finding in analysis.findings} & {
+        "calls",
+        "calls_timed_out",
+        "reply_size",
+        "strangers",
+    }
 
 
 @pytest.mark.parametrize(

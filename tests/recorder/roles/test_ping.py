@@ -1,12 +1,14 @@
 import gc
 import struct
 import threading
+from dataclasses import replace
 
 import pytest
 from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import BINARY, IMU, STRING
+from dds_trace.recorder.payloads.header import header_data_type
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
 from dds_trace.recorder.roles.ping import (
     DRAIN_NS,
@@ -15,6 +17,7 @@ from dds_trace.recorder.roles.ping import (
     LONGEST_SETTLE_NS,
     MAX_PENDING,
     UNMET,
+    UNNAMED,
     UNSENT,
     UNSTAMPED,
     open_ping,
@@ -272,8 +275,10 @@ def test_strings_have_no_time_and_their_own_place(size):
     clock, node = FakeClock(START_NS), FakeNode()
     sink = ListSink(clock)
     ping = open_ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
-    ping.meet(0)
-    node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
+    ping.meet(RELAY)
+    node.publishers["string_data"].on_publish = lambda message: node.deliver(
+        "string_data_relay", STRING.raw.stamp.reply(message, b"%08x" % RELAY)
+    )
     ping.run(sink, NEVER)
     assert [event[6] for event in sink.of_stage(2)] == [size]
 
@@ -315,6 +320,50 @@ def test_numbers_that_are_no_hex_digits_are_no_stamp(digits):
     link.run()
     assert [event[1] for event in link.sink.of_stage(2)] == [0, 1, 2]
     assert link.node.strangers.counts == {UNSTAMPED: 1}
+
+
+@pytest.mark.parametrize("data_type", [BINARY, STRING, IMU, header_data_type("sensor_msgs/msg/PointCloud2")])
+@pytest.mark.parametrize("other_bytes", [1, 40, 100_000])
+def test_a_reply_has_the_size_that_came(data_type, other_bytes):
+    """The sender of a reply may have cut it or filled it up."""
+    payload = (
+        replace(BINARY.make(400, 1), data_type=data_type)
+        if data_type.name == "pointcloud2"
+        else data_type.make(None, 1)
+    )
+    node, sink = FakeNode(), ListSink(clock := FakeClock(START_NS))
+    ping = open_ping(node, RunPlan(payload, 100.0, 3), clock)
+    ping.meet(RELAY)
+
+    def answer(message):
+        reply = data_type.raw.stamp.reply(bytes(message), b"%08x" % RELAY)
+        if len(sink.of_stage(1)) > 1:
+            reply = reply[: len(message) - 40] if other_bytes < 40 else reply + bytes(other_bytes)
+        node.deliver(f"{data_type.topic}_relay", reply)
+
+    node.publishers[data_type.topic].on_publish = answer
+    ping.run(sink, NEVER)
+    first, *others = (event[6] for event in sink.of_stage(2))
+    assert first == data_type.raw.payload_bytes_of(payload.messages[0].data)
+    assert first not in others
+    assert len(others) == 2 or node.strangers.counts == {
+        UNSTAMPED: 2
+    }  # a string that is shorter than it claims is none
+
+
+@pytest.mark.parametrize("relay", [0, 0xFFFFFFFF])
+@pytest.mark.parametrize("is_probe", [True, False])
+def test_a_reply_that_names_no_relay_is_a_strangers(relay, is_probe):
+    link = Link(plan(messages=5))
+    if is_probe:
+        link.ping._probe()
+        link.clock.at(START_NS + 1, lambda: link.reply(link.sent[0], relay))
+    else:
+        link.clock.at(START_NS + LEAD_NS + 5 * MS, lambda: forged(link, 0, relay))
+    link.run()
+    assert link.node.strangers.counts == {UNNAMED: 1}
+    assert link.ping.echoing_relays == 1
+    assert {event[-1] for event in link.sink.of_stage(2)} == {RELAY}
 
 
 def test_replies_of_relays_that_answer_no_probe_are_strangers_and_take_no_memory():

@@ -89,7 +89,7 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
 
 
 def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
-    if interval.value is None or not 0 < interval.value < math.inf:
+    if interval.value is None or not 0 < interval.value < math.inf or limit <= 0:
         return None
     return _runs_to_decide(interval.value / limit, (interval.unit_spread, 0.0), interval)
 

@@ -6,13 +6,15 @@ import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
 
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
 from dds_trace.analyzer.model.names import is_topic
+from dds_trace.analyzer.verdicts.sections import TOPIC, Patterns, Sections
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.base.units import UNIT_NS, split_quantity
@@ -65,22 +67,11 @@ class Against(Enum):
     NEW = "new"  # the new side itself
 
 
-Patterns = tuple[tuple[str, str], ...]
-"""Columns of a result, each with a pattern of its value."""
-
-
-def _fits(row: Mapping[str, object], patterns: Patterns) -> bool:
-    return all(
-        fnmatchcase(f"{value:g}" if isinstance(value := row[column], float) else str(value), pattern)
-        for column, pattern in patterns
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Gate:
     """A condition under which a comparison fails.
 
-    The limit is a ratio new / base for `RATIO`, otherwise ns or a share; results that fit a pattern of `unless` are not judged.
+    The limit is a ratio new / base for `RATIO`, otherwise ns or a share; of a file of limits it is number `order` of the `sections`.
     """
 
     text: str
@@ -91,7 +82,8 @@ class Gate:
     limit: float
     topic: str = ""
     results: Patterns = ()
-    unless: tuple[Patterns, ...] = ()
+    sections: Sections | None = None
+    order: int = 0
     accepted: str = ""
 
     @property
@@ -99,20 +91,22 @@ class Gate:
         """`age_p99`, `received_ratio`."""
         return f"{self.metric}_{self.statistic}" if self.statistic else self.metric
 
-    def applies_to(self, row: Mapping[str, object]) -> bool:
-        """Return whether the result with these columns is judged."""
-        return (not self.topic or is_topic(row["data_type"])) and self.is_about(row)
+    @property
+    def kind(self) -> tuple[str, str, bool]:
+        """Limits of one kind replace each other."""
+        return self.metric, self.statistic, self.against is Against.NEW
+
+    @property
+    def is_by_result(self) -> bool:
+        """It is judged with the limits of other results, as one family."""
+        return bool(self.results) or (self.sections is not None and self.sections.are_several(self.kind))
 
     @property
     def topics(self) -> str:
         """Pattern of the topics it names."""
-        named = self.topic or dict(self.results).get("data_type", "")
-        return named if is_topic(named) else ""
-
-    def is_about(self, row: Mapping[str, object]) -> bool:
-        """Return whether a topic of a recording, its `data_type`, is judged."""
-        is_named = fnmatchcase(str(row["data_type"]), self.topic or "*")
-        return is_named and _fits(row, self.results) and not any(_fits(row, one) for one in self.unless)
+        columns = dict(self.results)
+        named = self.topic or columns.get(TOPIC) or columns.get("data_type", "")
+        return named if is_topic(named) or TOPIC in columns else ""
 
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
         """Judge an estimate by its interval; an end that is None may be anywhere."""
@@ -121,6 +115,24 @@ class Gate:
         if value is None or any(fails) != all(fails):
             return GateOutcome.INCONCLUSIVE
         return GateOutcome.REGRESSED if all(fails) else GateOutcome.PASSED
+
+
+def rows_of_gates(gates: Sequence[Gate], rows: Sequence[Mapping[str, object]]) -> list[list[int]]:
+    """Return for each gate the indices of the results, or of topics by `data_type`, that it judges."""
+    chosen: list[list[int]] = [[] for _ in gates]
+    by_sections: dict[tuple[Sections, Hashable], dict[int, list[int]]] = defaultdict(dict)
+    for gate, indices in zip(gates, chosen, strict=True):
+        if gate.sections is not None:
+            by_sections[gate.sections, gate.kind][gate.order] = indices
+            continue
+        names = (str(row["data_type"]) for row in rows)
+        indices.extend(n for n, name in enumerate(names) if not gate.topic or fnmatchcase(name, gate.topic))
+    for (sections, kind), indices_of_order in by_sections.items():
+        for index, row in enumerate(rows):
+            for order in sections.counting(kind, row):
+                if order in indices_of_order:
+                    indices_of_order[order].append(index)
+    return chosen
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
@@ -150,7 +162,7 @@ def parse_gate(text: str) -> Gate:
             f"{where}: a topic has {', '.join((*TOPIC_METRICS, RECEIVED_RATIO))}; write 'age_p99({topic}) > 50ms'"
         )
     against, limit = _parse_limit(where, match["limit"], metric)
-    return Gate(text.strip(), metric, statistic, match["operator"], against, limit, topic)
+    return _passable(where, Gate(text.strip(), metric, statistic, match["operator"], against, limit, topic))
 
 
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
@@ -166,7 +178,7 @@ def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate
     match = _GATE.fullmatch(f"{metric} {condition}")
     if match is None or match["metric"] != metric:
         raise OptionError(f"{where}: write what passes, for example latency_p99 = '< 20 ms'")
-    of_topic = any(value.startswith("/") for _, value in results)
+    of_topic = any(is_topic(value) or column == TOPIC for column, value in results)
     if of_topic and metric in VALUES_OF_TOPICS and metric not in METRIC_AND_STATISTIC:
         name, statistic, against = metric, "", Against.NEW
         limit = _limit_of_topic(where, metric, match["limit"])
@@ -176,7 +188,21 @@ def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate
     if name not in (*METRICS, RECEIVED_RATIO) and not of_topic:
         raise OptionError(f"{where}: a result has {', '.join(METRICS)} and {RECEIVED_RATIO}; choose one of them")
     text = f"{metric} {match['operator']} {match['limit']}"
-    return Gate(text, name, statistic, _OPPOSITE[match["operator"]], against, limit)
+    return _passable(where, Gate(text, name, statistic, _OPPOSITE[match["operator"]], against, limit))
+
+
+def _passable(where: str, gate: Gate) -> Gate:
+    """Return a gate that some value passes; a limit of 0 is taken, although no time is below it."""
+    is_share = gate.name in (RECEIVED_RATIO, "missing")
+    low, high, words = 0.0, 1.0 if is_share else math.inf, "between 0 and 100 %" if is_share else "never below 0"
+    if gate.against is Against.DIFFERENCE:
+        low, high, words = (-1.0, 1.0, "between -100 and +100 points") if is_share else (-math.inf, math.inf, "")
+    elif gate.metric in TOPIC_METRICS:  # clocks may be apart
+        low = -math.inf
+    is_above = gate.limit > high or (gate.operator == "<=" and gate.limit == high)
+    if gate.limit < low if gate.operator in (">", ">=") else is_above:
+        raise OptionError(f"{where}: no result can pass this, as the value is {words}; give another limit")
+    return gate
 
 
 def _parse_metric(where: str, name: str) -> tuple[str, str]:
@@ -222,7 +248,9 @@ def parse_topic_gate(text: str) -> Gate:
         raise OptionError(f"{where}: there is no {name!r} of a topic; choose from {', '.join(VALUES_OF_TOPICS)}")
     metric, statistic = METRIC_AND_STATISTIC.get(name, (name, ""))
     limit = _limit_of_topic(where, name, match["limit"])
-    return Gate(text.strip(), metric, statistic, match["operator"], Against.NEW, limit, match["topic"])
+    return _passable(
+        where, Gate(text.strip(), metric, statistic, match["operator"], Against.NEW, limit, match["topic"])
+    )
 
 
 def _limit_of_topic(where: str, name: str, limit: str) -> float:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import fnmatch
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import group_words, is_topic, varying_parameters
 from dds_trace.analyzer.run_statistics.change import Change, among_tests
 from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
@@ -15,10 +15,12 @@ from dds_trace.analyzer.statistics.distributions import student_cdf, student_qua
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
 from dds_trace.analyzer.statistics.power import holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
-from dds_trace.base.units import counted, format_number
+from dds_trace.analyzer.verdicts.sections import fits_any
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units import counted, format_duration, format_number
 
 from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
-from .gate import Against, Gate, GateOutcome
+from .gate import Against, Gate, GateOutcome, rows_of_gates
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.matching import Key
@@ -97,6 +99,8 @@ class _Measured:
         least = self.p_of_lost if any(map(math.isinf, (value, low or 0, high or 0))) else 0.0
         if math.isinf(end):
             return least
+        if math.isinf(value) and limit <= 0:
+            return least
         if math.isinf(value):
             far, near, at = 0.0, -1 / end, -1 / limit
         elif is_ratio and min(value, end, limit) > 0:
@@ -145,8 +149,9 @@ def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing:
     results = [] if allow_missing else list(_missing(comparison, names))
     families: dict[object, list[Gate]] = {}
     for number, gate in enumerate(gates):  # limits by result are one family, as one limit of all is
-        is_part = bool(gate.results or gate.unless)
-        families.setdefault((gate.metric, gate.statistic, gate.against) if is_part else number, []).append(gate)
+        families.setdefault((gate.metric, gate.statistic, gate.against) if gate.is_by_result else number, []).append(
+            gate
+        )
     for family in families.values():
         results += _judge(comparison, family, names)
     return results
@@ -170,11 +175,11 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
 
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
     confidence, first = comparison.options.confidence, family[0]
-    groups = [group for gate in family for group in _measured(comparison, gate, names)]
-    topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
+    groups = list(_measured(comparison, family, names))
+    topics = {name for name in comparison.delivery["data_type"] if is_topic(name)}
     for gate in family if topics or first.topic else ():  # else of other recordings
-        if gate.topics and not fnmatch.filter(topics, gate.topics):
-            reason = f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
+        if gate.topics and not fits_any(gate.topics, topics):
+            reason = f"no tap heard it on both sides; topics: {', '.join(sorted(topics)[:_MOST_TOPICS]) or 'none'}"
             outcome = GateOutcome.INCONCLUSIVE if gate.topic else GateOutcome.REGRESSED
             yield result_of(gate, gate.topics, outcome, reason=reason)
     beyond = [
@@ -231,21 +236,25 @@ _VALUES = {
 """What a limit applies to -> the columns of the value and, with `_low` and `_high`, of its ends."""
 
 
-def _measured(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
-    is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
-    columns = _VALUES.get((gate.metric, gate.against)) or _VALUES[gate.against]
-    keys = comparison.delivery.select(comparison.options.match).rows()
-    for row, change in comparison.changes_of(gate.metric, gate.statistic):
-        if not gate.applies_to(row):
-            continue
+def _measured(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[_Measured]:
+    first = family[0]
+    is_of_new, alpha = first.against is Against.NEW, 1 - comparison.options.confidence
+    columns = _VALUES.get((first.metric, first.against)) or _VALUES[first.against]
+    groups = {key: number for number, key in enumerate(comparison.delivery.select(comparison.options.match).rows())}
+    rows = list(comparison.changes_of(first.metric, first.statistic))
+    if first.topic:
+        rows = [(row, change) for row, change in rows if is_topic(row["data_type"])]
+    chosen = rows_of_gates(family, [row for row, _ in rows])
+    for gate, (row, change) in ((gate, rows[n]) for gate, indices in zip(family, chosen, strict=True) for n in indices):
         key = tuple(row[name] for name in comparison.options.match)
         value, low, high = (row[columns.format(end)] for end in ("", "_low", "_high"))
         sides = [change.new] if is_of_new else [change.base, change.new]
+        _check_passable(gate, change)
         units = change.new.units if gate.statistic else change.new.runs
         result = result_of(
             *(gate, group_words(row, names), gate.judge(value, low, high), value, low, high),
             basis=(change.new.basis if is_of_new else change.basis).value,
-            group=keys.index(key),
+            group=groups[key],
             smallest_ratio=change.smallest_ratio,
             smallest_drop=None if is_of_new else row.get("smallest_drop"),
             runs_present=min(side.runs for side in sides),
@@ -261,6 +270,14 @@ def _measured(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
             p_of_lost=min(alpha / 2, 0.5**units) if is_of_new else (change.p_value or 0.0) / 2,
             base_ns=change.typical[0] or 0.0,
         )
+
+
+def _check_passable(gate: Gate, change: Change) -> None:
+    base_ns = change.base.value
+    is_time_saved = gate.statistic and gate.against is Against.DIFFERENCE and gate.metric in METRICS
+    if is_time_saved and gate.operator in (">", ">=") and base_ns is not None and base_ns + gate.limit < 0:
+        base = format_duration(base_ns)
+        raise OptionError(f"{gate.text}: no result can pass this, the base takes {base}; write a change of less, or %")
 
 
 def _advice(gate: Gate, change: Change) -> _Advice:

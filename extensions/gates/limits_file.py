@@ -7,7 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.streams import say
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
+from dds_trace.analyzer.verdicts.sections import Patterns
+from dds_trace.extensions.campaigns.plan.plan import Threshold
 
-    from .compare import Comparison
-    from .gate import Gate, Patterns
-    from .thresholds import Threshold
+from .compare import Comparison
+from .gate import Gate, Patterns
+from .thresholds import Threshold
 
 LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
@@ -51,41 +53,41 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
         thresholds += [replace(item, result=result, accepted=accepted) for item in read_thresholds(limits_table)]
     gates = gates_of(thresholds, str(path))
     if of_recording:
-        topic_gates = gates_of((item for item in thresholds if item.result.startswith("/")), str(path))
+        topic_gates = gates_of((item for item in thresholds if _is_topic(item.result)), str(path))
         values = (*VALUES_OF_TOPICS, RECEIVED_RATIO)
         return [gate for gate in limits_of_one_side(topic_gates) if gate.name in values]
     return [gate for gate in gates if gate.metric not in VALUES_OF_TOPICS]
 
 
 def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
-    from .gate import Against, parse_threshold
+    from dds_trace.analyzer.verdicts.sections import Sections
+
+    from .gate import parse_threshold
 
     gates: list[Gate] = []
+    sections = Sections()
     for threshold in thresholds:
         patterns = _patterns(threshold.result, where)
         for condition in threshold.conditions:
-            gate = replace(
-                parse_threshold(threshold.metric, condition, patterns), results=patterns, accepted=threshold.accepted
-            )
-            kind = gate.metric, gate.statistic, gate.against is Against.NEW
-            gates = [
-                replace(earlier, unless=(*earlier.unless, patterns))
-                if (earlier.metric, earlier.statistic, earlier.against is Against.NEW) == kind
-                and earlier.results != patterns
-                else earlier
-                for earlier in gates
-            ]
-            gates.append(gate)
+            gate = parse_threshold(threshold.metric, condition, patterns)
+            sections.add(patterns, gate.kind, len(gates))
+            by_result = replace(gate, results=patterns, sections=sections, order=len(gates))
+            gates.append(replace(by_result, accepted=threshold.accepted))
     return gates
+
+
+def _is_topic(result: str) -> bool:
+    return result.startswith(("/", "topic="))
 
 
 def _patterns(result: str, where: str) -> Patterns:
     from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
+    from dds_trace.analyzer.verdicts.sections import TOPIC
     from dds_trace.base.limits import nearest, shown
 
-    if result.startswith("/"):
-        return (("data_type", result),)
-    words = [word.partition("=") for word in re.split(r" +(?=\w+=)", result.strip()) if word]
+    if _is_topic(result):
+        return ((TOPIC, result.removeprefix(f"{TOPIC}=")),)
+    words = [word.partition("=") for word in re.split(r"(?<! ) +(?=\w+=)", result.strip(" ")) if word]
     for column, equals, _ in words:
         if not equals or column not in MATCH_COLUMNS:
             raise OptionError(
@@ -102,14 +104,14 @@ def limits_text(comparison: Comparison) -> str:
     sections: dict[str, list[str]] = {}
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if (row["metric"], row["statistic"]) in {("latency", "p50"), ("latency", "p99"), ("age", "p99")}:
-            key = _section(group_words(row, names))
+            key = _section(group_words(_quoted(row), names))
             sections.setdefault(key, []).extend(_limits_of_time(f"{row['metric']}_{row['statistic']}", change.new))
     for row, delivery in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
         share = delivery.new
         if share.value is not None and share.lower is not None:
             least = share.value - max(LEAST_LOSS, 2 * (share.value - share.lower))
             line = f'received_ratio = "> {math.floor(1000 * max(0.0, least)) / 10:g} %"'
-            sections.setdefault(_section(group_words(row, names)), []).append(line)
+            sections.setdefault(_section(group_words(_quoted(row), names)), []).append(line)
     return _text(sections)
 
 
@@ -124,7 +126,7 @@ def topic_limits_text(topics: pl.DataFrame) -> str:
         pl.col("rate_hz").min(), (high / (pl.col("messages") + high)).max().alias("missing"), pl.col("age_p99_ns").max()
     )
     for topic, rate_hz, missing, age_ns in worst.iter_rows():
-        lines = sections.setdefault(_section(topic), [])
+        lines = sections.setdefault(_section(("" if topic.startswith("/") else "topic=") + glob.escape(topic)), [])
         if missing is not None and rate_hz:
             lines.append(f'rate = "> {three_digits((1 - LEAST_ROOM) * rate_hz)} Hz"')
             lines.append(f'missing = "< {math.ceil(1000 * max(LEAST_LOSS, 2 * missing)) / 10:g} %"')
@@ -138,8 +140,16 @@ def _text(sections: Mapping[str, Sequence[str]]) -> str:
     return head + "".join(f"\n{key}\n" + "".join(f"{line}\n" for line in lines) for key, lines in sections.items())
 
 
+def _quoted(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with its texts as patterns of themselves; a blank that a section would be split at is a class."""
+    texts = {name: glob.escape(value) for name, value in row.items() if isinstance(value, str)}
+    return {**row, **{name: re.sub(r"^ | (?=\w+=|$)", "[ ]", text) for name, text in texts.items()}}
+
+
 def _section(words: str) -> str:
-    return f"[thresholds.{json.dumps(glob.escape(words))}]"
+    """Return the head of a table; TOML has no escapes of two halves, as JSON has, and no plain DEL."""
+    key = json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f"[thresholds.{key}]"
 
 
 def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:

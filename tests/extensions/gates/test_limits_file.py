@@ -1,13 +1,21 @@
 """`limits.toml`: which gate judges which result, what is refused, and limits written from good runs."""
 
+import json
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from roundtrip_frames import MS, in_runs
 
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
+from dds_trace.extensions.gates.gate import rows_of_gates
 from dds_trace.extensions.gates.gates import judge_gates, options_for
-from dds_trace.extensions.gates.limits_file import limits_text, read_limits
+from dds_trace.extensions.gates.limits_file import limits_text, read_limits, topic_limits_text
 
 LIMITS = """
 [thresholds]
@@ -80,6 +88,11 @@ def test_limits_by_result_are_one_family(tmp_path):
         ("[thresholds]\nage_p99 = '< 5 ms'", "a result has"),
         ("[[accepted]]\nlatency_p50 = '< +40 %'\nreason = 'known'", "commit"),
         ("\u0000", "limits.toml"),
+        ("[thresholds]\nlatency_p50 = '< -5 %'\nlatency_p99 = '< -101 %'", "can pass"),
+        ("[thresholds]\nreceived_ratio = '> 100 %'", "can pass"),
+        ("[thresholds]\nreceived_ratio = '>= 100.1 %'", "can pass"),
+        ("[thresholds]\nreceived_ratio = '> +101 points'", "can pass"),
+        ("[thresholds.'topic=cam']\nmissing = '< -1 %'", "no limit"),
     ],
 )
 def test_what_is_not_a_limit_is_refused_in_one_line(tmp_path, text, word):
@@ -99,3 +112,95 @@ def test_written_limits_pass_runs_like_the_good_ones_and_fail_slower_ones(tmp_pa
     text = limits_text(compare_roundtrips(good, good, CompareOptions(metrics=("latency",), statistics=("p50",))))
     results = judged(tmp_path / "limits.toml", text, good, new)
     assert [r.outcome.value for r in results] == [outcome, outcome, "passed"]
+
+
+@pytest.mark.parametrize(
+    ("condition", "outcome"), [("< 0 ms", "regressed"), ("<= 0 ms", "regressed"), ("> 0 ms", "passed")]
+)
+@pytest.mark.parametrize("value_ms", [5, None])
+def test_a_limit_of_zero_is_judged(tmp_path, condition, outcome, value_ms):
+    good = in_runs([5 * MS] * 400, runs=5)
+    new = good if value_ms else in_runs([5 * MS if n % 3 else None for n in range(400)], runs=5)
+    text = f'[thresholds]\nlatency_p50 = ["{condition}"]\nlatency_p99 = ["{condition}"]\n'
+    results = judged(tmp_path / "limits.toml", text, good, new)
+    assert [result.outcome.value for result in results] == [outcome] * 2
+
+
+def test_a_saving_larger_than_the_base_is_refused(tmp_path):
+    good = in_runs([5 * MS] * 400, runs=5)
+    assert [r.verdict for r in judged(tmp_path / "limits.toml", '[thresholds]\nlatency_p50 = "< -4 ms"\n', good, good)]
+    with pytest.raises(OptionError, match="can pass"):
+        judged(tmp_path / "limits.toml", '[thresholds]\nlatency_p50 = "< -6 ms"\n', good, good)
+
+
+NAMES = st.text(st.characters(codec="utf-8"), max_size=30) | st.text("[]*?!=\\\"' \t/ab\x7f\U0001f600", max_size=12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(NAMES, min_size=1, max_size=6, unique=True))
+def test_written_limits_of_topics_are_read_for_every_name(names):
+    topics = pl.DataFrame({"topic": names}).with_columns(
+        rate_hz=pl.lit(10.0), missing_high=pl.lit(0), messages=pl.lit(100), age_p99_ns=pl.lit(None, pl.Int64)
+    )
+    gates = read_text(topic_limits_text(topics), of_recording=True)
+    chosen = rows_of_gates(gates, [{"data_type": name} for name in names])
+    assert sorted(names[n] for indices in chosen for n in indices) == sorted([*names, *names])  # of rate and missing
+    assert all(len(indices) == 1 for indices in chosen)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(NAMES, min_size=2, max_size=3, unique=True))
+def test_written_limits_of_results_are_read_for_every_name(names):
+    good = pl.concat(
+        in_runs([5 * MS] * 20, run_id=number, ping_device=name) for number, name in enumerate(names, start=1)
+    )
+    options = CompareOptions(metrics=("latency",), statistics=("p50",))
+    comparison = compare_roundtrips(good, good, options)
+    gates = read_text(limits_text(comparison))
+    rows = comparison.delivery.to_dicts()
+    chosen = rows_of_gates(gates, rows)
+    assert all(len(indices) == 1 for indices in chosen)
+    assert sorted(rows[n]["ping_device"] for indices in chosen for n in indices) == sorted(3 * names)
+
+
+def read_text(text, **more):
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "limits.toml")
+        path.write_text(text, encoding="utf-8")
+        return read_limits(path, **more)
+
+
+@pytest.mark.parametrize(
+    "name", ["vendor=fastdds payload_bytes={}", "vendor=fast* payload_bytes={}", "payload_bytes={}*"]
+)
+def test_sections_cost_no_more_the_more_there_are(name):
+    """Three times as many sections and results take about three times as long; of wildcards alone, nine."""
+    times = []
+    for count in (300, 900):
+        limits = 'latency_p50 = ["< 20 ms", "< +20 %"]\nreceived_ratio = "> 99 %"\n'
+        text = "".join(f"[thresholds.{json.dumps(name.format(1000 + n))}]\n{limits}" for n in range(count))
+        rows = [{"data_type": "binary", "vendor": "fastdds", "payload_bytes": 1000 + n} for n in range(count)]
+        began = time.process_time()
+        assert rows_of_gates(read_text(text), rows) == [[n // 3] for n in range(3 * count)]
+        times.append(time.process_time() - began)
+    assert times[1] < (15 if name.endswith("*") else 6) * max(times[0], 0.1)
+
+
+def assert_that_is_short(error):
+    assert len(str(error)) < 500
+
+
+@pytest.mark.parametrize("key", ["vendor=a{}b", "vendor={}", "{}", "/{}"])
+@pytest.mark.parametrize("part", [" ", "*a", "[a]", "a="])
+def test_a_key_of_any_length_is_read_in_linear_time(key, part):
+    times = []
+    for count in (10_000, 30_000):
+        text = f"[thresholds.{json.dumps(key.format(count * part))}]\n{'missing' if '/' in key else 'latency_p50'} = '< 2 %'\n"
+        began = time.process_time()
+        try:
+            gates = read_text(text.replace("'< 2 %'", "'< +2 %'") if "/" not in key else text, of_recording="/" in key)
+            rows_of_gates(gates, [{"data_type": "/a", "vendor": "a" * 1000}] * 100)
+        except OptionError as error:  # a column without a name
+            assert_that_is_short(error)
+        times.append(time.process_time() - began)
+    assert times[1] < 6 * max(times[0], 0.1)

@@ -15,9 +15,10 @@ from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.reading.source import Condition
 
-from .card import DAMAGED, HOLE_SCHEMA, HOLES, TOPIC_SCHEMA, WHOLE, Card, RecordingHealth, Row
+from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth, Row, empty_health
 from .losses import NONE
 from .messages import TopicMessages, find_recordings
+from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
 from .read import read_messages
 
@@ -41,13 +42,14 @@ class TopicReport:
     holes: pl.DataFrame
     recordings: tuple[RecordingHealth, ...]
     strips: tuple[tuple[float, ...], ...]
+    observations: pl.DataFrame
 
     @property
     def verdict(self) -> str:
         verdicts = {health.verdict for health in self.recordings}
         if any(source.status != "read" for source in self.sources) or DAMAGED in verdicts:
             return DAMAGED
-        return HOLES if HOLES in verdicts else WHOLE
+        return max(verdicts, key=VERDICTS.index, default=WHOLE)
 
 
 StampCorrector: TypeAlias = Callable[
@@ -96,6 +98,7 @@ def analyze_topics(
     sources: list[Source] = []
     health: list[RecordingHealth] = []
     strips: list[tuple[float, ...]] = []
+    observations: list[dict[str, object]] = []
     parts = [path] if isinstance(path, str | os.PathLike) else path
     for recording in sorted({file for part in parts for file in find_recordings(part, skip=skip)}):
         if progress is not None:
@@ -118,10 +121,11 @@ def analyze_topics(
             rows += card.rows
             holes += card.holes
             strips += card.strips
+            observations += card.observations
             health.append(card.health)
-            text = [*card.health.damages, *card.health.notes]
-        else:
-            text = [*condition.damages, *condition.notes]
+        elif not failure:
+            health.append(empty_health(str(recording), condition))
+        text = [*health[-1].damages, *health[-1].notes] if columns or not failure else condition.damages
         status = "read" if not condition.damages else "truncated" if columns or not failure else "skipped"
         detail = "; ".join(text[:_MOST_NOTES])
         if len(text) > _MOST_NOTES:
@@ -135,4 +139,7 @@ def analyze_topics(
             ".db3 file, or a rosbag2 folder"
         )
     frame = pl.DataFrame(rows, schema=TOPIC_SCHEMA)
-    return TopicReport(frame, tuple(sources), pl.DataFrame(holes, schema=HOLE_SCHEMA), tuple(health), tuple(strips))
+    observed = pl.DataFrame(observations, schema=OBSERVATION_SCHEMA)
+    return TopicReport(
+        frame, tuple(sources), pl.DataFrame(holes, schema=HOLE_SCHEMA), tuple(health), tuple(strips), observed
+    )

@@ -13,23 +13,28 @@ from dds_trace.base.units import clock_words, counted, format_duration
 from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.source import Condition
 
+from .bounds import FEWEST, MOST, SECOND_NS
 from .clocks import (
     DAY_NS,
     SIMULATED_BEFORE_NS,
+    Clocks,
+    Note,
     Stamps,
     age_course,
     apart,
     backwards_ns,
-    count_latched,
+    count_history,
     growth_since_ns,
     of_one_clock,
+    read_clocks,
     reset_note,
     set_back,
-    stamp_notes,
 )
-from .losses import NONE, Losses, TopicTimes
+from .losses import NONE, Losses, TopicTimes, agreed, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
-from .periods import Int64, spread
+from .neighbours import doubted, find_silences, find_silent, set_clocks, stood_still, without_stretches
+from .observations import Observation, explained, has_losses, observe
+from .periods import Holes, Int64, spread
 from .read import copied_messages
 
 Row = dict[str, str | int | float | None]
@@ -38,10 +43,7 @@ Row = dict[str, str | int | float | None]
 GAP_PERIODS = 2.0
 """Least length of a gap in median intervals."""
 
-_FEWEST_FOR_P99 = 100
-_FEWEST_STAMPS, _FEWEST_BURSTS, _FEWEST_IN_BURST = 8, 4, 3
-_LEAST_REPEATED, _LEAST_EQUAL_BURSTS = 0.25, 0.6
-_SECOND_NS, _MS_NS = 10**9, 10**6
+_P99, _FEWEST_FOR_P99 = 0.99, 100
 
 TOPIC_SCHEMA = frame_schema(
     "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "
@@ -50,10 +52,10 @@ TOPIC_SCHEMA = frame_schema(
     "age_messages:u64 age_negative:u64 age_min_ns:i64 age_p50_ns:f64 age_p99_ns:f64 age_max_ns:i64 "
     "stamps_backwards:u64 expected_rate_hz:f64 missing_from:str missing:u64 missing_low:u64 missing_high:u64 "
     "missing_inside:u64 lost_in_transport:u64 lost_in_recorder:u64 copies:u64 qos:str age_bound_ns:i64 "
-    "age_start_ns:f64 age_end_ns:f64 age_since_ns:i64 age_max_at_ns:i64 age_resolution_ns:i64 latched:u64 burst_messages:u64 burst_ns:f64 burst_pause_ns:f64"
+    "age_start_ns:f64 age_end_ns:f64 age_since_ns:i64 age_max_at_ns:i64 age_resolution_ns:i64 latched:u64 no_age:str burst_messages:u64 burst_ns:f64 burst_pause_ns:f64"
 )
 
-HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 inside:bool")
+HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 missing_low:u64 inside:bool")
 
 
 def timing(log_ns: Int64) -> Row:
@@ -63,9 +65,9 @@ def timing(log_ns: Int64) -> Row:
         period_ns = np.diff(log_ns)
         median = float(np.median(period_ns))
         row |= {
-            "rate_hz": len(period_ns) / (duration_ns / 1e9),
+            "rate_hz": len(period_ns) / (duration_ns / SECOND_NS),
             "period_p50_ns": median,
-            "period_p99_ns": float(np.quantile(period_ns, 0.99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
+            "period_p99_ns": float(np.quantile(period_ns, _P99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
             "gaps": int((period_ns > GAP_PERIODS * median).sum()),
             "gap_max_ns": int(period_ns.max()),
         }
@@ -78,63 +80,55 @@ def sizes(payload_bytes: Int64, duration_ns: int) -> Row:
         "payload_mean_bytes": total / len(payload_bytes),
         "payload_min_bytes": int(payload_bytes.min()),
         "payload_max_bytes": int(payload_bytes.max()),
-        "rate_bytes_per_s": total / (duration_ns / 1e9) if duration_ns else None,
+        "rate_bytes_per_s": total / (duration_ns / SECOND_NS) if duration_ns else None,
     }
 
 
-def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, recording_ns: int) -> Row:
-    stamped = stamp_ns != NONE
-    published = publish_ns != NONE
+def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, no_age: str | None) -> Row:
+    """Return the differences to the header's stamp or, without one, to the publish time; ages only without a reason in `no_age`."""
+    stamped, published = stamp_ns != NONE, publish_ns != NONE
+    row: Row = {"age_from": None}
     if stamped.any():
-        age_from, log_ns, stamp_ns = "header", log_ns[stamped], stamp_ns[stamped]
-    elif (published & (publish_ns != log_ns)).any():  # most recorders write the log time twice
-        age_from, log_ns, stamp_ns = "publish", log_ns[published], publish_ns[published]
-    else:
-        return {"age_from": None}
+        row |= {
+            "age_from": "header",
+            "age_resolution_ns": resolution_ns(stamp_ns[stamped]),
+            "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()),
+        }
+        log_ns, stamp_ns = log_ns[stamped], stamp_ns[stamped]
+    elif (
+        no_age is None and (published & (publish_ns != 0) & (publish_ns != log_ns)).any()
+    ):  # most recorders write the log time twice
+        row["age_from"] = "publish"
+        log_ns, stamp_ns = log_ns[published], publish_ns[published]
+    if row["age_from"] is None:
+        return row
     age_ns = log_ns - stamp_ns
     start_ns, end_ns = age_course(age_ns)
-    row: Row = {
-        "age_from": age_from,
+    return row | {
         "age_messages": len(age_ns),
         "age_negative": int((age_ns < 0).sum()),
         "age_min_ns": int(age_ns.min()),
         "age_p50_ns": float(np.median(age_ns)),
-        "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
+        "age_p99_ns": float(np.quantile(age_ns, _P99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
         "age_max_ns": int(age_ns.max()),
         "age_start_ns": start_ns,
         "age_end_ns": end_ns,
         "age_since_ns": growth_since_ns(log_ns, stamp_ns),
         "age_max_at_ns": int(log_ns[np.argmax(age_ns)]),
     }
-    if age_from == "header":
-        row |= {
-            "age_resolution_ns": _resolution_ns(stamp_ns),
-            "stamps_backwards": int((np.diff(stamp_ns) < 0).sum()),
-            "latched": count_latched(Stamps(log_ns, stamp_ns), recording_ns),
-        }
-    return row
-
-
-def _resolution_ns(stamp_ns: Int64) -> int | None:
-    """Return the unit of stamps if it is a millisecond or, of several stamps each, a second; None for finer ones."""
-    steps_ns = np.abs(np.diff(stamp_ns))
-    unit_ns = int(np.gcd.reduce(steps_ns)) if len(steps_ns) >= _FEWEST_STAMPS else 0
-    if unit_ns % _SECOND_NS == 0 and unit_ns and (steps_ns == 0).mean() > _LEAST_REPEATED:
-        return _SECOND_NS if not (stamp_ns % _SECOND_NS).any() else None
-    return _MS_NS if unit_ns == _MS_NS and not (stamp_ns % _MS_NS).any() else None
 
 
 def bursts(log_ns: Int64) -> Row:
     steps_ns = np.diff(log_ns)
-    if len(steps_ns) < _FEWEST_STAMPS:
+    if len(steps_ns) < FEWEST:
         return {}
     mean_ns = float(steps_ns.mean())
     pauses = np.flatnonzero(steps_ns > mean_ns)
     counts = np.diff(pauses)
-    if len(counts) < _FEWEST_BURSTS or np.median(steps_ns[steps_ns <= mean_ns]) > mean_ns / 4:
+    if 2 * len(counts) < FEWEST or np.median(steps_ns[steps_ns <= mean_ns]) > mean_ns / (2 * 2):
         return {}
     size = int(np.median(counts))
-    if size < _FEWEST_IN_BURST or (counts == size).mean() < _LEAST_EQUAL_BURSTS:
+    if size <= 2 or 2 * (counts == size).sum() < len(counts):
         return {}
     pause_ns = float(np.median(steps_ns[pauses]))
     lasting_ns = log_ns[pauses[1:]] - log_ns[pauses[:-1] + 1]
@@ -162,20 +156,17 @@ def qos_words(profiles: str) -> str:
 OTHER_CLOCK_NS = DAY_NS
 """Median age of stamps of another clock (a simulation's, or of another day)."""
 
-_MOST_HOLES = 1000
 STRIP_PARTS = 60
-WHOLE, HOLES, DAMAGED = VERDICTS = "whole", "holes", "damaged"
+WHOLE, HOLES, EMPTY, DAMAGED = VERDICTS = "whole", "holes", "empty", "damaged"
 """The worst last."""
-
-_STALL_PERIODS = 2.5
-"""Least silence of all topics in periods of the fastest one."""
-
-_PAUSE_MESSAGES, _LEAST_SILENCE_NS = 20, 10**9
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingHealth:
-    """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics."""
+    """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
+
+    `readable` topics have a reading that could have shown a loss. `doubtful` pauses may be of the publishers.
+    """
 
     path: str
     verdict: str
@@ -187,66 +178,81 @@ class RecordingHealth:
     damages: tuple[str, ...]
     notes: tuple[str, ...]
     pauses: tuple[tuple[float, float], ...] = ()
+    readable: int = 0
+    doubtful: tuple[bool, ...] = ()
+
+
+def empty_health(path: str, condition: Condition) -> RecordingHealth:
+    """Return the health of a recording without a message."""
+    notes = (*condition.notes, *_silent_topics(condition, ()))
+    verdict = DAMAGED if condition.damages else EMPTY
+    return RecordingHealth(path, verdict, 0, 0, 0, len(condition.chunks), 0.0, tuple(condition.damages), notes)
+
+
+def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> Iterator[str]:
+    silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
+    if silent:
+        first = silent[: 2 + 1]
+        more = f" and {len(silent) - len(first)} more" if len(silent) > len(first) else ""
+        yield f"no message of {', '.join(first)}{more}"
 
 
 class Card:
+    """What is said of one recording: its health, rows of topics, holes, strips and observations."""
+
     def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
-        self._path, self._notes = path, [*condition.notes]
+        self._path, self._notes = path, [Note(note) for note in condition.notes]
         resets = [] if condition.damages else list(run_on_after_resets(columns))  # single pages come last
         logged = np.sort(np.concatenate([topic.column("log_ns") for topic in columns]))
         logged = self._of_one_clock(logged)
         self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
-        self._notes += [reset_note(back_ns, at_ns - self._start_ns, stamped) for at_ns, back_ns, stamped in resets]
+        self._notes += [Note(reset_note(back_ns, at_ns - self._start_ns, n)) for at_ns, back_ns, n in resets]
         leave_out_shared_numbers(columns)
-        lost, counter = counts_of_recorder(columns)
-        within = self._start_ns, self._end_ns
-        times = [topic.times(*within, lost.get(topic.topic.name), counter) for topic in columns]
-        set_over = self._note_clocks(columns, times)
-        pauses_of_all = _all_silent(logged, columns)
-        for start, end in pauses_of_all:
-            still = [t.is_still(start + 1, end - start) for t in times if t.has_stamps_around(start, end)]
-            if still and all(still):  # a simulation that is paused or reset sends nothing
-                set_over.append((start, end))
-        losses = [  # a tap's own topics are events
-            Losses()
-            if topic.topic.name.startswith(TOPIC_PREFIX)
-            else topic_times.find_losses(*within, set_over, pauses_of_all)
-            for topic, topic_times in zip(columns, times, strict=True)
-        ]
-        pauses, stalls = _find_silences(logged, losses)
+        times, clocks, history = self._read_clocks(columns, logged)
+        losses, readable = self._read_losses(columns, times, clocks, logged)
+        pauses, stalls = find_silences(logged, losses)
         if stalls:
             longest_ns, start, _ = max(stalls)
-            self._notes.append(
+            self._note(
                 f"the recorder stalled {'once' if len(stalls) == 1 else f'{len(stalls)} times'}, for up to {format_duration(longest_ns)} at "
-                f"{clock_words((start - self._start_ns) / 1e9)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
+                f"{clock_words((start - self._start_ns) / SECOND_NS)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
                 "once, none of them is lost by it"
             )
-        if self._start_ns < SIMULATED_BEFORE_NS:
-            self._notes.append("the log times are of a simulation's clock, or count from the start of a machine")
-        silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
-        if silent:
-            more = f" and {len(silent) - 3} more" if len(silent) > 3 else ""
-            self._notes.append(f"no message of {', '.join(silent[:3])}{more}")
+        for note in _silent_topics(condition, columns):
+            self._note(note)
         self.rows: list[Row] = []
         self.holes: list[dict[str, object]] = []
         self.strips: list[tuple[float, ...]] = []
-        for topic, topic_times, loss in zip(columns, times, losses, strict=True):
-            self._add(topic, topic_times, loss, pauses)
-        has_holes = pauses or any((row["missing_low"] or 0) for row in self.rows)
+        self._observed: list[Observation] = [*explained(self._notes)]
+        for topic, topic_times, loss, early in zip(columns, times, losses, history, strict=True):
+            self._add(topic, topic_times, loss, pauses, early, clocks)
         duration_ns = self._end_ns - self._start_ns
-        paused_ns = sum(end - start for start, end in pauses)
+        paused_ns = int(pauses.duration_ns.sum())
+        is_doubtful = np.ones(len(pauses), np.bool_)
+        for loss in losses:
+            is_doubtful &= ~pauses.meet(loss.holes.at(loss.holes.low > 0))
         self.health = RecordingHealth(
             path,
-            DAMAGED if condition.damages else HOLES if has_holes else WHOLE,
+            DAMAGED if condition.damages else HOLES if has_losses(self._observed) else WHOLE,
             self._start_ns,
             duration_ns,
             sum(len(topic) for topic in columns),
             len(condition.chunks),
             1 - paused_ns / duration_ns if duration_ns else 1.0,
             tuple(condition.damages),
-            (*self._notes, *_overlaps(condition.chunks)),
-            tuple(((start - self._start_ns) / 1e9, (end - start) / 1e9) for start, end in pauses),
+            (*(note.words for note in self._notes), *_overlaps(condition.chunks)),
+            tuple(self._place(pauses)),
+            readable,
+            tuple(is_doubtful.tolist()),
         )
+        self.observations = [one.row(path, self._start_ns) for one in self._observed]
+
+    def _note(self, words: str) -> None:
+        self._notes.append(Note(words))
+
+    def _place(self, holes: Holes) -> Iterator[tuple[float, float]]:
+        starts, lengths = ((part / SECOND_NS).tolist() for part in (holes.start_ns - self._start_ns, holes.duration_ns))
+        return zip(starts, lengths, strict=True)
 
     def _of_one_clock(self, logged: Int64) -> Int64:
         is_of_clock = of_one_clock(logged)
@@ -259,31 +265,92 @@ class Card:
                 if is_earlier
                 else "their times are no clock's"
             )
-            self._notes.append(
+            self._note(
                 f"{counted(len(others), 'message')} logged {apart(away_ns)} from the others: {which}, left out of rates and holes"
             )
         return logged[is_of_clock]
 
-    def _note_clocks(self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes]) -> list[tuple[int, int]]:
-        stamped: dict[str, Stamps] = {}
-        unstamped: list[Int64] = []
-        for topic, topic_times in zip(columns, times, strict=True):
-            has_stamp = topic_times.stamp_ns != NONE
-            self._notes += copied_messages(topic.topic.name, topic.copies)
+    def _read_clocks(
+        self, columns: Sequence[TopicMessages], logged: Int64
+    ) -> tuple[list[TopicTimes], Clocks, list[int]]:
+        """Return the messages without what was sent earlier, the clocks, and how many messages of each topic were sent earlier."""
+        lost, counter = counts_of_recorder(columns)
+        times = [t.times(self._start_ns, self._end_ns, lost.get(t.topic.name), counter) for t in columns]
+        stamped: dict[int, Stamps] = {}
+        for number, one in enumerate(times):
+            has_stamp = one.stamp_ns != NONE
             if has_stamp.any():
-                stamped[topic.topic.name] = Stamps(topic_times.log_ns[has_stamp], topic_times.stamp_ns[has_stamp])
-            else:
-                unstamped.append(topic_times.log_ns)
-        self._notes += set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns})
-        notes, set_over = stamp_notes(stamped, unstamped, self._start_ns)
-        self._notes += notes
-        return set_over
+                keys = one.frame ^ one.publisher
+                stamped[number] = Stamps(one.log_ns[has_stamp], one.stamp_ns[has_stamp], keys[has_stamp])
+        ages_ns = [float(np.median(one.age_ns)) for one in stamped.values() if len(one.log_ns) >= FEWEST]
+        usual_ns = float(np.median(ages_ns)) if ages_ns else 0.0
+        history = [0] * len(times)
+        for number, stamps in stamped.items():
+            is_volatile = "volatile" in qos_words(columns[number].topic.qos)
+            count = 0 if is_volatile else count_history(stamps, self._start_ns, usual_ns)
+            if count:
+                history[number] = count
+                oldest = format_duration(float(stamps.age_ns.max()))
+                was = "was" if count == 1 else "were"
+                self._note(
+                    f"{counted(count, 'message')} of {columns[number].topic.name} {was} sent up to {oldest} earlier: history of "
+                    "transient-local topics of nodes that started earlier, not an age"
+                )
+            if 0 < count < len(stamps.log_ns):
+                stamped[number] = stamps.from_message(count)
+                times[number] = times[number].from_message(
+                    int(np.searchsorted(times[number].log_ns, stamps.log_ns[count]))
+                )
+        for topic in columns:
+            for note in copied_messages(topic.topic.name, topic.copies):
+                self._note(note)
+        for note in set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns}):
+            self._note(note)
+        named = {
+            columns[n].topic.name: one
+            for n, one in stamped.items()
+            if history[n] < len(times[n].log_ns) or not history[n]
+        }
+        unstamped = [one.log_ns for number, one in enumerate(times) if number not in stamped]
+        clocks = read_clocks(named, unstamped, self._start_ns, _tick_ns(logged))
+        self._notes += clocks.notes
+        if self._start_ns < SIMULATED_BEFORE_NS and "zero" not in clocks.no_age.values():
+            self._note("the log times are of a simulation's clock, or count from the start of a machine")
+        for number, one in enumerate(times):
+            if number not in stamped and _is_of_writer(one):
+                clocks.no_age[columns[number].topic.name] = ""
+                self._note(
+                    f"publish times of {columns[number].topic.name} are at or after its log times: the writer's, not an age"
+                )
+            elif history[number] and history[number] >= len(one.log_ns):
+                clocks.no_age[columns[number].topic.name] = "latched"
+        return times, clocks, history
 
-    def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
-        regularity, about = losses.regularity, topic.topic
+    def _read_losses(
+        self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], clocks: Clocks, logged: Int64
+    ) -> tuple[list[Losses], int]:
+        silent = find_silent(logged, len(columns))
+        is_own = [topic.topic.name.startswith(TOPIC_PREFIX) for topic in columns]  # a tap's own topics are events
+        found = [
+            [] if own else one.readings(self._end_ns - self._start_ns, silent)
+            for own, one in zip(is_own, times, strict=True)
+        ]
+        set_over, notes = set_clocks(found, silent, self._start_ns)
+        self._notes += notes
+        for stretches in (clocks.set_over, stood_still(times, silent), set_over):
+            found = [without_stretches(readings, stretches) for readings in found]
+        found = doubted(found)
+        losses = [agreed(r, self._start_ns, self._end_ns, t.log_ns) for r, t in zip(found, times, strict=True)]
+        return losses, sum(bool(readings) or _has_numbers(one) for readings, one in zip(found, times, strict=True))
+
+    def _add(
+        self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Holes, early: int, clocks: Clocks
+    ) -> None:
+        regularity, about, holes = losses.regularity, topic.topic, losses.holes
         lag = regularity.in_pattern if regularity else 1
-        inside = [any(hole.overlaps(*pause) for pause in pauses) for hole in losses.holes]
+        inside = holes.meet(pauses)
         transport, recorder = times.lost or (None, None)
+        no_age = clocks.no_age.get(about.name)
         row: Row = {
             "recording": self._path,
             "topic": about.name,
@@ -293,19 +360,17 @@ class Card:
             **timing(times.log_ns),
             "jitter_ns": spread(times.log_ns[lag:] - times.log_ns[:-lag]) if len(times.log_ns) > lag else None,
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
-            **ages(times.log_ns, times.publish_ns, times.stamp_ns, self._start_ns),
+            **ages(times.log_ns, times.publish_ns, times.stamp_ns, no_age),
             **bursts(times.log_ns),
+            "latched": early,
+            "no_age": no_age,
             "age_bound_ns": topic.bound_ns,
             "expected_rate_hz": regularity.rate_hz if regularity else None,
             "missing_from": losses.evidence,
             "missing": losses.missing,
             "missing_low": losses.low,
             "missing_high": losses.high,
-            "missing_inside": None
-            if losses.missing is None
-            else max(
-                sum(hole.missing for hole, is_in in zip(losses.holes, inside, strict=True) if is_in), recorder or 0
-            ),
+            "missing_inside": None if losses.missing is None else max(int(holes.low[inside].sum()), recorder or 0),
             "lost_in_transport": transport,
             "lost_in_recorder": recorder,
             "copies": topic.copies,
@@ -313,68 +378,66 @@ class Card:
         }
         self.rows.append(row)
         self.strips.append(self._strip(times.log_ns, losses))
-        largest = sorted(zip(losses.holes, inside, strict=True), key=lambda pair: -pair[0].duration_ns)[:_MOST_HOLES]
+        observed = list(observe(about.name, losses))
+        self._observed += observed
+        listed = [one for one in observed if one.kind == "seen"]
+        places = Holes.between(
+            [one.start_ns or 0 for one in listed], [(one.start_ns or 0) + (one.duration_ns or 0) for one in listed]
+        )
         self.holes += [
             {
                 "recording": self._path,
                 "topic": about.name,
-                "start_s": (hole.start_ns - self._start_ns) / 1e9,
-                "duration_s": hole.duration_ns / 1e9,
-                "missing": hole.missing,
+                "start_s": start_s,
+                "duration_s": duration_s,
+                "missing": one.high,
+                "missing_low": one.low,
                 "inside": is_in,
             }
-            for hole, is_in in sorted(largest, key=lambda pair: pair[0].start_ns)
+            for one, (start_s, duration_s), is_in in zip(
+                listed, self._place(places), places.meet(pauses).tolist(), strict=True
+            )
         ]
 
     def _strip(self, log_ns: Int64, losses: Losses) -> tuple[float, ...]:
         edges = np.linspace(self._start_ns, max(self._end_ns, self._start_ns + 1), STRIP_PARTS + 1)
-        part_ns = edges[1] - edges[0]
         if losses.regularity is None:
             return tuple(np.minimum(np.histogram(log_ns, edges)[0], 1).astype(float).tolist())
-        share = np.ones(STRIP_PARTS)
-        before = int(log_ns[0])
-        for start, end in [
-            (self._start_ns, before),
-            *((hole.start_ns, hole.start_ns + hole.duration_ns) for hole in losses.holes),
-        ]:
-            share -= np.maximum(np.minimum(edges[1:], end) - np.maximum(edges[:-1], start), 0) / part_ns
+        holes = Holes.of([Holes.between([self._start_ns], [int(log_ns[0])]), losses.holes])
+        lengths = np.maximum(holes.duration_ns, 0)
+        silent_ns = np.append(0, np.cumsum(lengths))
+        # Time in holes before each edge: whole holes, and a part of the last that began.
+        begun = np.searchsorted(holes.start_ns, edges, "right")
+        last = np.maximum(begun - 1, 0)
+        within = np.clip(edges - holes.start_ns[last], 0, lengths[last])
+        before = np.where(begun > 0, silent_ns[last] + within, 0)
+        share = 1 - np.diff(before) / (edges[1] - edges[0])
         return tuple(np.clip(share, 0, 1).tolist())
 
 
-def _all_silent(logged: Int64, columns: Sequence[TopicMessages]) -> list[tuple[int, int]]:
-    steps_ns = np.diff(logged)
-    if len(columns) < 2 or not len(steps_ns):
-        return []
-    gaps = np.flatnonzero(steps_ns > max(_LEAST_SILENCE_NS, _PAUSE_MESSAGES * float(np.median(steps_ns))))
-    return [(int(logged[at]), int(logged[at + 1])) for at in gaps.tolist()]
+def _has_numbers(times: TopicTimes) -> bool:
+    numbers = times.sequence[times.sequence != NONE]
+    return len(numbers) > 1 and 2 * int((np.diff(numbers) == 1).sum()) > len(numbers)
 
 
-def _find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[list[tuple[int, int]], list[tuple[int, int, int]]]:
-    """Return pauses of the recorder, in which several topics lack messages, and its stalls: length, start, late messages."""
-    regular = [loss for loss in losses if loss.regularity]
-    rates_hz = [loss.regularity.rate_hz for loss in regular if loss.regularity]
-    pauses, stalls = list[tuple[int, int]](), list[tuple[int, int, int]]()
-    if len(rates_hz) < 2:
-        return pauses, stalls
-    per_ns = sum(rates_hz) / 1e9
-    steps_ns = np.diff(logged)
-    for at in np.flatnonzero(steps_ns > _PAUSE_MESSAGES / per_ns).tolist():
-        start, end = int(logged[at]), int(logged[at + 1])
-        if sum(any(hole.missing and hole.overlaps(start, end) for hole in loss.holes) for loss in regular) >= 2:
-            pauses.append((start, end))
-            continue
-        late_starts = [hole for loss in losses for hole in loss.holes[:1] if hole.start_ns == logged[0]]
-        window_ns = (end - start) / 4
-        late = int(np.searchsorted(logged, end + window_ns, "right")) - at - 1 - round(per_ns * window_ns)
-        is_start = any(hole.overlaps(start, end) for hole in late_starts if not hole.missing)
-        is_long = end - start > _STALL_PERIODS * 1e9 / max(rates_hz)
-        if is_long and late > per_ns * (end - start) / 2 and not is_start:
-            stalls.append((end - start, start, late))
-    return pauses, stalls
+def _is_of_writer(times: TopicTimes) -> bool:
+    """Return whether publish times differ from log times, and nearly none is earlier: a writer took them after the log time."""
+    published = times.publish_ns != NONE
+    publish_ns, log_ns = times.publish_ns[published], times.log_ns[published]
+    return bool((publish_ns != log_ns).any() and (publish_ns >= log_ns).sum() >= MOST * len(log_ns))
+
+
+def _tick_ns(logged: Int64) -> int:
+    """Return the ticks of log times that are multiples of one, with several messages each; 0 of finer clocks."""
+    if len(logged) < FEWEST:
+        return 0
+    is_repeated = np.diff(logged) == 0
+    tick_ns = int(np.gcd.reduce(logged))
+    return tick_ns if tick_ns >= SECOND_NS // 1000 and 2 * 2 * is_repeated.sum() > len(logged) else 0
 
 
 def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
-    latest_ns, overlapping = -(2**63), 0
+    latest_ns, overlapping = NONE, 0
     for first_ns, last_ns, _ in chunks:
         overlapping += first_ns < latest_ns
         latest_ns = max(latest_ns, last_ns)

@@ -1,53 +1,52 @@
-"""The clocks of a recording: which one its times are of, where one was set or ran over, and which topics became late."""
+"""The clocks of a recording: which one its times are of, where one was set or ran over, which ages are none, and which topics became late."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
-from dds_trace.base.units import clock_words, counted, format_duration
+from dds_trace.base.units import UNIT_NS, clock_words, counted, format_duration
 
-from .periods import Int64
+from .bounds import FEW, FEWEST, LONG, MOST, NOTICED_NS, OFF, SECOND_NS, STEADY, WINDOW
+from .periods import Bools, Holes, Int64, spread
 
-DAY_NS = 86_400 * 10**9
-_APART_NS, _LONGEST_UP_NS = 30 * DAY_NS, 365 * DAY_NS
-SIMULATED_BEFORE_NS = 10**9 * 10**9  # September 2001: no recorder of today
-_JUMP_NS = 10**9
-_COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
-_LEAST_STEP_NS, _STEP_SPREADS = 200_000_000, 6.0
-_FEWEST = 8
-_MOST_STEPS = 5
-_LEAST_BACK_NS = 100_000_000
-_WHY_BACK = "a clock that was set back, a simulation that was reset, or joined files?"
-_SAME_STEP, _SAME_TIME_NS = 0.2, 2 * 10**9
-_AHEAD_NS = {37 * 10**9: "TAI", 18 * 10**9: "GPS time"}
-_AHEAD_WITHIN_NS = 600_000_000
+DAY_NS = 86_400 * SECOND_NS
+"""Ages below may be of a queue; stamps farther away are of another clock."""
+
+SIMULATED_BEFORE_NS = SECOND_NS * SECOND_NS
+"""September 2001: no recorder of today."""
+
+_WRAP = 2**32
+"""Values of a counter of 32 bits."""
+
+_YEAR_DAYS = 365.25
+_AHEAD_S = {37: "TAI", 18: "GPS time"}
 _UNITS = {
-    1e-6: ("slowly", "milliseconds", "nanoseconds"),
-    1e-3: ("slowly", "microseconds", "nanoseconds"),
-    1e3: ("fast", "nanoseconds", "microseconds"),
+    "ms": ("slowly", "milliseconds", "nanoseconds", 1 / UNIT_NS["ms"]),
+    "us": ("slowly", "microseconds", "nanoseconds", 1 / UNIT_NS["us"]),
+    "ns": ("fast", "nanoseconds", "microseconds", float(UNIT_NS["us"])),
 }
-_SAME_SPEED, _LEAST_OTHER_SPEED = 0.1, 0.03
-_GROWTH, _LEAST_GROWTH_NS, _AGE_PARTS = 3.0, 100_000_000, 20
-_FEWEST_RISING, _LEAST_FIT = 5, 0.95
+_WHY_BACK = "a clock that was set back, a simulation that was reset, or joined files?"
 
 
-def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def of_one_clock(log_ns: Int64) -> Bools:
     """Return which ascending log times are of the recording's clock, not at time 0 of a simulation."""
-    gaps = np.flatnonzero(np.diff(log_ns) > _APART_NS)
+    gaps = np.flatnonzero(np.diff(log_ns) > WINDOW * DAY_NS)
     edges = np.concatenate([[0], gaps + 1, [len(log_ns)]])
     largest = int(np.argmax(np.diff(edges)))
-    selected = np.zeros(len(log_ns), bool)
+    selected = np.zeros(len(log_ns), np.bool_)
     selected[edges[largest] : edges[largest + 1]] = True
     return selected
 
 
 def apart(time_ns: float) -> str:
     days = time_ns / DAY_NS
-    return f"{days / 365.25:.0f} years" if days > 365.25 else f"{days:.0f} days"
+    if days > _YEAR_DAYS:
+        return f"{days / _YEAR_DAYS:.0f} years"
+    return f"{days:.0f} days" if days >= WINDOW else format_duration(time_ns)
 
 
 def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
@@ -55,11 +54,11 @@ def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
     if names:
         are = "is" if len(names) == 1 else "are"
         size = format_duration(backwards_ns[names[0]])
-        yield f"{_and_more(names)} {are} not stored in order of time, up to {size} back: {_WHY_BACK}"
+        yield f"{and_more(names)} {are} not stored in order of time, up to {size} back: {_WHY_BACK}"
 
 
 def reset_note(back_ns: int, at_ns: int, stamped: int) -> str:
-    size, at = format_duration(back_ns), clock_words(at_ns / 1e9)
+    size, at = format_duration(back_ns), clock_words(at_ns / SECOND_NS)
     if stamped:
         return f"the recorder's clock was set back by {size} at {at}: the stamps of {counted(stamped, 'topic')} go on without a step"
     return f"the times of all topics begin again at {at}, {size} back: {_WHY_BACK}"
@@ -67,39 +66,101 @@ def reset_note(back_ns: int, at_ns: int, stamped: int) -> str:
 
 def find_resets(log_ns: Int64) -> list[int]:
     """Return the indices of stored log times that begin again: late messages leap to the others, and pieces in disorder fit together."""
-    before_ns = np.minimum(log_ns[1:-2], log_ns[:-3])
-    resets: list[int] = (np.flatnonzero(np.maximum(log_ns[2:-1], log_ns[3:]) < before_ns - _LEAST_BACK_NS) + 2).tolist()
-    if len(resets) > _MOST_STEPS:
+    before_ns = np.minimum(log_ns[1:-2], log_ns[: -2 - 1])
+    latest_ns = np.maximum(log_ns[2:-1], log_ns[2 + 1 :])
+    resets: list[int] = (np.flatnonzero(latest_ns < before_ns - NOTICED_NS) + 2).tolist()
+    if len(resets) > FEWEST:
         return []
     for at in resets:
         back_ns = int(log_ns[at - 1] - log_ns[at])
         is_beyond = log_ns[at:] >= log_ns[at - 1]
         again = at + int(np.argmax(is_beyond)) if is_beyond.any() else at
         apart_ns = int(log_ns[:at].min() - log_ns[at:].max())
-        if log_ns[again] - log_ns[again - 1] > back_ns / 2 or 0 <= apart_ns < _SAME_TIME_NS:
+        if log_ns[again] - log_ns[again - 1] > back_ns / 2 or 0 <= apart_ns < 2 * SECOND_NS:
             return []
     return resets
 
 
 def backwards_ns(log_ns: Int64) -> int:
     step_ns = -int(np.diff(log_ns, prepend=log_ns[:1]).min())
-    return step_ns if step_ns > _JUMP_NS else 0
+    return step_ns if step_ns > SECOND_NS else 0
 
 
-class Stamps(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Stamps:
+    """Messages of a topic with a stamp, by log time; `frame` differs between publishers."""
+
     log_ns: Int64
     stamp_ns: Int64
+    frame: Int64
 
     @property
     def age_ns(self) -> Int64:
         return self.log_ns - self.stamp_ns
 
+    def from_message(self, first: int) -> Stamps:
+        return Stamps(self.log_ns[first:], self.stamp_ns[first:], self.frame[first:])
+
     @property
-    def speed(self) -> float:
-        return float(self.stamp_ns[-1] - self.stamp_ns[0]) / max(float(self.log_ns[-1] - self.log_ns[0]), 1.0)
+    def speed(self) -> float | None:
+        """Return how fast stamps advance against the log times, by steps between messages of one frame; None where they do not agree."""
+        order = np.argsort(self.frame, kind="stable")
+        log_ns, stamp_ns, frame = self.log_ns[order], self.stamp_ns[order], self.frame[order]
+        lag = FEWEST if len(log_ns) > 2 * FEWEST else 1
+        is_one = (frame[lag:] == frame[:-lag]) & (log_ns[lag:] > log_ns[:-lag])
+        if is_one.sum() < FEWEST // 2:
+            return None
+        speeds = (stamp_ns[lag:] - stamp_ns[:-lag])[is_one] / (log_ns[lag:] - log_ns[:-lag])[is_one]
+        typical = float(np.median(speeds))
+        agree = np.abs(speeds - typical) <= OFF * abs(typical)
+        return typical if 2 * agree.sum() > len(speeds) else None
+
+    @property
+    def repeats(self) -> bool:
+        """Return whether stamps go back and then are stamps that were there: a recording that is played in a loop."""
+        back = np.flatnonzero(np.diff(self.stamp_ns) < -SECOND_NS)
+        if not len(back) or len(self.stamp_ns) < FEWEST:
+            return False
+        again = len(self.stamp_ns) - len(np.unique(self.stamp_ns))
+        is_first = self.stamp_ns[back + 1] < self.stamp_ns[0] + SECOND_NS
+        return bool(is_first.all() and again >= (1 - OFF) * (len(self.stamp_ns) - back[0] - 1) > 0)
 
 
-class _Step(NamedTuple):
+def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
+    """Return how many messages at the start of the recording were sent earlier (transient local): they come at once, and are older than those that follow.
+
+    `usual_ns` is the age of other topics, for one without a message that follows.
+    """
+    is_soon = stamps.log_ns < start_ns + 2 * SECOND_NS
+    live_ns = usual_ns if is_soon.all() else float(np.median(stamps.age_ns[~is_soon]))
+    older_ns = np.where(is_soon, stamps.age_ns - live_ns, 0)
+    is_early = (older_ns > NOTICED_NS) & (older_ns < WINDOW * DAY_NS * FEWEST)
+    count = len(is_early) if is_early.all() else int(np.argmin(is_early))
+    if not count or older_ns[:count].max() < SECOND_NS:
+        return 0
+    sent_ns = int(np.ptp(stamps.stamp_ns[:count]))
+    return count if count == 1 or 2 * int(stamps.log_ns[count - 1] - stamps.log_ns[0]) < sent_ns else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What explains a topic's times, or all topics' (empty)."""
+
+    words: str
+    topic: str = ""
+
+
+@dataclass(slots=True)
+class Clocks:
+    """What the clocks of a recording did: why topics have no age (`latched`, `clock`, `copy`, `ticks`), and where a clock was set."""
+
+    notes: list[Note] = field(default_factory=list)
+    no_age: dict[str, str] = field(default_factory=dict)
+    set_over: Holes = field(default_factory=Holes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
     """The age of a topic's messages changes for good with the message of `log_ns`."""
 
     topic: str
@@ -109,93 +170,153 @@ class _Step(NamedTuple):
     age_ns: int
 
 
-def stamp_notes(
-    topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int
-) -> tuple[list[str], list[tuple[int, int]]]:
-    """Return what changes in the ages of topics, and stretches over which the recorder's clock was set: every topic moves with it."""
+def read_clocks(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int, tick_ns: int) -> Clocks:
+    """Return what the ages of topics show; they are without the history of messages that were sent earlier."""
+    clocks = Clocks()
     steps: list[_Step] = []
-    notes: list[str] = []
-    other_clocks: dict[str, float] = {}
+    reasons: dict[str, list[str]] = {}
+    offset_ns = _shared_offset(topics)
     for name, stamps in topics.items():
-        special = next(_special_notes(name, stamps, start_ns), "")
-        age_ns = abs(float(np.median(stamps.age_ns)))
+        reason = _no_age(stamps, start_ns, tick_ns, offset_ns)
+        if reason:
+            reasons.setdefault(reason, []).append(name)
+            clocks.no_age[name] = _SHORT[reason]
+        special = next(_special_notes(name, stamps), "") if reason in ("", "loop", "speed", "offset") else ""
         if special:
-            notes.append(special)
+            if reason:
+                reasons[reason].remove(name)
+            clocks.notes.append(Note(special, name))
             continue
-        if age_ns > DAY_NS:
-            other_clocks[name] = age_ns
-        clock_steps = _steps(name, stamps)
-        if len(clock_steps) <= _MOST_STEPS:
-            steps += clock_steps
-        since_ns = None if clock_steps else growth_since_ns(stamps.log_ns, stamps.stamp_ns)
-        if since_ns is not None:
-            first_age, last_age = map(format_duration, age_course(stamps.age_ns))
-            when = (
-                f"since {clock_words((since_ns - start_ns) / 1e9)}" if since_ns > stamps.log_ns[0] else "all the time"
-            )
-            notes.append(
-                f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
-            )
-    set_over: list[tuple[int, int]] = []
-    notes += _other_clocks(other_clocks, topics)
+        if reason:
+            continue
+        own_steps = _steps(name, stamps)
+        if len(own_steps) < FEWEST:
+            steps += own_steps
+        if not own_steps:
+            clocks.notes += [Note(note, name) for note in _course_notes(name, stamps, start_ns)]
+    clocks.notes += [Note(_WHY_NO_AGE[reason](names, topics)) for reason, names in reasons.items() if names]
+    set_over = []
     while steps:
         same = [step for step in steps if _is_same(step, steps[0])]
         steps = [step for step in steps if step not in same]
         step_notes, is_of_recorder = _step_notes(same, topics, unstamped, start_ns)
-        notes += step_notes
+        clocks.notes += step_notes
         set_over += [(same[0].log_ns - same[0].size_ns, same[0].log_ns)] * is_of_recorder
-    return notes, set_over
+    starts, ends = zip(*sorted(set_over), strict=True) if set_over else ((), ())
+    clocks.set_over = Holes.between(starts, ends)
+    return clocks
 
 
-def _other_clocks(ages_ns: Mapping[str, float], topics: Mapping[str, Stamps]) -> Iterator[str]:
-    speeds = {name: topics[name].speed for name in ages_ns if len(topics[name].log_ns) >= _FEWEST}
-    simulated = [name for name, speed in speeds.items() if speed > 0 and abs(speed - 1) > _LEAST_OTHER_SPEED]
-    others = sorted(ages_ns.keys() - {*simulated}, key=lambda name: -ages_ns[name])
-    if simulated:
-        speed = f"{float(np.median([speeds[name] for name in simulated])):.3g}"
-        yield f"stamps of {_and_more(simulated)} advance {speed} s a second: a simulation that runs at {speed} of real time?"
-    if others:
-        away = apart(ages_ns[others[0]])
-        yield f"stamps of {_and_more(others)} are {away} from the log times: of another clock (a simulation?), not an age"
+def _shared_offset(topics: Mapping[str, Stamps]) -> float | None:
+    """Return the age that all topics have to within a hundredth of it and jitter: of another clock."""
+    ages_ns = [float(np.median(stamps.age_ns)) for stamps in topics.values() if len(stamps.log_ns) >= FEWEST]
+    if len(ages_ns) < 2:
+        return None
+    shared_ns = float(np.median(ages_ns))
+    is_shared = abs(shared_ns) > SECOND_NS and np.ptp(ages_ns) < min(NOTICED_NS, FEW / 2 * abs(shared_ns))
+    return shared_ns if is_shared else None
 
 
-def _and_more(names: Sequence[str]) -> str:
+def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None) -> str:
+    ages_ns = stamps.age_ns
+    age_ns = float(np.median(ages_ns))
+    if (ages_ns == 0).sum() >= MOST * len(ages_ns) and len(ages_ns) >= FEWEST:
+        return "copy"
+    if start_ns < SIMULATED_BEFORE_NS and -age_ns > DAY_NS:
+        return "zero"
+    if stamps.repeats:
+        return "loop"
+    speed = stamps.speed
+    is_far = abs(age_ns) > DAY_NS
+    if is_far and speed is not None and speed > 0 and abs(speed - 1) > FEW:
+        return "speed"
+    is_constant = len(ages_ns) >= FEWEST and np.ptp(np.quantile(ages_ns, [1 - MOST, MOST])) < STEADY * abs(age_ns)
+    if (
+        is_far
+        or (is_constant and abs(age_ns) > WINDOW * SECOND_NS)
+        or (offset_ns and abs(age_ns - offset_ns) < NOTICED_NS)
+    ):
+        return "offset"
+    return "ticks" if tick_ns and abs(age_ns) < tick_ns else ""
+
+
+def _of_offset(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
+    ages_ns = {name: float(np.median(topics[name].age_ns)) for name in names}
+    ordered = sorted(names, key=lambda name: -abs(ages_ns[name]))
+    age_ns = ages_ns[ordered[0]]
+    way = "behind" if age_ns > 0 else "ahead of"
+    who = f"all {len(topics)} topics" if 1 < len(names) == len(topics) else and_more(ordered)
+    return (
+        f"stamps of {who} are {apart(abs(age_ns))} {way} the log times: of another clock (a replay, or a clock that is not set), "
+        "not an age"
+    )
+
+
+def _of_speed(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
+    speed = f"{float(np.median([topics[name].speed or 0.0 for name in names])):.3g}"
+    return f"stamps of {and_more(names)} advance {speed} s a second: a simulation that runs at {speed} of real time?"
+
+
+_WHY_NO_AGE: Mapping[str, Callable[[Sequence[str], Mapping[str, Stamps]], str]] = {
+    "copy": lambda names, _: f"log times of {and_more(names)} are copies of the stamps: there is no age",
+    "zero": lambda names, _: (
+        f"the log times begin at 0 (of the recording, a simulation or a machine), the stamps of {and_more(names)} do not: there is no age"
+    ),
+    "loop": lambda names, _: (
+        f"stamps of {and_more(names)} come again: a recording that was replayed in a loop, not an age"
+    ),
+    "speed": _of_speed,
+    "offset": _of_offset,
+    "ticks": lambda names, _: (
+        f"the log times advance in ticks (a simulation's clock?): ages of {and_more(names)} below a tick are unknown"
+    ),
+}
+_SHORT = {
+    "copy": "no clock",
+    "zero": "other clock",
+    "loop": "replay",
+    "speed": "other clock",
+    "offset": "other clock",
+    "ticks": "below a tick",
+}
+
+
+def and_more(names: Sequence[str]) -> str:
     return names[0] + (f" and {counted(len(names) - 1, 'more topic')}" if len(names) > 1 else "")
 
 
 def _step_notes(
     steps: Sequence[_Step], topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_ns: int
-) -> tuple[list[str], bool]:
+) -> tuple[list[Note], bool]:
     first, moved = steps[0], sorted({step.topic for step in steps})
-    is_of_stamps = first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -_LEAST_STEP_NS)
+    is_of_stamps = first.stamp_step_ns < 0 or (first.size_ns < 0 and first.age_ns < -2 * NOTICED_NS)
     late_ns = 0 if is_of_stamps else max(first.size_ns, 0)
-    at, size = clock_words((first.log_ns - late_ns - start_ns) / 1e9), format_duration(abs(first.size_ns))
+    at, size = clock_words((first.log_ns - late_ns - start_ns) / SECOND_NS), format_duration(abs(first.size_ns))
     if is_of_stamps:
         like = next((name for name in topics if name not in moved and _has_its_age(topics[name], first)), "")
         who = f"like {like}: of another publisher, a replay?" if like else "the clock that stamps them was set"
         return [
-            f"stamps of {name} jump 1 time against the log times, by {size} at {at}: {who}" for name in moved
+            Note(f"stamps of {name} jump 1 time against the log times, by {size} at {at}: {who}", name)
+            for name in moved
         ], False
     others = [stamps.log_ns for name, stamps in topics.items() if name not in moved]
     witnesses = sum(_goes_on(log_ns, first) for log_ns in (*others, *unstamped))
     direction, became = ("forward", "later") if first.size_ns > 0 else ("back", "earlier")
     clock = f"the recorder's clock was set {direction} by {size} at {at}"
     if not witnesses and len(moved) > 1:
-        return [f"{clock}: the stamps of all {len(moved)} topics go on without a step"], True
+        return [Note(f"{clock}: the stamps of all {len(moved)} topics go on without a step")], True
     unsure = "" if witnesses else f", or {clock}: no other topic shows which"
-    return [f"{name} became {size} {became} at {at}{unsure}" for name in moved], False
+    return [Note(f"{name} became {size} {became} at {at}{unsure}", name) for name in moved], False
 
 
 def _is_same(step: _Step, other: _Step) -> bool:
-    apart_ns = abs(step.log_ns - other.log_ns)
-    return apart_ns < abs(other.size_ns) / 2 + _SAME_TIME_NS and abs(step.size_ns - other.size_ns) < _SAME_STEP * abs(
-        other.size_ns
-    )
+    apart_ns, size_ns = abs(step.log_ns - other.log_ns), abs(other.size_ns)
+    return apart_ns < size_ns / 2 + 2 * SECOND_NS and abs(step.size_ns - other.size_ns) < OFF * size_ns
 
 
 def _has_its_age(stamps: Stamps, step: _Step) -> bool:
-    ages_ns = stamps.age_ns[stamps.log_ns < step.log_ns + _SAME_TIME_NS]
-    return len(ages_ns) > 0 and float((np.abs(ages_ns - step.age_ns) < _SAME_STEP * abs(step.size_ns)).mean()) > 0.5
+    ages_ns = stamps.age_ns[stamps.log_ns < step.log_ns + 2 * SECOND_NS]
+    return len(ages_ns) > 0 and 2 * float((np.abs(ages_ns - step.age_ns) < OFF * abs(step.size_ns)).mean()) > 1
 
 
 def _goes_on(log_ns: Int64, step: _Step) -> bool:
@@ -203,55 +324,36 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
         return False
     if step.size_ns < 0:
         return True
-    between = (log_ns > step.log_ns - 0.9 * step.size_ns) & (log_ns < step.log_ns - 0.1 * step.size_ns)
+    edge_ns = OFF / 2 * step.size_ns
+    between = (log_ns > step.log_ns - step.size_ns + edge_ns) & (log_ns < step.log_ns - edge_ns)
     return bool(between.any())
 
 
-def count_latched(stamps: Stamps, start_ns: int) -> int:
-    log_ns, stamp_ns = stamps
-    is_soon = (log_ns < start_ns + 2 * 10**9) | (len(log_ns) < _FEWEST)
-    early = is_soon & (stamp_ns < start_ns - _JUMP_NS) & (stamps.age_ns > _JUMP_NS) & (stamps.age_ns < _LONGEST_UP_NS)
-    count = int(early.sum())
-    if count == len(log_ns) >= _FEWEST:  # nodes' starts, not a stream of messages
-        return 0 if 0.5 < stamps.speed < 2 else count
-    is_start = len(log_ns) < _FEWEST or (count < len(log_ns) / 2 and float(np.median(stamps.age_ns[~early])) < _JUMP_NS)
-    return count if is_start else 0
-
-
-def _special_notes(topic: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
-    log_ns, stamp_ns = stamps
+def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
+    log_ns, stamp_ns = stamps.log_ns, stamps.stamp_ns
+    if len(log_ns) < FEWEST:
+        return
     ages_ns = stamps.age_ns
-    latched = count_latched(stamps, start_ns)
-    if latched:
-        oldest = format_duration(start_ns - int(stamp_ns.min()))
-        yield (
-            f"{counted(latched, 'message')} of {topic} {'was' if latched == 1 else 'were'} stamped up to {oldest} before the "
-            "recording began: transient-local messages of nodes that started earlier, not an age"
-        )
-        return
-    if len(log_ns) < _FEWEST:
-        return
     age_ns = float(np.median(ages_ns))
     steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
-    jumps = steps_ns[np.abs(steps_ns) > _JUMP_NS]
-    sizes_ns = {unit: 2**32 * unit_ns for unit, unit_ns in _COUNTERS.items()}
-    over = {unit: int((np.abs(jumps + size) < size // 100).sum()) for unit, size in sizes_ns.items()}
+    jumps = steps_ns[np.abs(steps_ns) > SECOND_NS]
+    over = {
+        unit: int((np.abs(jumps + _WRAP * UNIT_NS[unit]) < FEW / 2 * _WRAP * UNIT_NS[unit]).sum()) for unit in _UNITS
+    }
     if any(over.values()):
         unit_name = max(over, key=over.__getitem__)
         yield f"stamps of {topic} ran over {counted(over[unit_name], 'time')}: a counter of 32 bits of {unit_name}"
         return
-    speed = stamps.speed
-    unit = next((unit for unit in _UNITS if abs(speed / unit - 1) < _SAME_SPEED), None)
+    speed = stamps.speed or 0.0
+    unit = next((unit for unit in _UNITS.values() if abs(speed / unit[-1] - 1) < OFF / 2), None)
     if unit is not None:
-        way, written, right = _UNITS[unit]
-        times = f"{max(unit, 1 / unit):,.0f} times too {way}"
-        yield f"stamps of {topic} advance {times}: its driver writes {written} where {right} belong"
+        way, written, right, factor = unit
+        yield f"stamps of {topic} advance {max(factor, 1 / factor):,.0f} times too {way}: its driver writes {written} where {right} belong"
         return
     if abs(age_ns) > DAY_NS:
         return
-    for ahead_ns, time in _AHEAD_NS.items():
-        if -_AHEAD_WITHIN_NS / 2 < age_ns + ahead_ns < _AHEAD_WITHIN_NS:
-            seconds = ahead_ns // 10**9
+    for seconds, time in _AHEAD_S.items():
+        if abs(age_ns + seconds * SECOND_NS) < SECOND_NS / 2:
             yield (
                 f"stamps of {topic} are {seconds} s ahead, as of a device on {time}: set its UTC offset (of PTP: currentUtcOffset), or let "
                 f"its driver subtract {seconds} s"
@@ -268,7 +370,7 @@ def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
     switches = int((np.diff(is_old.astype(np.int8)) != 0).sum())
     apart_ns = int(ordered[at + 1] - ordered[at])
     widths = int(ordered[at] - ordered[0]), int(ordered[-1] - ordered[at + 1])
-    if apart_ns > max(_LEAST_STEP_NS / 2, *widths) and fewer >= _FEWEST // 2 and switches > max(_MOST_STEPS, fewer / 2):
+    if apart_ns > max(NOTICED_NS, *widths) and fewer >= FEWEST // 2 and switches > max(FEWEST, fewer / 2):
         old, new = (format_duration(float(np.median(ages_ns[part]))) for part in (is_old, ~is_old))
         yield (
             f"{topic} has messages of two kinds by turns, perhaps of two publishers: {int(is_old.sum()):,} with an age of {old}, "
@@ -278,11 +380,13 @@ def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
 
 def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     ages_ns = stamps.age_ns
-    if len(ages_ns) < _FEWEST or abs(float(np.median(ages_ns))) > DAY_NS:
+    if len(ages_ns) < FEWEST:
         return []
     changes_ns = np.diff(ages_ns)
-    least_ns = max(_LEAST_STEP_NS, _STEP_SPREADS * 1.4826 * float(np.median(np.abs(changes_ns))))
+    least_ns = max(2 * NOTICED_NS, FEWEST * spread(changes_ns))
     jumps = (np.flatnonzero(np.abs(changes_ns) > least_ns) + 1).tolist()
+    if len(jumps) > FEWEST * WINDOW:  # more than a clock is set
+        return []
     edges = [0, *jumps, len(ages_ns)]
     levels = [float(np.median(ages_ns[start:stop])) for start, stop in pairwise(edges)]
     return [
@@ -295,9 +399,20 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
         )
         for number, at in enumerate(jumps)
         if abs(levels[number + 1] - levels[number]) > least_ns
-        and at - edges[number] >= 5
-        and edges[number + 2] - at >= 5
+        and at - edges[number] > FEWEST // 2
+        and edges[number + 2] - at > FEWEST // 2
     ]
+
+
+def _course_notes(name: str, stamps: Stamps, start_ns: int) -> Iterator[str]:
+    since_ns = growth_since_ns(stamps.log_ns, stamps.stamp_ns)
+    first_age, last_age = map(format_duration, age_course(stamps.age_ns))
+    if since_ns is not None:
+        is_later = since_ns > stamps.log_ns[0]
+        when = f"since {clock_words((since_ns - start_ns) / SECOND_NS)}" if is_later else "all the time"
+        yield f"the age of {name} grows from {first_age} to {last_age}, {when}: a queue that fills, or a clock that runs at another speed"
+    elif growth_since_ns(-stamps.log_ns[::-1], -stamps.log_ns[::-1] - stamps.age_ns[::-1]) is not None:
+        yield f"the age of {name} falls from {first_age} to {last_age}: its clock ran at another speed, or a queue emptied; its early ages are wrong by it"
 
 
 def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
@@ -306,21 +421,20 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
     A steady age and a straight rise are fitted to the medians of parts (least squares), for each part in which the rise may begin.
     """
     ages_ns = log_ns - stamp_ns
-    if len(ages_ns) < 2 * _AGE_PARTS or abs(float(np.median(ages_ns))) > DAY_NS:
+    if len(ages_ns) < 2 * LONG or abs(float(np.median(ages_ns))) > DAY_NS:
         return None
     start_ns, end_ns = age_course(ages_ns)
-    if end_ns < max(_GROWTH * start_ns, start_ns + _LEAST_GROWTH_NS):
+    levels_ns = np.array([np.median(part) for part in np.array_split(ages_ns, LONG)])
+    noise_ns = max(FEWEST * spread(np.diff(ages_ns)), NOTICED_NS / FEWEST)
+    if end_ns < max(2 * start_ns, start_ns + noise_ns) or levels_ns[-1] < levels_ns[0] + noise_ns:
         return None
-    levels_ns = np.array([np.median(part) for part in np.array_split(ages_ns, _AGE_PARTS)])
-    if np.ptp(levels_ns) == 0:
-        return None
-    middles, firsts = np.arange(_AGE_PARTS) + 0.5, np.arange(0, _AGE_PARTS - _FEWEST_RISING, 0.5)
+    middles, firsts = np.arange(LONG) + 1 / 2, np.arange(0, LONG - FEWEST, 1 / 2)
     fits = [float(np.corrcoef(levels_ns, np.maximum(middles - first, 0))[0, 1]) for first in firsts]
     best = int(np.argmax(fits))
-    return int(log_ns[int(len(log_ns) * firsts[best] / _AGE_PARTS)]) if fits[best] > _LEAST_FIT else None
+    return int(log_ns[int(len(log_ns) * firsts[best] / LONG)]) if fits[best] > MOST else None
 
 
 def age_course(age_ns: Int64) -> tuple[float, float]:
     """Return the ages at the start and at the end: medians of up to five messages."""
-    count = min(max(len(age_ns) // _AGE_PARTS, 1), 5)
+    count = min(max(len(age_ns) // LONG, 1), FEWEST // 2 + 1)
     return float(np.median(age_ns[:count])), float(np.median(age_ns[-count:]))

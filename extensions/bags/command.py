@@ -107,7 +107,7 @@ def report_topics(
     from dds_trace.reports.terminal import print_report
 
     from .analyze import analyze_topics
-    from .card import DAMAGED, HOLES
+    from .card import DAMAGED, EMPTY, HOLES
     from .report import BagReport
 
     report = analyze_topics(paths, skip=[folder], clock=clock)
@@ -139,7 +139,7 @@ def report_topics(
         from dds_trace.extensions.gates.limits_file import topic_limits_text, write_limits
 
         write_limits(topic_limits_text(report.topics), limits_out)
-    if report.verdict == DAMAGED:
+    if report.verdict in (DAMAGED, EMPTY):
         return DAMAGED_EXIT_CODE, written
     if gates:  # they say which holes are too many
         from dds_trace.extensions.gates.gates import overall_outcome

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,9 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
-from dds_trace.extensions.gates.gate import Gate, GateOutcome
+from dds_trace.extensions.gates.gate import Gate, GateOutcome, rows_of_gates
 from dds_trace.extensions.gates.gates import overall_outcome, result_of
+from dds_trace.extensions.gates.sections import fits_any
 from dds_trace.extensions.gates.words import Gated, gate_notes, gate_rows
 
 from .card import OTHER_CLOCK_NS
@@ -40,13 +40,14 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
 
 
 def judge_topics(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:
-    for gate in gates:
-        rows = [row for row in topics.iter_rows(named=True) if gate.is_about({"data_type": row["topic"]})]
+    topic_rows, names, are_several = topics.rows(named=True), {*topics["topic"]}, topics["recording"].n_unique() > 1
+    chosen = rows_of_gates(gates, [{"data_type": row["topic"]} for row in topic_rows])
+    for gate, rows in zip(gates, ([topic_rows[n] for n in indices] for indices in chosen), strict=True):
         if not rows and gate.topic:
             raise OptionError(
-                f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, {*topics['topic']})}"
+                f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, names)}"
             )
-        if not fnmatch.filter(topics["topic"], gate.topics or "*"):  # a file of limits names what there has to be
+        if not fits_any(gate.topics or "*", names):  # a file of limits names what there has to be
             missing = result_of(gate, gate.topics, GateOutcome.REGRESSED, reason="no recording has this topic")
             yield JudgedTopic(gate.topics, missing, "")
         for row in rows:
@@ -54,7 +55,7 @@ def judge_topics(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequen
             measured = [value] if low == high else [value, low, high]
             reason = "the value is not known" if value is None else ""
             result = result_of(gate, row["topic"], gate.judge(low, low, high), *measured, reason=reason)
-            where = f"{row['topic']} in {row['recording']}" if topics["recording"].n_unique() > 1 else row["topic"]
+            where = f"{row['topic']} in {row['recording']}" if are_several else row["topic"]
             yield JudgedTopic(where, result, row["recording"])
 
 
@@ -63,7 +64,7 @@ def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -
         return [row["jitter_ns" if metric == "jitter" else "rate_hz"]] * 3
     if metric.startswith("age"):
         value, bound = row[f"{metric}_ns"], row["age_bound_ns"] or 0
-        is_known = value is not None and 0 <= value < OTHER_CLOCK_NS
+        is_known = value is not None and 0 <= value < OTHER_CLOCK_NS and row.get("no_age") is None
         return [value, value - bound, value + bound] if is_known else [None] * 3
     if row["missing"] is None or (metric == "hole" and holes is None):
         return [None] * 3

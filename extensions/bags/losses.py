@@ -1,53 +1,79 @@
-"""Missing messages of one topic: by stamps on a grid, sequence numbers, the rhythm of arrival, or the recorder's own counts."""
+"""Missing messages of one topic: what its numbers, stamps and arrival show, each by itself, and what all of them agree on."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .bounds import FEW, FEWEST, LARGEST, LONG, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
 from .clocks import DAY_NS, of_one_clock
-from .periods import MOST_STEPS, Hole, Int64, Regularity, find_grid, find_regularity, joined, spread, with_rivals
+from .periods import (
+    Bools,
+    Holes,
+    Int64,
+    Regularity,
+    find_grid,
+    find_regularity,
+    joined,
+    levels_around,
+    spread,
+    still_holes,
+    usual_steps,
+)
 
-Stretches: TypeAlias = "Sequence[tuple[int, int]]"
-"""Start and end (ns) of times over which the clock was set, or no topic has a message."""
+Stretches: TypeAlias = Holes
+"""Times over which a clock was set, or no topic has a message; their counts are 0."""
 
 NONE = -(2**63)
+"""A value that a message lacks; no clock shows it."""
+
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
-_MOST_PUBLISHERS = 8
-_LEAST_RESTART, _MOST_FASTER = 64, 16
-"""Least fall of a counter that starts again, and how much faster it may count in a hole."""
-
-_LARGEST_STEP = 100_000
-_STOPPED_PERIODS, _STOPPED_NS, _AROUND = 3.0, 10**9, 200
-_SILENT_PERIODS, _SILENT_COMMAND_PERIODS = 10, 5
-_MOST_SILENT = 0.5
-"""Share of its time that a topic with a rhythm may be silent."""
-
-_SAME_RATE = 0.01
 COMMANDS = re.compile(
     r"(^|[/_])(action|cmd|cmd_vel|command|goal|joy|keyboard|service_event|teleop)($|[/_])|/(Twist|TwistStamped|Joy|Ackermann\w+)$"
 )
 """Topics and types of commands, actions and services: sent while something happens."""
 
 
-@dataclass(frozen=True, slots=True)
-class Losses:
-    """What is missing of a topic, within `low` to `high`; None where nothing is known.
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """What one kind of evidence shows to be missing, within `low` to `high`.
 
-    `evidence` is `stamps`, `sequence`, `period`, `recorder` or `tap` (their own counts) or empty.
+    `name` is `sequence`, `stamps`, `period` (arrival), `recorder` or `tap` (their own counts).
+    """
+
+    name: str
+    missing: int
+    low: int
+    high: int
+    holes: Holes = field(default_factory=Holes)
+    rhythm: Regularity | None = None
+
+    @staticmethod
+    def of(name: str, rhythm: Regularity) -> Reading:
+        return Reading(name, rhythm.missing, rhythm.low, rhythm.high, rhythm.holes, rhythm)
+
+    def contains(self, other: Reading) -> bool:
+        return self.low <= other.low and other.high <= self.high
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Losses:
+    """What is missing of a topic, within `low` to `high` of all readings; None where none of them could show it.
+
+    `evidence` is the name of the reading that `missing` and the holes are of.
     """
 
     evidence: str = ""
     missing: int | None = None
     low: int | None = None
     high: int | None = None
-    holes: Sequence[Hole] = ()
+    holes: Holes = field(default_factory=Holes)
     regularity: Regularity | None = None
+    readings: Sequence[Reading] = ()
 
 
 @dataclass(slots=True)
@@ -70,164 +96,233 @@ class TopicTimes:
     left_out_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
     """Such stamps of messages that were logged by another clock."""
 
-    def find_losses(self, start_ns: int, end_ns: int, set_over: Stretches = (), silent: Stretches = ()) -> Losses:
-        losses, jumps = self._by_rhythm(start_ns, end_ns, set_over, silent), self._jumps()
+    def from_message(self, first: int) -> TopicTimes:
+        """Return the messages from one on: those before are a history of messages that were sent earlier."""
+        names = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame")
+        return replace(self, **{name: getattr(self, name)[first:] for name in names}) if first else self
+
+    def readings(self, recording_ns: int, silent: Stretches) -> list[Reading]:
+        """Return what each kind of evidence shows, the finest first; `silent` are stretches without a message of any topic."""
         if self.lost is not None and self.counter == "tap":
-            return _by_counts(losses, sum(self.lost), self.counter)
-        if jumps is not None:
-            count = max(int(jumps[2].sum()) - len(self.left_out_ns), 0)
-            has_restarted = ((np.diff(self.sequence) < -_LEAST_RESTART) & (self.sequence[1:] <= 1)).any()
-            is_least = losses.evidence == "stamps" and count <= (losses.missing or 0) and not has_restarted
-            if self.is_ros1 or (count and not is_least):
-                from_ns, to_ns = jumps[0], jumps[0] + jumps[1]
-                within = [(from_ns < h.start_ns + h.duration_ns) & (to_ns > h.start_ns) for h in losses.holes]
-                holes = [replace(h, missing=int(jumps[2][i].sum())) for h, i in zip(losses.holes, within, strict=True)]
-                holes = holes or [Hole(*jump) for jump in jumps.T.tolist()]
-                return replace(losses, evidence="sequence", missing=count, low=count, high=count, holes=holes)
-        if losses.missing is None and self.lost is not None:
-            return _by_counts(losses, sum(self.lost), self.counter)
-        return losses
+            arrival = self.by_arrival()
+            holes = Holes() if arrival is None else _filled(arrival.holes, sum(self.lost))
+            return [Reading("tap", *[sum(self.lost)] * (2 + 1), holes, arrival and arrival.rhythm)]
+        found = [self.by_numbers()]
+        if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
+            found += [self.by_stamps(), self.by_arrival()]
+        readings = [one for one in found if one is not None and not self._is_in_episodes(one, silent)]
+        if self.lost is not None and (any(self.lost) or not readings):
+            readings.insert(0, Reading("recorder", *[sum(self.lost)] * (2 + 1)))
+        return readings
 
-    def _jumps(self) -> Int64 | None:
-        """Return rows of starts, durations (ns) and numbers of messages that counters pass over; None without a counter.
+    def by_numbers(self) -> Reading | None:
+        """Count the numbers that a publisher's counter passes over.
 
-        A late number fills its hole; one that came before the previous one is of another counter on the channel.
+        It assumes that each publisher numbers its messages one by one; a number that repeats in a pattern is of a topic that was thinned.
+        A late number fills its hole; one that came before the previous one is of another counter on the channel. Without a jump only a
+        publisher's own counter (ROS 1) says that nothing is missing: others count what they received.
         """
         jumps = []
-        for publisher in np.unique(self.publisher)[:_MOST_PUBLISHERS].tolist():
+        for publisher in _few(self.publisher):
             indices = np.flatnonzero(self.publisher == publisher)
             sequence = self.sequence[indices]
-            restarts = np.flatnonzero((np.diff(sequence) < -_LEAST_RESTART) & (sequence[1:] <= 1)) + 1
+            restarts = np.flatnonzero((np.diff(sequence) < -2 * WINDOW) & (sequence[1:] <= 1)) + 1
             for part in np.split(indices, restarts):
                 numbers, first = np.unique(self.sequence[part], return_index=True)
-                steps, waits_ns = np.diff(numbers), np.diff(self.log_ns[part[first]])
-                if len(steps) > 1 and (steps == 1).mean() >= 0.5:
+                steps, logged_ns = np.diff(numbers), self.log_ns[part[first]]
+                if len(steps) > 1 and 2 * (steps == 1).sum() >= len(steps):
+                    waits_ns = np.diff(logged_ns)
                     usual_ns = max(float(np.median(np.abs(waits_ns))), 1.0)
-                    is_possible = (waits_ns >= 0) & (steps < _MOST_FASTER * (waits_ns / usual_ns + 1))
-                    is_jump = (steps > 1) & (steps < _LARGEST_STEP) & is_possible
-                    jumps.append(np.array([self.log_ns[part[first]][:-1], waits_ns, steps - 1])[:, is_jump])
-        if not jumps:
+                    is_possible = (waits_ns >= 0) & (steps < PATTERN * (waits_ns / usual_ns + 1))
+                    is_jump = (steps > 1) & (steps < LARGEST) & is_possible
+                    usual = usual_steps(steps)
+                    least = steps - 1 if usual is None else np.maximum(steps // usual - 1, 0)
+                    jumps.append(Holes(*(row[is_jump] for row in (logged_ns[:-1], waits_ns, steps - 1, least))))
+        holes = Holes.of(jumps)
+        high, low = (max(int(count.sum()) - len(self.left_out_ns), 0) for count in (holes.missing, holes.low))
+        if not jumps or not (high or self.is_ros1):
             return None
-        ordered = np.concatenate(jumps, axis=1)
-        return ordered[:, np.argsort(ordered[0], kind="stable")]
+        return Reading("sequence", high, low, high, holes if high else Holes())
 
-    def _by_rhythm(self, start_ns: int, end_ns: int, set_over: Stretches, silent: Stretches) -> Losses:
-        """Count by stamps on a grid, else by the rhythm of arrival; a late start and an early end are holes without a count."""
-        grid = self._by_grid()
-        regularity = self._regularity(self.log_ns) if grid is None or not grid.missing else None
-        if regularity is not None:
-            regularity = regularity.without(
-                lambda hole: self.is_still(hole.start_ns, hole.duration_ns) or any(hole.overlaps(*s) for s in set_over)
-            )
-        evidence = "period"
-        if grid is not None and (
-            regularity is None
-            or (regularity.low, regularity.high) != (grid.missing, grid.missing)
-            or abs(regularity.rate_hz / grid.rate_hz - 1) > _SAME_RATE
-        ):
-            regularity, evidence = grid, "stamps"
-        first_ns, last_ns = int(self.log_ns[0]), int(self.log_ns[-1])
-        is_burst = last_ns - first_ns < min(_STOPPED_NS, (end_ns - start_ns) / 2)
-        if regularity is None or is_burst or self._is_silent(regularity, silent):
-            return Losses()
-        high, period_ns = regularity.high, regularity.period_ns
-        holes = regularity.holes[:]
-        quiet_ns = max(_STOPPED_PERIODS * period_ns, _STOPPED_NS)
-        if first_ns - start_ns > quiet_ns:
-            holes.insert(0, Hole(start_ns, first_ns - start_ns, 0))
-        if end_ns - last_ns > quiet_ns:
-            holes.append(Hole(round(last_ns + period_ns), round(end_ns - last_ns - period_ns), 0))
-        elif regularity.missing:
-            high += int((end_ns - last_ns) / period_ns) * regularity.in_pattern
-        return Losses(evidence, regularity.missing, regularity.low, high, holes, regularity)
+    def by_stamps(self) -> Reading | None:
+        """Count the multiples of a grid that no header stamp is on, or publish time if a message has no stamp; of several publishers, of each.
 
-    def _is_silent(self, regularity: Regularity, silent: Stretches) -> bool:
-        period_ns = regularity.period_ns
-        least_ns = (
-            _SILENT_COMMAND_PERIODS * period_ns if self.is_command else max(_SILENT_PERIODS * period_ns, _STOPPED_NS)
-        )
-        own = [hole for hole in regularity.holes if self.is_command or not any(hole.overlaps(*s) for s in silent)]
-        silent_ns = sum(hole.duration_ns for hole in own if hole.duration_ns > least_ns)
-        return silent_ns > (0 if self.is_command else _MOST_SILENT * float(self.log_ns[-1] - self.log_ns[0]))
-
-    def _by_grid(self) -> Regularity | None:
-        """Return the grid of the header stamps, or of the publish times if a message has no stamp; of several publishers, of each."""
+        It assumes that a publisher stamps at a fixed rate. A pattern that repeats, a changed rate, and a silence after which stamps are off
+        the grid (it slept, or a clock was set) lower `low`. Stamps that are log times, and commands, show nothing.
+        """
+        grid = None
         for keys in (self.publisher, self.frame):
-            if parts := _by_key(keys, self._grid):
-                return joined(parts)
-        return self._grid(np.ones(len(self.log_ns), np.bool_))
+            if grid is None and (parts := _by_key(keys, self._grid)):
+                grid = joined(parts)
+        grid = grid or self._grid(np.ones(len(self.log_ns), np.bool_))
+        return None if grid is None else Reading.of("stamps", grid)
 
-    def _grid(self, selected: NDArray[np.bool_]) -> Regularity | None:
+    def _grid(self, selected: Bools) -> Regularity | None:
         times_ns = (self.publish_ns if (self.stamp_ns == NONE).any() else self.stamp_ns)[selected]
         logged_ns = self.log_ns[selected]
-        if (times_ns == NONE).any() or (times_ns == logged_ns).mean() > 0.5 or self.is_command:
+        if (times_ns == NONE).any() or 2 * (times_ns == logged_ns).sum() > len(times_ns) or self.is_command:
             return None
-        if len(times_ns) > 1 and np.diff(times_ns).min() < -_STOPPED_NS:  # a clock was set, or a counter ran over
+        if len(times_ns) > 1 and np.diff(times_ns).min() < -SECOND_NS:  # a clock was set, or a counter ran over
             return None
         order = np.argsort(times_ns, kind="stable")
         stamps_ns, log_ns = times_ns[order], logged_ns[order]
         grid = find_grid(stamps_ns) if of_one_clock(stamps_ns).all() else None
         if grid is None:
             return None
-        (stamp_period_ns, steps), steps_ns = grid, np.diff(stamps_ns)
-        is_short = steps <= MOST_STEPS
-        span_ns, log_span_ns = (float(part[is_short].sum()) for part in (steps_ns, np.diff(log_ns)))
+        stamp_period_ns, steps, exact = grid
+        steps_ns, log_steps_ns = np.diff(stamps_ns), np.diff(log_ns)
+        is_short = steps <= LONG
+        span_ns, log_span_ns = float(steps_ns[is_short].sum()), float(log_steps_ns[is_short].sum())
         is_same_clock = (
-            log_span_ns < 2 * span_ns < 4 * log_span_ns and abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
+            log_span_ns < 2 * span_ns < 2 * 2 * log_span_ns and abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
         )
         period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns
-        is_later = steps_ns > 0  # the same stamp again fills no hole
-        total, holes = max(int((steps[is_later] - 1).sum()), 0), []
-        for at in np.flatnonzero(steps > 1).tolist() if total else ():
-            lacking = int(steps[at]) - 1
-            left_out = ((self.left_out_ns > stamps_ns[at]) & (self.left_out_ns < stamps_ns[at + 1])).sum()
-            missing = max(lacking - int(left_out), 0)
-            silent_ns = lacking * stamp_period_ns
-            if is_same_clock and lacking > _STOPPED_PERIODS:
-                ages = (log_ns - stamps_ns)[max(at + 1 - _AROUND, 0) : at + 1 + _AROUND]
-                before = min(at + 1, _AROUND)
-                younger_ns = float(np.median(ages[:before]) - np.median(ages[before:]))
-                missing *= abs(younger_ns - silent_ns) > silent_ns / 4  # else the clock that stamps them was set
-            total -= lacking - missing
-            if missing:
-                duration_ns = max(float(log_ns[at + 1] - log_ns[at]) - period_ns, missing * period_ns)
-                holes.append(Hole(round(log_ns[at] + period_ns), round(duration_ns), missing))
-        missing, holes = max(total, 0), sorted(holes, key=lambda hole: hole.start_ns)
-        regularity = Regularity(period_ns, 1, spread(steps_ns[steps == 1]), missing, missing, missing, holes=holes)
-        return with_rivals(regularity, steps[is_later]) if missing else regularity
+        at = np.flatnonzero(steps > 1)
+        taken = np.searchsorted(np.sort(self.left_out_ns), stamps_ns)
+        repeated = (steps == 0) & (log_steps_ns > period_ns / 2)  # a stamp that was not new yet
+        before = np.append(0, np.cumsum(repeated))
+        last = np.maximum.accumulate(np.where(steps > 0, np.arange(len(steps)), -1))
+        filled = before[at] - before[np.where(at > 0, last[np.maximum(at - 1, 0)] + 1, 0)] + np.diff(taken)[at]
+        lacking = np.maximum(steps[at] - 1 - filled, 0)
+        if is_same_clock:
+            older, newer = levels_around(log_ns - stamps_ns, at + 1)
+            silent_ns = (steps[at] - 1) * stamp_period_ns
+            is_set = np.abs(older - newer - silent_ns) < silent_ns / (2 * 2)  # the clock that stamps was set
+            lacking[is_set & (steps[at] > 2 * 2)] = 0
+        usual = usual_steps(steps[steps > 0])
+        least = lacking
+        if usual is not None:
+            paces = np.ones(len(steps), np.int64)
+            paces[steps > 0] = usual
+            least = np.minimum(lacking, np.maximum(steps[at] // np.maximum(paces[at], 1) - 1, 0))
+        off = exact - steps
+        wander = np.cumsum(off)
+        noise = max(spread(off), spread(wander[FEWEST:] - wander[:-FEWEST]))
+        least = np.where(still_holes(wander, at, steps[at], noise, off[at]), 0, least)
+        total, low = int(lacking.sum()), int(least.sum())
+        selected_holes = lacking > 0
+        at, lacking, least = at[selected_holes], lacking[selected_holes], least[selected_holes]
+        duration_ns = np.maximum(log_steps_ns[at] - period_ns, lacking * period_ns)
+        holes = Holes(
+            np.rint(log_ns[at] + period_ns).astype(np.int64), np.rint(duration_ns).astype(np.int64), lacking, least
+        )
+        return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), total, low, total, holes=Holes.of([holes]))
 
-    def _regularity(self, times_ns: Int64) -> Regularity | None:
-        best = find_regularity(times_ns)
+    def by_arrival(self) -> Reading | None:
+        """Count what the rhythm of the log times lacks; of several publishers (or sizes), where each is more regular than all.
+
+        It assumes a timer. Commands, and what comes all at once, have none: no number of missing messages follows. Across a hole in which
+        stamps stand still nothing is missing.
+        """
+        span_ns = int(np.ptp(self.log_ns))
+        best = find_regularity(self.log_ns)
         for keys in (self.publisher, self.frame, self.payload_bytes):
-            parts = _by_key(keys, lambda selected: find_regularity(times_ns[selected]))
-            if parts and (best is None or min(part.share for part in parts) > best.share + 0.02):
+            parts = _by_key(keys, lambda selected: find_regularity(self.log_ns[selected]))
+            if parts and (best is None or min(part.share for part in parts) > best.share + FEW):
                 best = joined(parts)
-        return best
+        if best is None or best.period_ns * PHASES < NOTICED_NS:
+            return None
+        best = best.without(self.is_still(best.holes))
+        if self.is_command:
+            best = best.unsure(np.ones(len(best.holes), np.bool_))
+            best = replace(best, low=0)
+        return Reading.of("period", best.unsure(2 * best.holes.duration_ns > span_ns))
 
-    def has_stamps_around(self, start_ns: int, end_ns: int) -> bool:
-        return bool(self.log_ns[0] <= start_ns and self.log_ns[-1] >= end_ns and (self.stamp_ns != NONE).all())
-
-    def is_still(self, start_ns: int, duration_ns: int) -> bool:
-        """Return whether stamps go on or back across a hole: what follows is late, or a clock was set, and nothing is missing."""
-        at = int(np.searchsorted(self.log_ns, start_ns))
-        if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
+    def _is_in_episodes(self, reading: Reading, silent: Stretches) -> bool:
+        """Return whether the topic is silent for more than half of its time, more than once: it is sent while something happens."""
+        if reading.rhythm is None:
             return False
-        return duration_ns > 10**9 and int(self.stamp_ns[at] - self.stamp_ns[at - 1]) < duration_ns // 4
+        holes = reading.holes
+        least_ns = FEWEST * reading.rhythm.period_ns
+        if not self.is_command:
+            holes, least_ns = holes.at(~holes.meet(silent)), max(least_ns, SECOND_NS)
+        silences = holes.duration_ns[holes.duration_ns > least_ns]
+        if self.is_command:
+            return len(silences) > 0
+        return len(silences) > 1 and 2 * silences.sum() > self.log_ns[-1] - self.log_ns[0]
+
+    def is_still(self, holes: Holes) -> Bools:
+        """Return across which holes stamps go on or back by less than half (what follows is late, or a clock was set), or that messages of another clock fill."""
+        at = np.searchsorted(self.log_ns, holes.start_ns)
+        at = np.clip(at, 1, max(len(self.log_ns) - 1, 1))
+        if len(self.log_ns) < 2 or not len(holes):
+            return np.zeros(len(holes), np.bool_)
+        before, after = self.stamp_ns[at - 1], self.stamp_ns[at]
+        is_stamped = (before != NONE) & (after != NONE)
+        unit_ns = resolution_ns(self.stamp_ns) or 0
+        step_ns = np.where(is_stamped, after, 0) - np.where(is_stamped, before, 0)
+        is_still = (2 * step_ns < holes.duration_ns) & (holes.duration_ns > 2 * unit_ns)
+        filled = np.searchsorted(np.sort(self.left_out_ns), np.array([before, after]))
+        return is_stamped & (is_still | (filled[1] - filled[0] >= holes.missing) & (holes.missing > 0))
+
+    def has_stamps_around(self, holes: Holes) -> Bools:
+        is_all = bool((self.stamp_ns != NONE).all())
+        return (self.log_ns[0] <= holes.start_ns) & (self.log_ns[-1] >= holes.end_ns) & is_all
 
 
-def _by_counts(losses: Losses, count: int, evidence: str) -> Losses:
-    remaining, holes = count, list[Hole]()
-    for hole in sorted(losses.holes, key=lambda hole: -hole.duration_ns):
-        missing = min(hole.missing, remaining)
-        remaining -= missing
-        holes += [replace(hole, missing=missing)] * bool(missing or not hole.missing)
-    holes.sort(key=lambda hole: hole.start_ns)
-    return replace(losses, evidence=evidence, missing=count, low=count, high=count, holes=holes)
+def resolution_ns(stamp_ns: Int64) -> int | None:
+    """Return the unit of stamps if it is a millisecond or, of several stamps each, a second; None for finer ones."""
+    steps_ns = np.abs(np.diff(stamp_ns))
+    unit_ns = int(np.gcd.reduce(steps_ns)) if len(steps_ns) >= FEWEST else 0
+    if unit_ns % SECOND_NS == 0 and unit_ns and 2 * 2 * (steps_ns == 0).sum() > len(steps_ns):
+        return SECOND_NS if not (stamp_ns % SECOND_NS).any() else None
+    millisecond_ns = SECOND_NS // 1000
+    return millisecond_ns if unit_ns == millisecond_ns and not (stamp_ns % millisecond_ns).any() else None
 
 
-def _by_key(keys: Int64, find: Callable[[NDArray[np.bool_]], Regularity | None]) -> list[Regularity]:
+def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: Int64) -> Losses:
+    """Return what all readings of a topic agree on: the union of their intervals, of which `missing` is of the finest.
+
+    A coarser reading whose interval contains that of a finer one adds nothing. A late start and an early end are holes without a count.
+    """
+    if not readings:
+        return Losses()
+    sharp = [one for number, one in enumerate(readings) if not any(one.contains(finer) for finer in readings[:number])]
+    low, high = min(one.low for one in sharp), max(one.high for one in sharp)
+    first = next((one for one in sharp if one.holes.low.any()), sharp[0])
+    rhythms = [one.rhythm for one in readings if one.rhythm is not None]
+    rhythm = first.rhythm or (rhythms[0] if rhythms else None)
+    holes = first.holes
+    if not len(holes) and first.missing and rhythm is not None:
+        holes = _filled(rhythm.holes, first.missing)
+    if rhythm is not None and first.rhythm is None and len(rhythm.holes) and len(first.holes):
+        holes = first.holes
+    if rhythm is not None:
+        first_ns, last_ns, period_ns = int(times_ns[0]), int(times_ns[-1]), round(rhythm.period_ns)
+        quiet_ns = max((2 + 1) * period_ns, SECOND_NS)
+        ends = []
+        if first_ns - start_ns > quiet_ns:
+            ends.append(Holes.between([start_ns], [first_ns]))
+        if end_ns - last_ns > quiet_ns:
+            ends.append(Holes.between([last_ns + period_ns], [end_ns]))
+        elif first.missing and first.rhythm is not None:
+            high += (end_ns - last_ns) // max(period_ns, 1) * rhythm.in_pattern
+        holes = Holes.of([holes, *ends])
+    return Losses(first.name, first.missing, low, high, holes, rhythm, readings)
+
+
+def _filled(holes: Holes, count: int) -> Holes:
+    """Return the holes, the longest first filled with a known number of messages."""
+    order = np.argsort(-holes.duration_ns, kind="stable")
+    rest = count - np.append(0, np.cumsum(holes.missing[order]))[:-1]
+    missing = np.clip(rest, 0, holes.missing[order])
+    ordered = replace(holes.at(order), missing=missing, low=missing)
+    return Holes.of([ordered.at((missing > 0) | (holes.missing[order] == 0))])
+
+
+def _few(keys: Int64) -> Iterator[int]:
+    names = np.unique(keys)
+    yield from names[:FEWEST].tolist()
+
+
+def _by_key(keys: Int64, find: Callable[[Bools], Regularity | None]) -> list[Regularity]:
     names, counts = np.unique(keys, return_counts=True)
-    if not 1 < len(names) <= _MOST_PUBLISHERS or counts.min() < 8:
+    if not 1 < len(names) <= FEWEST or counts.min() < FEWEST:
         return []
-    parts = [find(keys == name) for name in names]
-    return [part for part in parts if part is not None] if all(parts) else []
+    parts = []
+    for name in names:
+        part = find(keys == name)
+        if part is None:
+            return []
+        parts.append(part)
+    return parts

@@ -35,7 +35,8 @@ from dds_trace.reports.blocks import (
 )
 
 from .analyze import TopicReport
-from .card import OTHER_CLOCK_NS, RecordingHealth
+from .bounds import NOTICED_NS, SECOND_NS
+from .card import RecordingHealth
 
 if TYPE_CHECKING:
     from .limits import JudgedTopic
@@ -44,17 +45,20 @@ TopicRow = Mapping[str, Any]
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
-    "Missing: messages that the stamps, sequence numbers or rhythm of the topic or the recorder's own counts call for, with the interval they "
-    "are certain within; a topic without a rhythm has no known number: its gaps say nothing. Gap: the longest interval. Covered: the share of "
-    "the recording's time without holes. Jitter: typical deviation of an interval; a hole does not change it. "
-    "Age: median from the header's stamp, or (publish) from publishing, to the recording; between two machines it includes the difference of their clocks."
+    "Missing: messages that should be there, judged by stamps, numbers or the usual rate; a range where these disagree, - where none of them "
+    "can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
+    "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
+    "machines it includes the difference of their clocks."
 )
-_MOST_HOLES_SHOWN = 3
-_LEAST_COURSE_NS = 100_000_000
-_OTHER_SPEED, _SECOND_NS = 0.9, 10**9
-"""Least change of an age, in durations of the recording, of stamps that do not advance with it."""
+_MOST_SHOWN = 3
+"""Holes and pauses that are listed, the longest."""
+
+_LEAST_HOLE = 1.5
+"""Periods of a hole that is worth a line: shorter ones are single messages."""
 
 _MOST_UNITS = 10
+"""Ages of fewer units of the stamps are rounded visibly."""
+
 _EVIDENCE = {
     "stamps": "by the header stamps",
     "sequence": "by sequence numbers",
@@ -80,63 +84,77 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
     if health.verdict == "damaged":
         damages = counted(len(health.damages), "damage")
-        return f"damaged: {damages}" + (f"; {sentence} of what can be read" if lacking else "")
+        return f"Damaged: {damages}" + (f"; {sentence} of what can be read." if lacking else ".")
+    if health.verdict == "empty":
+        return "No message was recorded."
     if health.verdict == "holes":
-        return f"holes: {sentence}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
-    unknown = sum(row["missing"] is None for row in rows)
-    more = f" (of {counted(unknown, 'topic')} nothing is known: no rhythm, gaps say nothing)" if unknown else ""
-    return f"whole: nothing is known to be missing{more}"
+        return f"Holes: {sentence}."
+    unseen = len(rows) - health.readable
+    has = "has" if unseen == 1 else "have"
+    if unseen and not health.readable:
+        return f"No loss can be seen: {counted(unseen, 'topic')} {has} no steady rate."
+    return "Whole." + (
+        f" {counted(unseen, 'topic')} {has} no steady rate, so losses there cannot be seen." if unseen else ""
+    )
 
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
     chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
+    if not health.messages:
+        return f"0 messages{chunks}"
     messages = counted(health.messages, "message", text=f"{health.messages:,}")
     return (
-        f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {messages}, "
+        f"{seconds_words(health.duration_ns / SECOND_NS)} from {utc_words(health.start_ns)}, {messages}, "
         f"{counted(topics, 'topic')}{chunks}; recording {_share_words(health.coverage)} of the time"
     )
 
 
 def pause_lines(health: RecordingHealth) -> Iterator[str]:
-    longest = sorted(health.pauses, key=lambda pause: -pause[1])[:_MOST_HOLES_SHOWN]
-    for start_s, duration_s in sorted(longest):
-        yield (
-            f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: lost inside the recorder, or it was paused"
+    longest = sorted(zip(health.pauses, health.doubtful, strict=True), key=lambda pause: -pause[0][1])
+    for (start_s, duration_s), is_doubtful in sorted(longest[:_MOST_SHOWN]):
+        why = (
+            "a publisher stood still, or they were paused"
+            if is_doubtful
+            else "lost inside the recorder, or it was paused"
         )
-    if len(health.pauses) > len(longest):
-        yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
+        yield f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: {why}"
+    others = longest[_MOST_SHOWN:]
+    if others:
+        yield f"and {counted(len(others), 'more pause')} of all topics, of up to {seconds_words(others[0][0][1])}"
 
 
 def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
-    end_s = health.duration_ns / 1e9
+    end_s = health.duration_ns / SECOND_NS
     if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
         yield f"begins at {clock_words(holes[0]['duration_s'])}, not with the recording"
         holes = holes[1:]
     if holes and abs(holes[-1]["start_s"] + holes[-1]["duration_s"] - end_s) < period_s and not holes[-1]["missing"]:
         yield f"ends at {clock_words(holes[-1]['start_s'])}, {seconds_words(holes[-1]['duration_s'])} before the recording"
         holes = holes[:-1]
-    if row["missing_low"] == 0 < row["missing_high"]:
+    is_unsure = row["missing_low"] == 0 < row["missing_high"]
+    if is_unsure:
         yield f"none is known to be missing, {row['missing_high']:,} at most"
-        return
-    large = sorted(
-        (hole for hole in holes if hole["duration_s"] > 1.5 * period_s), key=lambda hole: -hole["duration_s"]
-    )
-    shown = sorted(large[:_MOST_HOLES_SHOWN], key=lambda hole: hole["start_s"])
+    least_s = max(_LEAST_HOLE * period_s, is_unsure)
+    large = sorted((hole for hole in holes if hole["duration_s"] > least_s), key=lambda hole: -hole["duration_s"])
+    shown = sorted(large[:_MOST_SHOWN], key=lambda hole: hole["start_s"])
     for hole in shown:
         inside = ", as of all topics" if hole["inside"] else ""
         count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
+        if hole["missing_low"] < hole["missing"]:
+            count = f"{hole['missing_low']:,} to {counted(hole['missing'], 'message')}"
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
-    if elsewhere > 0 and (shown or row["missing_from"] not in {"tap", "recorder"}):
-        more = "more " if shown else ""
-        yield f"{elsewhere:,} {more}{'message is' if elsewhere == 1 else 'messages are'} missing, in short holes"
+    if elsewhere > 0 and not is_unsure and (shown or row["missing_from"] not in {"tap", "recorder"}):
+        rest = [hole["duration_s"] for hole in holes if hole not in shown]
+        where = f", in holes of up to {seconds_words(max(rest))}" if rest else ""
+        yield f"{elsewhere:,} {'more ' if shown else ''}{'message is' if elsewhere == 1 else 'messages are'} missing{where}"
 
 
 def missing_words(row: TopicRow) -> str:
     missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
     if missing is None:
-        return "no rhythm"
+        return "-"
     if low == 0 < high:
         return f"0 to {high:,}"
     expected = row["messages"] + missing
@@ -147,16 +165,12 @@ def missing_words(row: TopicRow) -> str:
 
 def _age_words(row: TopicRow) -> str:
     median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
-    if median_ns is None:
-        return ""
-    if row["latched"] and row["messages"] < 2 * row["latched"]:
-        return "latched"
+    if row["no_age"] is not None or median_ns is None:
+        return row["no_age"] or ""
     start_ns, end_ns = row["age_start_ns"], row["age_end_ns"]
-    if abs(median_ns) > OTHER_CLOCK_NS or abs(end_ns - start_ns) > max(_OTHER_SPEED * row["duration_ns"], _SECOND_NS):
-        return "other clock"
     if 0 <= median_ns < resolution_ns:
         age = f"below {format_duration(resolution_ns)}"
-    elif abs(end_ns - start_ns) > max(_LEAST_COURSE_NS, min(abs(start_ns), abs(end_ns))):
+    elif abs(end_ns - start_ns) > max(NOTICED_NS, min(abs(start_ns), abs(end_ns))):
         age = f"{format_duration(start_ns)} to {format_duration(end_ns)}"
     else:
         age = format_duration(median_ns)
@@ -167,7 +181,7 @@ def _age_words(row: TopicRow) -> str:
 
 def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tuple[str, ...]:
     # Without a rhythm, messages may be one burst.
-    rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] / (health.duration_ns / 1e9))
+    rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] * SECOND_NS / health.duration_ns)
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",
@@ -192,24 +206,26 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     if row["burst_messages"]:
         burst, pause = format_duration(row["burst_ns"]), format_duration(row["burst_pause_ns"])
         yield f"comes in bursts: {row['burst_messages']} messages in {burst}, then {pause} of nothing"
-    if row["age_resolution_ns"] and row["age_p50_ns"] < _MOST_UNITS * row["age_resolution_ns"]:
-        unit = format_duration(row["age_resolution_ns"])
-        is_below = row["age_p50_ns"] < row["age_resolution_ns"]
-        unsure = "an age below that is unknown" if is_below else f"its ages are up to {unit} too long, or too short"
-        yield f"its stamps are in units of {unit}: {unsure}"
-    if (
-        row["age_max_ns"] is not None
-        and row["age_max_ns"] > 2 * max(row["age_p50_ns"], _LEAST_COURSE_NS)
-        and max(abs(row["age_p50_ns"]), row["age_max_ns"]) < OTHER_CLOCK_NS
-        and not row["latched"]
-    ):
-        first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
-        at = clock_words((row["age_max_at_ns"] - health.start_ns) / 1e9)
-        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}"
+    if row["age_p50_ns"] is not None and row["no_age"] is None:
+        yield from _age_notes(row, health)
     if row["stamps_backwards"]:
         yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
-    if row["age_negative"] and -row["age_min_ns"] > (row["age_resolution_ns"] or 0):
-        yield f"{counted(row['age_negative'], 'message')} logged before the header's stamp: two clocks, or a stamp of the future"
+
+
+def _age_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
+    unit_ns = row["age_resolution_ns"] or 0
+    if row["age_p50_ns"] < _MOST_UNITS * unit_ns:
+        unit = format_duration(unit_ns)
+        is_below = row["age_p50_ns"] < unit_ns
+        unsure = "an age below that is unknown" if is_below else f"its ages are up to {unit} too long, or too short"
+        yield f"its stamps are in units of {unit}: {unsure}"
+    if row["age_max_ns"] > 2 * max(row["age_p50_ns"], NOTICED_NS):
+        first, last, most = (format_duration(row[f"age_{name}_ns"]) for name in ("start", "end", "max"))
+        at = clock_words((row["age_max_at_ns"] - health.start_ns) / SECOND_NS)
+        yield f"its age is {first} at the start, {last} at the end, {most} at most, at {at}"
+    if row["age_negative"] and -row["age_min_ns"] > unit_ns:
+        stamped = "the header's stamp" if row["age_from"] == "header" else "they were published"
+        yield f"{counted(row['age_negative'], 'message')} logged before {stamped}: two clocks, or a stamp of the future"
 
 
 def topics_of(report: TopicReport, path: str) -> list[tuple[TopicRow, list[TopicRow], tuple[float, ...]]]:
@@ -225,8 +241,8 @@ def topics_of(report: TopicReport, path: str) -> list[tuple[TopicRow, list[Topic
 
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
-_OF_HOLE = ("start_s", "duration_s", "missing", "inside")
-_TONES = {"whole": "decided", "holes": "open", "damaged": "lossy"}
+_OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
+_TONES = {"whole": "decided", "holes": "open", "empty": "lossy", "damaged": "lossy"}
 _LEVELS = "·▁▂▃▄▅▆▇█"
 STRIP_WIDTH = 720
 _THINNEST = 1.0
@@ -264,6 +280,7 @@ class BagReport(blocks.Report):
                 for health in report.recordings
                 for row, holes, strip in topics_of(report, health.path)
             ],
+            "observations": report.observations.rows(named=True),
             "gates": [
                 {
                     "gate": gated.result.gate.text,
@@ -293,6 +310,8 @@ class BagReport(blocks.Report):
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
         yield Sentence(facts_words(health, len(rows)), "facts")
         yield Points([printable(line) for line in (*pause_lines(health), *health.damages, *health.notes)])
+        if not rows:
+            return
         topic, *numbers = COLUMNS
         least = min(_LONGEST_NAME, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]
@@ -303,7 +322,7 @@ class BagReport(blocks.Report):
 
 
 def _end(health: RecordingHealth) -> str:
-    return clock_words(health.duration_ns / 1e9)
+    return clock_words(health.duration_ns / SECOND_NS)
 
 
 def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]) -> Row:
@@ -332,7 +351,7 @@ def _strip_svg(words: str, parts: Sequence[tuple[float, float, str, str]]) -> Ma
 def strip_parts(
     health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]
 ) -> list[tuple[float, float, str, str]]:
-    scale = STRIP_WIDTH / max(health.duration_ns / 1e9, 1e-9)
+    scale = STRIP_WIDTH / max(health.duration_ns / SECOND_NS, 1e-9)
     if not row["missing_from"]:
         part = STRIP_WIDTH / len(strip)
         return [(round(at * part, 1), round(part, 1), "some", "") for at, share in enumerate(strip) if share]

@@ -14,12 +14,12 @@ from fnmatch import fnmatchcase
 
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
 from dds_trace.analyzer.model.names import is_topic
-from dds_trace.analyzer.verdicts.sections import TOPIC, Patterns, Sections
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.base.units import UNIT_NS, split_quantity
 
 from .compare import COMPARED_STATISTICS, RECEIVED_RATIO
+from .sections import TOPIC, Patterns, Sections
 
 METRIC_AND_STATISTIC = {
     f"{metric}_{statistic}": (metric, statistic)

@@ -15,12 +15,12 @@ from dds_trace.analyzer.statistics.distributions import student_cdf, student_qua
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
 from dds_trace.analyzer.statistics.power import holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
-from dds_trace.analyzer.verdicts.sections import fits_any
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration, format_number
 
 from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
 from .gate import Against, Gate, GateOutcome, rows_of_gates
+from .sections import fits_any
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.matching import Key

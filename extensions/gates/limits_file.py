@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
-from dds_trace.analyzer.verdicts.sections import Patterns
-from dds_trace.extensions.campaigns.plan.plan import Threshold
 
-from .compare import Comparison
-from .gate import Gate, Patterns
-from .thresholds import Threshold
+    from .compare import Comparison
+    from .gate import Gate
+    from .sections import Patterns
+    from .thresholds import Threshold
 
 LEAST_ROOM = 0.1
 LEAST_LOSS = 0.005
@@ -60,9 +59,8 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
 
 
 def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
-    from dds_trace.analyzer.verdicts.sections import Sections
-
     from .gate import parse_threshold
+    from .sections import Sections
 
     gates: list[Gate] = []
     sections = Sections()
@@ -82,8 +80,9 @@ def _is_topic(result: str) -> bool:
 
 def _patterns(result: str, where: str) -> Patterns:
     from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
-    from dds_trace.analyzer.verdicts.sections import TOPIC
     from dds_trace.base.limits import nearest, shown
+
+    from .sections import TOPIC
 
     if _is_topic(result):
         return ((TOPIC, result.removeprefix(f"{TOPIC}=")),)
@@ -123,7 +122,9 @@ def topic_limits_text(topics: pl.DataFrame) -> str:
     sections: dict[str, list[str]] = {}
     high = pl.col("missing_high")
     worst = topics.group_by("topic", maintain_order=True).agg(
-        pl.col("rate_hz").min(), (high / (pl.col("messages") + high)).max().alias("missing"), pl.col("age_p99_ns").max()
+        pl.col("rate_hz").min(),
+        (high / (pl.col("messages") + high)).max().alias("missing"),
+        pl.col("age_p99_ns").filter(pl.col("no_age").is_null()).max(),
     )
     for topic, rate_hz, missing, age_ns in worst.iter_rows():
         lines = sections.setdefault(_section(("" if topic.startswith("/") else "topic=") + glob.escape(topic)), [])

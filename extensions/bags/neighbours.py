@@ -1,0 +1,133 @@
+"""What topics of one recording show of each other: silences of all of them, who stood still, which clock was set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dds_trace.base.units import clock_words, counted, format_duration
+
+from .bounds import FEW, FEWEST, LONG, NEAR, SECOND_NS
+from .clocks import Note
+from .losses import Losses, Reading, TopicTimes
+from .periods import Holes, Int64
+
+
+def find_silent(logged: Int64, topics: int) -> Holes:
+    """Return stretches without a message of any topic."""
+    steps_ns = np.diff(logged)
+    if topics < 2 or not len(steps_ns):
+        return Holes()
+    gaps = np.flatnonzero(steps_ns > max(SECOND_NS, LONG * float(np.median(steps_ns))))
+    return Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
+
+
+def stood_still(times: Sequence[TopicTimes], silent: Holes) -> Holes:
+    """Return the stretches over which the stamps of every topic that has some stand still: a simulation that is paused or reset sends nothing."""
+    inner = replace(silent, start_ns=silent.start_ns + 1)
+    seen, moved = np.zeros(len(silent), np.bool_), np.zeros(len(silent), np.bool_)
+    for one in times if len(silent) else ():
+        around, still = one.has_stamps_around(silent), one.is_still(inner)
+        seen |= around
+        moved |= around & ~still
+    return silent.at(seen & ~moved)
+
+
+def set_clocks(readings: Sequence[Sequence[Reading]], silent: Holes, start_ns: int) -> tuple[Holes, list[Note]]:
+    """Return stretches over which the recorder's clock was set: the silences of three timers at least are equal to within their jitter.
+
+    Of what a recorder lost, each would lack whole periods of its own.
+    """
+    moved = []
+    for topic in readings if len(silent) else ():
+        for one in topic:
+            holes = one.holes
+            if one.name != "period" or one.rhythm is None or not len(holes):
+                continue
+            within_ns = max(2 * 2 * one.rhythm.jitter_ns, FEW * one.rhythm.period_ns)
+            at = np.minimum(np.searchsorted(holes.end_ns, silent.start_ns, "right"), len(holes) - 1)
+            is_met = holes.start_ns[at] < silent.end_ns
+            if within_ns < NEAR * one.rhythm.period_ns:
+                moved.append(np.where(is_met, [holes.duration_ns[at], np.full(len(at), within_ns)], np.nan))
+    if len(moved) <= 2:
+        return Holes(), []
+    by_ns, within_ns = np.array(moved).transpose(1, 0, 2)
+    is_met = ~np.isnan(by_ns)
+    with np.errstate(all="ignore"):
+        least = np.where(is_met, by_ns, np.inf).min(axis=0)
+        most = np.where(is_met, by_ns, -np.inf).max(axis=0)
+        is_set = (is_met.sum(axis=0) > 2) & (most - least <= np.where(is_met, within_ns, 0).max(axis=0))
+    notes = [
+        Note(
+            f"the recorder's clock was set forward by {format_duration(by)} at {clock_words((at - start_ns) / SECOND_NS)}: "
+            f"{counted(count, 'timer')} moved alike, nothing is missing there"
+        )
+        for at, by, count in zip(
+            silent.start_ns[is_set].tolist(), least[is_set].tolist(), is_met.sum(axis=0)[is_set].tolist(), strict=True
+        )
+    ]
+    return silent.at(is_set), notes
+
+
+def without_stretches(readings: Sequence[Reading], stretches: Holes) -> list[Reading]:
+    """Take the holes of arrival within stretches out in which nothing was sent, or a clock was set."""
+    return [
+        Reading.of(one.name, one.rhythm.without(one.holes.meet(stretches)))
+        if one.rhythm is not None and one.name == "period" and len(stretches)
+        else one
+        for one in readings
+    ]
+
+
+def doubted(readings: Sequence[Sequence[Reading]]) -> list[list[Reading]]:
+    """Lower the counts of silences in which the stamps of another topic show that its publisher stood still: of one program, or computer."""
+    still = [
+        one.holes.at(
+            (one.holes.low == 0) & (one.holes.missing > 0) & (one.holes.duration_ns > FEWEST * one.rhythm.period_ns)
+        )
+        for topic in readings
+        for one in topic
+        if one.rhythm is not None and one.name == "stamps"
+    ]
+    witness = Holes.of([part for part in still if len(part)]) if any(map(len, still)) else Holes()
+    if not len(witness):
+        return [list(topic) for topic in readings]
+    return [[_doubted(one, witness) for one in topic] for topic in readings]
+
+
+def _doubted(reading: Reading, witness: Holes) -> Reading:
+    if reading.rhythm is None or not len(reading.holes):
+        return reading
+    holes = reading.holes
+    middle_ns = witness.start_ns + witness.duration_ns // 2
+    first = np.searchsorted(middle_ns, holes.start_ns)
+    is_met = first < np.searchsorted(middle_ns, holes.end_ns)
+    length_ns = witness.duration_ns[np.minimum(first, len(witness) - 1)]
+    is_alike = (holes.duration_ns < 2 * length_ns) & (length_ns < 2 * holes.duration_ns)
+    return Reading.of(reading.name, reading.rhythm.unsure(is_met & is_alike))
+
+
+def find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[Holes, list[tuple[int, int, int]]]:
+    """Return pauses of the recorder, in which several topics lack messages, and its stalls: length, start, late messages."""
+    regular = [loss for loss in losses if loss.regularity]
+    rates_hz = [loss.regularity.rate_hz for loss in regular if loss.regularity]
+    if len(rates_hz) < 2:
+        return Holes(), []
+    per_ns = sum(rates_hz) / SECOND_NS
+    gaps = np.flatnonzero(np.diff(logged) > LONG / per_ns)
+    silent = Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
+    lacking, late_starts = np.zeros(len(silent), np.int64), np.zeros(len(silent), np.bool_)
+    for loss in regular:
+        holes = loss.holes
+        lacking += silent.meet(holes.at(holes.missing > 0))
+        late_starts |= silent.meet(holes.at((holes.start_ns == logged[0]) & (holes.missing == 0)))
+    window_ns = silent.duration_ns / (2 * 2)
+    late = np.searchsorted(logged, silent.end_ns + window_ns, "right") - gaps - 1 - np.rint(per_ns * window_ns)
+    is_long = silent.duration_ns > (2 + 1 / 2) * SECOND_NS / max(rates_hz)
+    stalls = (lacking < 2) & is_long & (late > per_ns * silent.duration_ns / 2) & ~late_starts
+    found = zip(
+        silent.duration_ns[stalls].tolist(), silent.start_ns[stalls].tolist(), late[stalls].tolist(), strict=True
+    )
+    return silent.at(lacking >= 2), [(length, start, round(count)) for length, start, count in found]

@@ -10,32 +10,28 @@ import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import clock_words, counted, format_duration
-from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from dds_trace.tracefile.reading.source import Condition
 
-from .bounds import FEWEST, MOST, SECOND_NS
+from .bounds import FEWEST, SECOND_NS
 from .clocks import (
     DAY_NS,
-    SIMULATED_BEFORE_NS,
     Clocks,
     Note,
-    Stamps,
     age_course,
     apart,
     backwards_ns,
-    count_history,
     growth_since_ns,
     of_one_clock,
-    read_clocks,
     reset_note,
     set_back,
 )
-from .losses import NONE, Losses, TopicTimes, agreed, resolution_ns
+from .losses import NONE, Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
-from .neighbours import doubted, find_silences, find_silent, set_clocks, stood_still, without_stretches
+from .neighbours import find_silences
 from .observations import Observation, explained, has_losses, observe
 from .periods import Holes, Int64, spread
 from .read import copied_messages
+from .weighing import Source, weigh
 
 Row = dict[str, str | int | float | None]
 """Column of `TOPIC_SCHEMA` -> value; others are null."""
@@ -208,8 +204,19 @@ class Card:
         self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
         self._notes += [Note(reset_note(back_ns, at_ns - self._start_ns, n)) for at_ns, back_ns, n in resets]
         leave_out_shared_numbers(columns)
-        times, clocks, history = self._read_clocks(columns, logged)
-        losses, readable = self._read_losses(columns, times, clocks, logged)
+        for topic in columns:
+            for note in copied_messages(topic.topic.name, topic.copies):
+                self._note(note)
+        for note in set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns}):
+            self._note(note)
+        lost, counter = counts_of_recorder(columns)
+        evidence = weigh(
+            [topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name), counter) for topic in columns],
+            [Source(topic.topic.name, "volatile" in qos_words(topic.topic.qos)) for topic in columns],
+            logged,
+        )
+        times, losses, clocks = evidence.times, evidence.losses, evidence.clocks
+        self._notes += clocks.notes
         pauses, stalls = find_silences(logged, losses)
         if stalls:
             longest_ns, start, _ = max(stalls)
@@ -224,7 +231,7 @@ class Card:
         self.holes: list[dict[str, object]] = []
         self.strips: list[tuple[float, ...]] = []
         self._observed: list[Observation] = [*explained(self._notes)]
-        for topic, topic_times, loss, early in zip(columns, times, losses, history, strict=True):
+        for topic, topic_times, loss, early in zip(columns, times, losses, evidence.history, strict=True):
             self._add(topic, topic_times, loss, pauses, early, clocks)
         duration_ns = self._end_ns - self._start_ns
         paused_ns = int(pauses.duration_ns.sum())
@@ -242,7 +249,7 @@ class Card:
             tuple(condition.damages),
             (*(note.words for note in self._notes), *_overlaps(condition.chunks)),
             tuple(self._place(pauses)),
-            readable,
+            evidence.readable,
             tuple(is_doubtful.tolist()),
         )
         self.observations = [one.row(path, self._start_ns) for one in self._observed]
@@ -269,79 +276,6 @@ class Card:
                 f"{counted(len(others), 'message')} logged {apart(away_ns)} from the others: {which}, left out of rates and holes"
             )
         return logged[is_of_clock]
-
-    def _read_clocks(
-        self, columns: Sequence[TopicMessages], logged: Int64
-    ) -> tuple[list[TopicTimes], Clocks, list[int]]:
-        """Return the messages without what was sent earlier, the clocks, and how many messages of each topic were sent earlier."""
-        lost, counter = counts_of_recorder(columns)
-        times = [t.times(self._start_ns, self._end_ns, lost.get(t.topic.name), counter) for t in columns]
-        stamped: dict[int, Stamps] = {}
-        for number, one in enumerate(times):
-            has_stamp = one.stamp_ns != NONE
-            if has_stamp.any():
-                keys = one.frame ^ one.publisher
-                stamped[number] = Stamps(one.log_ns[has_stamp], one.stamp_ns[has_stamp], keys[has_stamp])
-        ages_ns = [float(np.median(one.age_ns)) for one in stamped.values() if len(one.log_ns) >= FEWEST]
-        usual_ns = float(np.median(ages_ns)) if ages_ns else 0.0
-        history = [0] * len(times)
-        for number, stamps in stamped.items():
-            is_volatile = "volatile" in qos_words(columns[number].topic.qos)
-            count = 0 if is_volatile else count_history(stamps, self._start_ns, usual_ns)
-            if count:
-                history[number] = count
-                oldest = format_duration(float(stamps.age_ns.max()))
-                was = "was" if count == 1 else "were"
-                self._note(
-                    f"{counted(count, 'message')} of {columns[number].topic.name} {was} sent up to {oldest} earlier: history of "
-                    "transient-local topics of nodes that started earlier, not an age"
-                )
-            if 0 < count < len(stamps.log_ns):
-                stamped[number] = stamps.from_message(count)
-                times[number] = times[number].from_message(
-                    int(np.searchsorted(times[number].log_ns, stamps.log_ns[count]))
-                )
-        for topic in columns:
-            for note in copied_messages(topic.topic.name, topic.copies):
-                self._note(note)
-        for note in set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns}):
-            self._note(note)
-        named = {
-            columns[n].topic.name: one
-            for n, one in stamped.items()
-            if history[n] < len(times[n].log_ns) or not history[n]
-        }
-        unstamped = [one.log_ns for number, one in enumerate(times) if number not in stamped]
-        clocks = read_clocks(named, unstamped, self._start_ns, _tick_ns(logged))
-        self._notes += clocks.notes
-        if self._start_ns < SIMULATED_BEFORE_NS and "zero" not in clocks.no_age.values():
-            self._note("the log times are of a simulation's clock, or count from the start of a machine")
-        for number, one in enumerate(times):
-            if number not in stamped and _is_of_writer(one):
-                clocks.no_age[columns[number].topic.name] = ""
-                self._note(
-                    f"publish times of {columns[number].topic.name} are at or after its log times: the writer's, not an age"
-                )
-            elif history[number] and history[number] >= len(one.log_ns):
-                clocks.no_age[columns[number].topic.name] = "latched"
-        return times, clocks, history
-
-    def _read_losses(
-        self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], clocks: Clocks, logged: Int64
-    ) -> tuple[list[Losses], int]:
-        silent = find_silent(logged, len(columns))
-        is_own = [topic.topic.name.startswith(TOPIC_PREFIX) for topic in columns]  # a tap's own topics are events
-        found = [
-            [] if own else one.readings(self._end_ns - self._start_ns, silent)
-            for own, one in zip(is_own, times, strict=True)
-        ]
-        set_over, notes = set_clocks(found, silent, self._start_ns)
-        self._notes += notes
-        for stretches in (clocks.set_over, stood_still(times, silent), set_over):
-            found = [without_stretches(readings, stretches) for readings in found]
-        found = doubted(found)
-        losses = [agreed(r, self._start_ns, self._end_ns, t.log_ns) for r, t in zip(found, times, strict=True)]
-        return losses, sum(bool(readings) or _has_numbers(one) for readings, one in zip(found, times, strict=True))
 
     def _add(
         self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Holes, early: int, clocks: Clocks
@@ -413,27 +347,6 @@ class Card:
         before = np.where(begun > 0, silent_ns[last] + within, 0)
         share = 1 - np.diff(before) / (edges[1] - edges[0])
         return tuple(np.clip(share, 0, 1).tolist())
-
-
-def _has_numbers(times: TopicTimes) -> bool:
-    numbers = times.sequence[times.sequence != NONE]
-    return len(numbers) > 1 and 2 * int((np.diff(numbers) == 1).sum()) > len(numbers)
-
-
-def _is_of_writer(times: TopicTimes) -> bool:
-    """Return whether publish times differ from log times, and nearly none is earlier: a writer took them after the log time."""
-    published = times.publish_ns != NONE
-    publish_ns, log_ns = times.publish_ns[published], times.log_ns[published]
-    return bool((publish_ns != log_ns).any() and (publish_ns >= log_ns).sum() >= MOST * len(log_ns))
-
-
-def _tick_ns(logged: Int64) -> int:
-    """Return the ticks of log times that are multiples of one, with several messages each; 0 of finer clocks."""
-    if len(logged) < FEWEST:
-        return 0
-    is_repeated = np.diff(logged) == 0
-    tick_ns = int(np.gcd.reduce(logged))
-    return tick_ns if tick_ns >= SECOND_NS // 1000 and 2 * 2 * is_repeated.sum() > len(logged) else 0
 
 
 def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:

@@ -152,10 +152,11 @@ class Note:
 
 @dataclass(slots=True)
 class Clocks:
-    """What the clocks of a recording did: why topics have no age (`latched`, `clock`, `copy`, `ticks`), and where a clock was set."""
+    """What the clocks of a recording did: why topics have no age, in a word, and by reason, and where a clock was set."""
 
     notes: list[Note] = field(default_factory=list)
     no_age: dict[str, str] = field(default_factory=dict)
+    reasons: dict[str, list[str]] = field(default_factory=dict)
     set_over: Holes = field(default_factory=Holes)
 
 
@@ -174,7 +175,7 @@ def read_clocks(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
     """Return what the ages of topics show; they are without the history of messages that were sent earlier."""
     clocks = Clocks()
     steps: list[_Step] = []
-    reasons: dict[str, list[str]] = {}
+    reasons = clocks.reasons
     offset_ns = _shared_offset(topics)
     for name, stamps in topics.items():
         reason = _no_age(stamps, start_ns, tick_ns, offset_ns)

@@ -56,6 +56,10 @@ class Reading:
     def of(name: str, rhythm: Regularity) -> Reading:
         return Reading(name, rhythm.missing, rhythm.low, rhythm.high, rhythm.holes, rhythm)
 
+    @staticmethod
+    def exact(name: str, count: int, holes: Holes, rhythm: Regularity | None = None) -> Reading:
+        return Reading(name, count, count, count, holes, rhythm)
+
     def contains(self, other: Reading) -> bool:
         return self.low <= other.low and other.high <= self.high
 
@@ -106,13 +110,13 @@ class TopicTimes:
         if self.lost is not None and self.counter == "tap":
             arrival = self.by_arrival()
             holes = Holes() if arrival is None else _filled(arrival.holes, sum(self.lost))
-            return [Reading("tap", *[sum(self.lost)] * (2 + 1), holes, arrival and arrival.rhythm)]
+            return [Reading.exact("tap", sum(self.lost), holes, arrival and arrival.rhythm)]
         found = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
             found += [self.by_stamps(), self.by_arrival()]
         readings = [one for one in found if one is not None and not self._is_in_episodes(one, silent)]
         if self.lost is not None and (any(self.lost) or not readings):
-            readings.insert(0, Reading("recorder", *[sum(self.lost)] * (2 + 1)))
+            readings.insert(0, Reading.exact("recorder", sum(self.lost), Holes()))
         return readings
 
     def by_numbers(self) -> Reading | None:
@@ -253,11 +257,14 @@ class TopicTimes:
         step_ns = np.where(is_stamped, after, 0) - np.where(is_stamped, before, 0)
         is_still = (2 * step_ns < holes.duration_ns) & (holes.duration_ns > 2 * unit_ns)
         filled = np.searchsorted(np.sort(self.left_out_ns), np.array([before, after]))
-        return is_stamped & (is_still | (filled[1] - filled[0] >= holes.missing) & (holes.missing > 0))
+        is_filled = (filled[1] - filled[0] >= holes.missing) & (holes.missing > 0)
+        selected: Bools = is_stamped & (is_still | is_filled)
+        return selected
 
     def has_stamps_around(self, holes: Holes) -> Bools:
         is_all = bool((self.stamp_ns != NONE).all())
-        return (self.log_ns[0] <= holes.start_ns) & (self.log_ns[-1] >= holes.end_ns) & is_all
+        selected: Bools = (self.log_ns[0] <= holes.start_ns) & (self.log_ns[-1] >= holes.end_ns) & is_all
+        return selected
 
 
 def resolution_ns(stamp_ns: Int64) -> int | None:

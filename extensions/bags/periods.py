@@ -197,7 +197,7 @@ def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
         end_ns = parts[number + 1][0] if number + 1 < len(parts) else part_ns[-1] + part_period_ns
         missing += round(float(end_ns - part_ns[0]) / part_period_ns) - len(part_ns)
     missing, unsure = max(missing, 0), 2 + round(2 * len(parts) ** (1 / 2))
-    whole = _single(times_ns, float(times_ns[-1] - times_ns[0]) / (len(times_ns) - 1 + missing))
+    whole = _single(times_ns, float(times_ns[-1] - times_ns[0]) / (len(times_ns) - 1 + missing), has_phase=True)
     still = int((whole.holes.missing - whole.holes.low).sum())
     return replace(whole, missing=missing, low=max(missing - unsure - still, 0), high=missing + unsure)
 
@@ -260,11 +260,11 @@ def usual_steps(steps: Int64) -> Int64 | None:
     )
 
 
-def _single(times_ns: Int64, period_ns: float) -> Regularity:
+def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
     """Count what one rate lacks; with stretches of another rate, what the rates lack, within the interval of both readings."""
     raw = np.diff(times_ns) / period_ns
     ratio, unsure = _without_queues(raw)
-    whole = _one_rate(times_ns, ratio, period_ns)
+    whole = _one_rate(times_ns, ratio, period_ns, has_phase=has_phase)
     whole = replace(whole, high=whole.high + unsure)
     edges = _rate_changes(ratio)
     if not edges:
@@ -333,7 +333,7 @@ def _rate_changes(ratio: Float64) -> list[int]:
     return sorted({edge for edge in edges if 0 < edge < len(ratio)})
 
 
-def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float) -> Regularity:
+def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: bool = False) -> Regularity:
     intervals_ns, ratios = np.diff(times_ns), ratio
     steps = _settled(ratios)
     is_regular = (steps == 1) & (np.abs(ratios - 1) < REGULAR)
@@ -348,7 +348,7 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float) -> Regularity:
     gaps = np.flatnonzero(is_gap)
     gaps = gaps[np.argsort(-ratios[gaps], kind="stable")]
     gaps = np.sort(gaps[: np.searchsorted(np.cumsum(steps[gaps] - 1), missing) + 1] if missing else gaps[:0])
-    least = np.where(_is_explained(ratios, steps, gaps), 0, steps[gaps] - 1)
+    least = np.where(_is_explained(ratios, steps, gaps, has_phase=has_phase), 0, steps[gaps] - 1)
     still = int((steps[gaps] - 1 - least).sum())
     return Regularity(
         period_ns,
@@ -366,21 +366,24 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float) -> Regularity:
     )
 
 
-def _is_explained(ratio: Float64, steps: Int64, at: Int64) -> Bools:
+def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -> Bools:
     """Return which long intervals have another explanation than a loss: the publisher stood still, a clock was set, or it has no timer.
 
     A timer goes on in its phase. What is sent when a computation or a loop ends has intervals of any length: only those are losses that are
     multiples of one, as long as its own wander is less than that.
     """
     wander = np.cumsum(ratio - steps)
-    noise, jitter = spread(wander[FEWEST:] - wander[:-FEWEST]), spread(ratio - steps)
-    if noise <= 2 * jitter:
+    lag, jitter = min(len(ratio) // FEWEST, WINDOW), spread(ratio - steps)
+    noise = spread(wander[lag:] - wander[: len(wander) - lag])
+    if has_phase or (noise <= 2 * jitter and jitter < NEAR / 2):
         return still_holes(wander, at, steps[at], noise)
     tail = ratio[(ratio > 1 + NEAR) & (ratio < 2 * 2)]
     is_multiple = np.abs(tail - np.rint(tail)) <= NEAR
-    bound = 2 * jitter * np.sqrt(steps[at])
-    is_off = (np.abs(ratio - steps)[at] > np.maximum(FEW, bound)) | (bound > NEAR)
-    return is_off | bool(2 * (~is_multiple).sum() > is_multiple.sum())
+    bound = np.maximum(FEW, 2 * jitter * np.sqrt(steps[at]))
+    is_off: Bools = (np.abs(ratio - steps)[at] > bound) | (bound > NEAR)
+    chance = float(np.prod(2 * bound[~is_off]))  # of intervals of any length
+    is_off |= bool(2 * 2 * (~is_multiple).sum() > is_multiple.sum()) or chance > FEW
+    return is_off
 
 
 def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float, first: Float64 | None = None) -> Bools:

@@ -111,9 +111,8 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
     """Files of a rotating recording are missing."""
     parts: dict[int, dict[int, Session]] = defaultdict(dict)
     for trace in evidence.campaign.traces:
-        for session in trace.sessions:
-            if "part" in session.extra:
-                parts[session.session_id][part_of(session)] = session
+        for session in trace.parts:
+            parts[session.session_id][part_of(session)] = session
     for session_id, by_part in parts.items():
         last = max(by_part)
         missing = list(_missing_numbers(sorted(by_part)))

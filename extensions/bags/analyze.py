@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -21,6 +22,7 @@ from .messages import TopicMessages, find_recordings
 from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
 from .read import read_messages
+from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
 
 _MOST_NOTES = 10
 
@@ -93,53 +95,131 @@ def analyze_topics(
     Raises:
         MissingEventsError: there is no recording, or none of them can be read at all.
     """
-    rows: list[Row] = []
-    holes: list[dict[str, object]] = []
-    sources: list[Source] = []
-    health: list[RecordingHealth] = []
-    strips: list[tuple[float, ...]] = []
-    observations: list[dict[str, object]] = []
     parts = [path] if isinstance(path, str | os.PathLike) else path
-    for recording in sorted({file for part in parts for file in find_recordings(part, skip=skip)}):
-        if progress is not None:
-            progress(recording)
-        condition, columns, failure = Condition(), dict[tuple[str, str, str], TopicMessages](), ""
-        try:
-            for number, message in enumerate(read_messages(recording, condition)):
-                topic = message.topic
-                key = topic.name, topic.message_type, topic.encoding
-                if key not in columns:
-                    columns[key] = TopicMessages(topic)
-                columns[key].add(message, number)
-        except TraceFormatError as err:
-            failure = err.what
-            condition.damages.append(err.what)
-        if clock is not None:
-            condition.notes += _correct(columns.values(), clock)
-        if columns:
-            card = Card(str(recording), [columns[key] for key in sorted(columns)], condition)
-            rows += card.rows
-            holes += card.holes
-            strips += card.strips
-            observations += card.observations
-            health.append(card.health)
-        elif not failure:
-            health.append(empty_health(str(recording), condition))
-        text = [*health[-1].damages, *health[-1].notes] if columns or not failure else condition.damages
-        status = "read" if not condition.damages else "truncated" if columns or not failure else "skipped"
-        detail = "; ".join(text[:_MOST_NOTES])
-        if len(text) > _MOST_NOTES:
-            detail += f"; and {len(text) - _MOST_NOTES} more"
-        sources.append(Source(str(recording), status, detail, sum(map(len, columns.values()))))
-    if not any(source.status != "skipped" for source in sources):
-        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[:3]]
+    found = sorted({file for part in parts for file in find_recordings(part, skip=skip)})
+    folders = Counter(file.parent for file in found)
+    report = _Report()
+    for group in parts_of(found):
+        for recording in _recordings(group, progress):
+            report.add(recording, shown_path(recording.parts, folders), clock)
+    if not any(source.status != "skipped" for source in report.sources):
+        sources = report.sources[: 2 + 1]
+        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "
             ".db3 file, or a rosbag2 folder"
         )
-    frame = pl.DataFrame(rows, schema=TOPIC_SCHEMA)
-    observed = pl.DataFrame(observations, schema=OBSERVATION_SCHEMA)
     return TopicReport(
-        frame, tuple(sources), pl.DataFrame(holes, schema=HOLE_SCHEMA), tuple(health), tuple(strips), observed
+        pl.DataFrame(report.rows, schema=TOPIC_SCHEMA),
+        tuple(sorted(report.sources, key=lambda source: source.path)),
+        pl.DataFrame(report.holes, schema=HOLE_SCHEMA),
+        tuple(report.health),
+        tuple(report.strips),
+        pl.DataFrame(report.observations, schema=OBSERVATION_SCHEMA),
     )
+
+
+_Columns: TypeAlias = dict[tuple[str, str, str], TopicMessages]
+
+
+@dataclass(slots=True)
+class _Recording:
+    """What was read of one recording, of one file or several."""
+
+    parts: list[Part]
+    condition: Condition
+    columns: _Columns
+    failure: str = ""
+
+    @property
+    def span(self) -> Span:
+        """Return the times of the first file's messages."""
+        first_ns = min(int(topic.column("log_ns").min()) for topic in self.columns.values())
+        last_ns = max(int(topic.column("log_ns").max()) for topic in self.columns.values())
+        return Span(self.parts[0].number or 0, first_ns, last_ns)
+
+    def append(self, other: _Recording) -> None:
+        for kind in ("damages", "notes"):
+            found = [f"{other.parts[0].path.name}: {text}" for text in getattr(other.condition, kind)]
+            getattr(self.condition, kind).extend(found)
+        self.condition.chunks += other.condition.chunks
+        self.condition.topics |= other.condition.topics
+        number = sum(map(len, self.columns.values()))
+        for key, messages in other.columns.items():
+            if key in self.columns:
+                self.columns[key].extend(messages, number)
+            else:
+                self.columns[key] = TopicMessages(messages.topic)
+                self.columns[key].extend(messages, number)
+        self.parts += other.parts
+
+
+def _recordings(group: Sequence[Part], progress: Callable[[Path], None] | None) -> Iterator[_Recording]:
+    """Read files whose names count on; yield those whose times go on as one recording."""
+    whole, spans = None, list[Span]()
+    for part in group:
+        if progress is not None:
+            progress(part.path)
+        read = _read(part)
+        if whole is not None and read.columns and goes_on(spans, read.span):
+            spans.append(read.span)
+            whole.append(read)
+            continue
+        if whole is not None:
+            yield whole
+        whole, spans = (read, [read.span]) if read.columns else (None, [])
+        if whole is None:
+            yield read
+    if whole is not None:
+        whole.condition.damages += lost_files(whole.parts)
+        yield whole
+
+
+def _read(part: Part) -> _Recording:
+    recording = _Recording([part], Condition(), {})
+    try:
+        for number, message in enumerate(read_messages(part.path, recording.condition)):
+            topic = message.topic
+            key = topic.name, topic.message_type, topic.encoding
+            if key not in recording.columns:
+                recording.columns[key] = TopicMessages(topic)
+            recording.columns[key].add(message, number)
+    except TraceFormatError as err:
+        recording.failure = err.what
+        recording.condition.damages.append(err.what)
+    return recording
+
+
+@dataclass(slots=True)
+class _Report:
+    """The parts of a report, recording by recording."""
+
+    rows: list[Row] = field(default_factory=list)
+    holes: list[dict[str, object]] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+    health: list[RecordingHealth] = field(default_factory=list)
+    strips: list[tuple[float, ...]] = field(default_factory=list)
+    observations: list[dict[str, object]] = field(default_factory=list)
+
+    def add(self, recording: _Recording, path: str, clock: StampCorrector | None) -> None:
+        condition, columns = recording.condition, recording.columns
+        if clock is not None:
+            condition.notes += _correct(columns.values(), clock)
+        text = condition.damages
+        if columns:
+            card = Card(path, [columns[key] for key in sorted(columns)], condition)
+            self.rows += card.rows
+            self.holes += card.holes
+            self.strips += card.strips
+            self.observations += card.observations
+            self.health.append(card.health)
+        elif not recording.failure:
+            self.health.append(empty_health(path, condition))
+        if columns or not recording.failure:
+            text = [*self.health[-1].damages, *self.health[-1].notes]
+        status = "read" if not condition.damages else "truncated" if columns or not recording.failure else "skipped"
+        detail = "; ".join(text[:_MOST_NOTES])
+        if len(text) > _MOST_NOTES:
+            detail += f"; and {len(text) - _MOST_NOTES} more"
+        self.sources.append(Source(path, status, detail, sum(map(len, columns.values()))))

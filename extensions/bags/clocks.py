@@ -273,7 +273,7 @@ _WHY_NO_AGE: Mapping[str, Callable[[Sequence[str], Mapping[str, Stamps]], str]] 
     ),
 }
 _SHORT = {
-    "copy": "no clock",
+    "copy": "-",
     "zero": "other clock",
     "loop": "replay",
     "speed": "other clock",

@@ -110,7 +110,7 @@ class TopicTimes:
         if self.lost is not None and self.counter == "tap":
             arrival = self.by_arrival()
             holes = Holes() if arrival is None else _filled(arrival.holes, sum(self.lost))
-            return [Reading.exact("tap", sum(self.lost), holes, arrival and arrival.rhythm)]
+            return [Reading.exact("tap", sum(self.lost), holes, arrival.rhythm if arrival else None)]
         found = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
             found += [self.by_stamps(), self.by_arrival()]

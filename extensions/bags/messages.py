@@ -91,6 +91,16 @@ class TopicMessages:
                 record = object_of(parse_json(decode_string(data)))
                 self.publishers[f"{record.get('session_id')} {record.get('publisher_id')}"] = record
 
+    def extend(self, others: TopicMessages, number: int) -> None:
+        """Append the messages of a following file, before which `number` messages of all topics were read."""
+        for name, column in self.columns.items():
+            values = others.columns[name]
+            column.extend(array("q", [value + number for value in values]) if name == "number" else values)
+        for topic, (transport, recorder) in others.lost.items():
+            before = self.lost.get(topic, (0, 0))
+            self.lost[topic] = before[0] + transport, before[1] + recorder
+        self.publishers |= others.publishers
+
     def column(self, name: str) -> Int64:
         """In stored order; `NONE` for a value that a message lacks."""
         return np.frombuffer(self.columns[name], np.int64)

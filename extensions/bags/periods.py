@@ -399,7 +399,7 @@ def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float, first: F
     if first is not None:
         shift = np.where(np.abs(first) > np.abs(shift), first, shift)
     bound = np.maximum(FEW, 2 * 2 * noise * (1 + steps / len(wander) ** (1 / 2)))
-    is_still = (np.abs(shift) > bound) & (bound < NEAR)
+    is_still: Bools = (np.abs(shift) > bound) & (bound < NEAR)
     is_silence = steps > FEWEST
     if 2 * (is_still & is_silence).sum() > is_silence.sum():
         is_still |= is_silence

@@ -300,7 +300,7 @@ class BagReport(blocks.Report):
         gates = _gate_blocks(self.judged) if self.judged else []
         limits = Section([Heading("Limits"), *gates] if gates else [], "gates", media=PAGE)
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
-        how = Section([Sentence(HOW_TO_READ, "soft")] if parts else [])
+        how = Section([Sentence(HOW_TO_READ, "soft")] if self.report.topics.height else [])
         return [title, limits, *parts, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:

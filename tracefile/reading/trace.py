@@ -45,6 +45,7 @@ class Trace:
 
     Attributes:
         sessions, runs, publishers: the latest description of each, in order of appearance.
+        parts: the sessions of a rotating recording, each file of it once: a merged file has several.
         events: of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
         wire: the JSON objects of `/dds_trace/wire` (`format.wire`).
@@ -65,6 +66,7 @@ class Trace:
     ring_events: int = 0
     unreadable_messages: int = 0
     notes: tuple[str, ...] = field(default=())
+    parts: tuple[Session, ...] = ()
 
     @property
     def event_count(self) -> int:
@@ -79,6 +81,7 @@ class TextCollector:
 
     def __init__(self) -> None:
         self.sessions: dict[int, Session] = {}
+        self.parts: dict[tuple[int, object], Session] = {}
         self.runs: dict[int, Run] = {}
         self.host: list[JsonObject] = []
         self.wire: list[JsonObject] = []
@@ -90,6 +93,8 @@ class TextCollector:
             if text.topic == SESSION_TOPIC:
                 session = Session.from_json(_string(text), text.path)
                 self.sessions[session.session_id] = session
+                if "part" in session.extra:
+                    self.parts[session.session_id, str(session.extra["part"])] = session
             elif text.topic == RUN_TOPIC:
                 run = Run.from_json(_string(text), text.path)
                 self.runs[run.run_id] = run
@@ -235,4 +240,5 @@ class TraceBuilder:
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,
             notes=tuple(self._first_notes()),
+            parts=tuple(self.texts.parts.values()),
         )

@@ -24,8 +24,6 @@ from .model.metrics import schema_of
 from .model.presenter import presenter
 from .model.runs import with_unsent
 from .pairing.rows import RowStore
-from .saving.folder import read_folder, write_folder
-from .saving.records import Content, from_json
 from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs
 from .verdicts.judgements import judgement_frame
 
@@ -194,6 +192,9 @@ class Analysis:
             OutputExistsError: the folder has something else than a saved analysis.
             OutputError: the folder cannot be written.
         """
+        from .saving.folder import write_folder  # noqa: PLC0415 - most analyses are not saved
+        from .saving.records import Content  # noqa: PLC0415 - most analyses are not saved
+
         content = Content(
             title=self.title,
             sources=self.sources,
@@ -265,6 +266,9 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
     Raises:
         TraceFormatError: there is no saved analysis of this version, or a file of it was changed.
     """
+    from .saving.folder import read_folder  # noqa: PLC0415 - most analyses are not saved
+    from .saving.records import Content, from_json  # noqa: PLC0415 - most analyses are not saved
+
     files = read_folder(Path(folder))
     try:
         content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))

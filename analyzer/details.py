@@ -31,7 +31,6 @@ from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.cases import GroupRows
-from .verdicts.recommend import recommend_settings
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
 """Frames of batches that are details; others are for findings."""
@@ -67,6 +66,8 @@ def collect_details(
     recoveries = recovery_frame(campaign.traces, grouping, rows)
     recommendation = None
     if options.job is not None:
+        from .verdicts.recommend import recommend_settings  # noqa: PLC0415 - few analyses are of a job
+
         messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
         recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values())
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -148,12 +148,12 @@ def _analyze(
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
-    evidence = Evidence(
+    evidence_with = partial(
+        Evidence,
         campaign=campaign,
         exchanges=exchanges,
         grouping=grouping,
         summary=merged.summary,
-        details=details_not_requested(),
         rows=rows,
         in_parts=tuple(in_parts),
         options=options,
@@ -162,10 +162,13 @@ def _analyze(
         sending=merged.frames["sending"],
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
-    forged = forged_groups(evidence, merged.frames["clock_knots"] if options.details else None)
+    forged = forged_groups(
+        merged.summary,
+        merged.frames["clock_knots"] if options.details else None,
+        lambda: evidence_with(details=details_not_requested()),
+    )
     judged = UnbarredRows(rows, (*grouping.not_applied(), *forged), unsent)
     details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged)
-    evidence = replace(evidence, details=details)
     if drafts is not None:
         write_summary(merged.summary.frame, drafted["summary"], origin)
     timeline = merged.frames["timeline"]
@@ -181,7 +184,7 @@ def _analyze(
         run_times=merged.frames["run_times"],
         timeline=timeline,
         timeline_decimated=timeline.height < merged.summary.frame["published"].sum(),
-        findings=find_findings(evidence),
+        findings=find_findings(evidence_with(details=details)),
         outputs=outputs,
         details=details,
         unsent=unsent,

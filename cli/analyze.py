@@ -75,8 +75,6 @@ def analyze_command(
 
         dds-trace analyze runs/ --report html
     """
-    from dds_trace.recorder.option import parse_percentage
-
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     gates = load("parts", "topic_limits")(fail_if) if fail_if else ()
@@ -85,7 +83,7 @@ def analyze_command(
         "sketch": sketch,
         "deadline_ns": deadline_ns,
         "deadline_metric": deadline_metric,
-        "margin": 0.05 if margin is None else parse_percentage("--margin", margin),
+        "margin": 0.05 if margin is None else _parse_margin(margin),
         "trust_order": trust_order,
     }
     analysis = run_analysis(
@@ -93,6 +91,12 @@ def analyze_command(
     )
     if gates:
         raise typer.Exit(load("parts", "judge_topics")(analysis, gates))
+
+
+def _parse_margin(text: str) -> float:
+    from dds_trace.recorder.option import parse_percentage
+
+    return parse_percentage("--margin", text)
 
 
 def _parse_deadline(text: str | None) -> tuple[int | None, str]:

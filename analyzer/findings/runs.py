@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 
@@ -13,6 +13,7 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import ping_boots, share_boot
+from ..groups.summary import Summary
 from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange, Unplaced
 from ..pairing.one_way import fit_devices, segment_table
@@ -209,13 +210,16 @@ def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str
     return is_one_offset and 2 * counts["early"] > counts["received"]
 
 
-def forged_groups(evidence: Evidence, clock_knots: pl.DataFrame | None) -> tuple[int, ...]:
+def forged_groups(
+    summary: Summary, clock_knots: pl.DataFrame | None, make_evidence: Callable[[], Evidence]
+) -> tuple[int, ...]:
     """Return the results that are not to be used, before details: nothing is judged by them."""
-    suspect = evidence.summary.exchange_counts.select(
+    suspect = summary.exchange_counts.select(
         pl.col("relay_gaps", "early", "negative_latency", "second_source", "resized").sum()
     )
     if not any(suspect.row(0)):
         return ()
+    evidence = make_evidence()
     details = evidence.details
     if clock_knots is not None:
         boots = ping_boots(evidence.campaign.sessions.values(), evidence.campaign.runs.values())

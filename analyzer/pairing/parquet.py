@@ -88,13 +88,9 @@ def _abandon(writer: pq.ParquetWriter) -> None:
 def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
     """Yield the rows, a row group at a time; a text that never changes shares one array of indices."""
     described = rows.described
-    texts = {
-        column.name: column.to_arrow().cast(pa.string()).dictionary_encode()
-        for column in described.iter_columns()
-        if column.dtype == pl.String
-    }
+    texts = {column.name: _encoded(column) for column in described.iter_columns() if column.dtype == pl.String}
     others = [column for column in described.iter_columns() if column.name not in texts]
-    outcomes = pl.Series([outcome.value for outcome in OUTCOMES]).to_arrow().cast(pa.string())
+    outcomes = _texts(pl.Series([outcome.value for outcome in OUTCOMES]))
     first = 0
     for frame in rows.frames():
         rows_of_exchange = np.diff(rows.bounds.clip(first, first + len(frame)))
@@ -126,6 +122,21 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
     return pl.Series(values).to_arrow()
 
 
+def _texts(values: pl.Series) -> pa.Array:
+    # `cast` and `dictionary_encode` of pyarrow take longer to import than all texts of a small campaign to write.
+    large = values.rechunk().to_arrow()
+    bitmap, offsets, data = large.buffers()
+    ends = np.frombuffer(offsets, np.int64)[large.offset : large.offset + len(large) + 1].astype(np.int32)
+    return pa.StringArray.from_buffers(len(large), pa.py_buffer(ends), data, bitmap, large.null_count)
+
+
+def _encoded(values: pl.Series) -> pa.DictionaryArray:
+    found = values.drop_nulls().unique(maintain_order=True)
+    number = {text: index for index, text in enumerate(found)}
+    indices = pl.Series(list(map(number.get, values)), dtype=pl.Int32)
+    return pa.DictionaryArray.from_arrays(indices.to_arrow(), _texts(found))
+
+
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -134,7 +145,8 @@ def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, st
 
 
 def summary_table(summary: pl.DataFrame, provenance: Mapping[str, str] | None = None) -> pa.Table:
-    return summary.to_arrow().cast(_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
+    columns = [_texts(c) if c.dtype == pl.String else c.rechunk().to_arrow() for c in summary.iter_columns()]
+    return pa.Table.from_arrays(columns, schema=_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:

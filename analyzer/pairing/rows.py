@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
+from types import SimpleNamespace, TracebackType
 
 import polars as pl
 import pyarrow as pa
@@ -182,6 +182,12 @@ class RowWriter:
 
 def _series(name: str, column: pa.ChunkedArray) -> pl.Series:
     if not pa.types.is_dictionary(column.type):
-        return pl.Series(name, column)
-    parts = [pl.Series(name, c.dictionary, pl.String).gather(pl.Series(c.indices)) for c in column.chunks]
-    return pl.concat([pl.Series(name, [], pl.String), *parts])
+        return _of_arrow(column).alias(name)
+    parts = [_of_arrow(c.dictionary).gather(_of_arrow(c.indices)) for c in column.chunks]
+    return pl.concat([pl.Series([], dtype=pl.String), *parts]).alias(name)
+
+
+def _of_arrow(values: pa.Array | pa.ChunkedArray) -> pl.Series:
+    # By the C interface: to look at a pyarrow object, polars imports `pyarrow.compute`.
+    stream = values if isinstance(values, pa.ChunkedArray) else pa.chunked_array([values])
+    return pl.Series(SimpleNamespace(__arrow_c_stream__=stream.__arrow_c_stream__))

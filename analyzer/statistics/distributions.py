@@ -1,20 +1,32 @@
-"""Student's t, the power of its test, and exact limits of a Poisson count, by `scipy.special`, which is loaded at the first call."""
+"""Student's t, the power of its test, and exact limits of a Poisson count, by scipy, which is loaded at the first call."""
 
 from __future__ import annotations
 
 import math
+import sys
 from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec, module_from_spec
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 _POWER_STEPS = 2000
+_loading = Lock()
 
 
 def special() -> Any:
-    from scipy import special
-
-    return special
+    """Return the compiled functions of `scipy.special`; the package around them imports numpy's Fortran reader and tests."""
+    name = "scipy.special._ufuncs"
+    with _loading:
+        if name not in sys.modules and (spec := find_spec("scipy.special")):
+            sys.modules[spec.name] = module_from_spec(spec)  # empty, so that the import of its part does not fill it
+            try:
+                import_module(name)
+            finally:
+                del sys.modules[spec.name]
+    return sys.modules[name]
 
 
 def student_cdf(t: float, degrees: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -17,7 +18,9 @@ from ..statistics.intervals import Basis, ranges_overlap
 from .answers import CaseAnswer
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row, judged_change
 from .matching import DEVICE_COLUMNS
-from .recommend import Fit, Recommendation
+
+if TYPE_CHECKING:
+    from .recommend import Recommendation
 
 
 def judge_places(summary: pl.DataFrame, intervals: pl.DataFrame, forged: Collection[int]) -> Iterator[Judgement]:
@@ -105,6 +108,8 @@ def _cost(change: Judgement) -> Judgement:
 
 def judged_candidates(recommendation: Recommendation) -> Iterator[Judgement]:
     """Return which settings meet or miss a deadline as rows of the frame."""
+    from .recommend import Fit  # noqa: PLC0415 - few analyses are of a job
+
     job, settings = recommendation.job, [one.setting for one in recommendation.candidates]
     names = [name for name in SETTING_COLUMNS if name == "vendor" or len({setting[name] for setting in settings}) > 1]
     for one in recommendation.candidates:

@@ -53,10 +53,12 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         at the relay, wrong by at most `clock_bound_ns`; `late_by_*` of the messages at the relay (without its trace: of the
         replies), `empty_periods` of a control loop there (`late_by`).
     """
-    rows = _rows(batch, roundtrips)
+    is_limited = batch.options.deadline_ns is not None
+    loses = _may_have_outages(roundtrips)
+    rows = _rows(batch, roundtrips, is_timed=is_limited or loses)
     back, there = age_of_information(rows, "receive_ns"), age_of_information(rows, "arrived_ns")
     outages = (
-        find_outages(rows)
+        find_outages(rows if loses else rows.head(0))
         .group_by("exchange")
         .agg(
             outages=pl.len(),
@@ -94,17 +96,21 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
-    if not (lost >= OUTAGE_MESSAGES).any():
+    if not _may_have_outages(roundtrips):
         return pl.DataFrame(schema=OUTAGE_SCHEMA)
     outages = described_exchanges(batch).lazy().join(find_outages(_rows(batch, roundtrips)), on="exchange")
     return outages.sort(*_KEYS, "row").select(pl.col(name).cast(kind) for name, kind in OUTAGE_SCHEMA.items()).collect()
 
 
-def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+def _may_have_outages(roundtrips: RoundTrips) -> bool:
+    lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
+    return bool((lost >= OUTAGE_MESSAGES).any())
+
+
+def _rows(batch: Batch, roundtrips: RoundTrips, *, is_timed: bool = True) -> pl.DataFrame:
     """Return the messages, `arrived_ns` at the relay on the ping's clock; not sure: neither `missed` nor `in_time`.
 
-    Without a deadline none is missed, and in time is what took as long as 90 % of the run's messages.
+    Without a deadline none is missed, and in time is what took as long as 90 % of the run's messages; none unless it `is_timed`.
     """
     deadline_ns, metric = batch.options.deadline_ns, batch.options.deadline_metric
     planned = pl.coalesce("scheduled_ns", "publish_ns")
@@ -113,7 +119,7 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     bound = pl.col("clock_bound_ns") if metric in ONE_WAY_METRICS else 0
     never = [OUTCOMES.index(Outcome(outcome)) for outcome in _NEVER.get(metric, LOSSES)]
     usual = pl.col("receive_ns") - planned
-    in_time = usual <= usual.quantile(0.9, "linear").over("exchange")
+    in_time = usual <= usual.quantile(0.9, "linear").over("exchange") if is_timed else pl.lit(False)
     missed = pl.lit(False)
     if deadline_ns is not None:
         in_time = value + bound <= deadline_ns
@@ -180,7 +186,9 @@ def runs_of(rows: pl.DataFrame, happened: pl.Expr) -> pl.LazyFrame:
 
 
 def _misses(rows: pl.DataFrame, deadline_ns: int | None) -> pl.LazyFrame:
-    """All null without a deadline; `last_missed` in a row are the last ones of the exchange."""
+    """No row without a deadline; `last_missed` in a row are the last ones of the exchange."""
+    if deadline_ns is None:
+        rows = rows.head(0)
     last = pl.col("end_row") == pl.col("end_row").max()
     until_ns = pl.coalesce("next_planned_ns", pl.lit(rows["planned_ns"]).gather(pl.col("end_row") - 1))
     runs = runs_of(rows, pl.col("missed")).with_columns(lasted_ns=until_ns - pl.col("planned_ns"))
@@ -195,11 +203,7 @@ def _misses(rows: pl.DataFrame, deadline_ns: int | None) -> pl.LazyFrame:
         .group_by("exchange")
         .agg(judged=sure.sum(), unsure=(~sure).sum(), missed=pl.col("missed").sum())
         .join(longest, on="exchange", how="left")
-        .select(
-            "exchange",
-            pl.when(pl.lit(deadline_ns is not None)).then(pl.exclude("exchange").fill_null(0)),
-            deadline_ns=pl.lit(deadline_ns, pl.Int64),
-        )
+        .select("exchange", pl.exclude("exchange").fill_null(0), deadline_ns=pl.lit(deadline_ns, pl.Int64))
     )
 
 
@@ -213,15 +217,23 @@ def age_of_information(rows: pl.DataFrame, received: str) -> pl.LazyFrame:
         `updates`, `mean_ns` over the time from the first to the last, `peak_mean_ns`, `peak_max_ns`.
     """
     planned, came = pl.col("planned_ns"), pl.col(received)
-    updates = rows.lazy().select("exchange", "planned_ns", received).drop_nulls(received)
+    updates = rows.select("exchange", "planned_ns", received).drop_nulls(received)
     peak, fallen = came.shift(-1) - planned, (came - planned).filter(came.shift(-1).is_not_null())
     area = peak.drop_nulls().cast(pl.Float64) ** 2 - fallen.cast(pl.Float64) ** 2
+    exchange, *times = (updates[name].to_numpy() for name in updates.columns)
+    follows = exchange[1:] == exchange[:-1]
+    if all((follows <= (time[1:] > time[:-1])).all() for time in times) and (exchange[1:] >= exchange[:-1]).all():
+        newest = updates.lazy().with_columns(pl.col("exchange").set_sorted())
+    else:
+        newest = (
+            updates.lazy()
+            .sort("exchange", received, "planned_ns")
+            .filter((planned > planned.cum_max().shift()).fill_null(True).over("exchange"))
+            # Of several updates at one instant the last one counts: the others were never the newest.
+            .filter((came != came.shift(-1)).fill_null(True).over("exchange"))
+        )
     return (
-        updates.sort("exchange", received, "planned_ns")
-        .filter((planned > planned.cum_max().shift()).fill_null(True).over("exchange"))
-        # Of several updates at one instant the last one counts: the others were never the newest.
-        .filter((came != came.shift(-1)).fill_null(True).over("exchange"))
-        .group_by("exchange")
+        newest.group_by("exchange")
         .agg(
             updates=pl.len(),
             mean_ns=(area / 2).sum() / (came.last() - came.first()),

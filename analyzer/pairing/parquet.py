@@ -103,9 +103,10 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
         for name, text in texts.items():
-            is_same = len(text.dictionary) == 1 and not text.null_count
-            indices = zeros if is_same else _repeated(pl.Series(text.indices), rows_of_exchange)
-            columns[name] = pa.DictionaryArray.from_arrays(indices, text.dictionary)
+            numbers, found = text
+            is_same = len(found) == 1 and not numbers.null_count()
+            indices = zeros if is_same else _repeated(numbers, rows_of_exchange)
+            columns[name] = pa.DictionaryArray.from_arrays(indices, found)
         yield pa.Table.from_arrays([columns[name] for name in _WRITTEN_SCHEMA.names], schema=_WRITTEN_SCHEMA)
 
 
@@ -130,11 +131,10 @@ def _texts(values: pl.Series) -> pa.Array:
     return pa.StringArray.from_buffers(len(large), pa.py_buffer(ends), data, bitmap, large.null_count)
 
 
-def _encoded(values: pl.Series) -> pa.DictionaryArray:
+def _encoded(values: pl.Series) -> tuple[pl.Series, pa.Array]:
     found = values.drop_nulls().unique(maintain_order=True)
     number = {text: index for index, text in enumerate(found)}
-    indices = pl.Series(list(map(number.get, values)), dtype=pl.Int32)
-    return pa.DictionaryArray.from_arrays(indices.to_arrow(), _texts(found))
+    return pl.Series(list(map(number.get, values)), dtype=pl.Int32), _texts(found)
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:

@@ -54,9 +54,8 @@ def collect_details(
         return replace(details_not_requested(), host_samples=host_samples)
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
-    intervals = [
-        row for group in in_parts for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
-    ]
+    groups = ((group, _column_of(rows, group), _run_of_row(rows, group)) for group in in_parts)
+    intervals = list(interval_rows(groups))
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
     frames = {
         **frames,

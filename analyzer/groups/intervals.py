@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..model.metrics import METRICS, frame_schema
 from ..pairing.roundtrips import RoundTrips
-from ..run_statistics.between_runs import estimates_of_runs
+from ..run_statistics.between_runs import estimates_of_groups
 from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
@@ -47,17 +47,31 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
-    rows = [
-        row
-        for group, column, part in columns_by_group(batch, roundtrips)
-        for row in interval_rows(group, column, run_of_row[part])
-    ]
-    return pl.DataFrame(rows, schema=INTERVAL_SCHEMA)
+    groups = ((group, column, run_of_row[part]) for group, column, part in columns_by_group(batch, roundtrips))
+    return pl.DataFrame(list(interval_rows(groups)), schema=INTERVAL_SCHEMA)
+
+
+_Measured = tuple[int, str, Runs, "list[Spread]", float]
+"""Group, metric, its runs, their spreads, and by how much a quantile may be off, ns."""
 
 
 def interval_rows(
-    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
+    groups: Iterable[tuple[int, Callable[[str], pl.Series], NDArray[np.int64]]],
 ) -> Iterator[dict[str, object]]:
+    """Yield the rows of groups, each with its columns and the run of each row; small groups are measured together."""
+    together: list[_Measured] = []
+    messages = 0
+    for group, column, run_of_row in groups:
+        for metric in _measured(group, column, run_of_row):
+            together.append(metric)
+            messages += len(run_of_row)
+            if messages > len(_METRICS) * SMALL_GROUP:
+                yield from _rows_of(together)
+                together, messages = [], 0
+    yield from _rows_of(together)
+
+
+def _measured(group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]) -> Iterator[_Measured]:
     sent_ns = column("publish_ns").to_numpy()
     all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
@@ -78,30 +92,31 @@ def interval_rows(
     for metrics in [_METRICS] if is_small else [(metric,) for metric in _METRICS]:
         runs = {metric: runs for metric in metrics if (runs := runs_of(metric))}
         spreads = spreads_of_groups(list(runs.values()), _STATISTICS)
-        for metric, spreads_of_metric in zip(runs, spreads, strict=True):
+        for metric, spreads_of_metric in zip(list(runs), spreads, strict=True):
             # No quantile of one-way times has a larger error than its worst message.
-            off_ns = bound_ns if metric in ONE_WAY_METRICS else 0.0
-            for row in _rows_of_runs(runs[metric], spreads_of_metric, off_ns):
-                yield {"group": group, "metric": metric, **row}
+            yield group, metric, runs.pop(metric), spreads_of_metric, bound_ns if metric in ONE_WAY_METRICS else 0.0
 
 
-def _rows_of_runs(runs: Runs, spreads: Sequence[Spread], off_ns: float) -> Iterator[dict[str, object]]:
-    ordered = runs.ordered
-    estimates = estimates_of_runs(runs, _STATISTICS)
-    for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):
-        interval = estimate.interval
-        supported = len(ordered) >= percentile.needs
-        yield {
-            "percentile": percentile.name,
-            "quantile": percentile.quantile,
-            "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
-            "low_ns": None if interval.lower is None else interval.lower - off_ns,
-            "high_ns": None if interval.upper is None else interval.upper + off_ns,
-            "method": _METHODS[interval.basis] if interval.is_two_sided else None,
-            **sample_columns(interval),
-            "between": spread.between,
-            "within": spread.within,
-        }
+def _rows_of(together: Sequence[_Measured]) -> Iterator[dict[str, object]]:
+    estimates_of_all = estimates_of_groups([runs for _, _, runs, _, _ in together], _STATISTICS)
+    for (group, metric, runs, spreads, off_ns), estimates in zip(together, estimates_of_all, strict=True):
+        ordered = runs.ordered
+        for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):
+            interval = estimate.interval
+            supported = len(ordered) >= percentile.needs
+            yield {
+                "group": group,
+                "metric": metric,
+                "percentile": percentile.name,
+                "quantile": percentile.quantile,
+                "estimate_ns": quantile_of(ordered, percentile.quantile) if supported else None,
+                "low_ns": None if interval.lower is None else interval.lower - off_ns,
+                "high_ns": None if interval.upper is None else interval.upper + off_ns,
+                "method": _METHODS[interval.basis] if interval.is_two_sided else None,
+                **sample_columns(interval),
+                "between": spread.between,
+                "within": spread.within,
+            }
 
 
 def sample_columns(interval: Interval) -> dict[str, object]:

@@ -20,8 +20,8 @@ from ..statistics.distributions import student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance, tail_share, without_open_end
 from ..statistics.percentiles import order_statistic_ranks
 from .bursts import COSINES, Float64, long_run_variance
-from .runs import Run, Runs, Statistic, joined_runs, quantile_at
-from .tails import Tail, episodes_of, tails_of
+from .runs import Run, Runs, Statistic, quantile_at, quantiles_of_runs
+from .tails import Tail, episodes_of, tails_of, tails_of_all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,19 +57,31 @@ def estimates_of_runs(
     one is infinite. Of one or two runs, an end beyond a tail is None below `LEAST_BEYOND` expected messages. Together,
     statistics share the sorting.
     """
-    group = Runs.of(runs)
-    units = units_of_runs(group, statistics)
+    return estimates_of_groups([Runs.of(runs)], statistics, confidence)[0]
+
+
+def estimates_of_groups(
+    groups: Sequence[Runs], statistics: Sequence[Statistic], confidence: float = 0.95
+) -> list[list[Estimate]]:
+    """Return `estimates_of_runs` of each group; those with equal lengths of runs share the work."""
+    units = _units_of_groups(groups, statistics)
     joined = [
-        statistic
-        for statistic, unit in zip(statistics, units, strict=True)
-        if unit is None or has_few_bursts(unit.episodes, unit.messages, statistic.quantile)
+        [
+            statistic
+            for statistic, unit in zip(statistics, of_group, strict=True)
+            if unit is None or has_few_bursts(unit.episodes, unit.messages, statistic.quantile)
+        ]
+        for of_group in units
     ]
-    within = dict(zip(joined, _intervals_within(group, joined, confidence), strict=True))
+    within = _intervals_within(groups, joined, confidence)
     return [
-        Estimate(without_open_end(within[statistic], statistic.quantile), None)
-        if unit is None
-        else Estimate(_interval_of_units(unit, confidence, within.get(statistic)), unit)
-        for statistic, unit in zip(statistics, units, strict=True)
+        [
+            Estimate(without_open_end(of_joined[statistic], statistic.quantile), None)
+            if unit is None
+            else Estimate(_interval_of_units(unit, confidence, of_joined.get(statistic)), unit)
+            for statistic, unit in zip(statistics, of_group, strict=True)
+        ]
+        for of_group, of_joined in zip(units, within, strict=True)
     ]
 
 
@@ -83,37 +95,53 @@ def has_few_bursts(episodes: int | None, messages: int, quantile: float | None) 
     return episodes < min(FEW_BURSTS, messages * tail_share(quantile) / 2)
 
 
-def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | None]:
-    if sum(messages > 0 for messages in group.lengths) < MIN_RUNS:
-        return [None] * len(statistics)
-    shortest = min(group.lengths)
-    quantiles = [s.quantile for s in statistics if s.quantile is not None and s.needs <= shortest]
-    tails: dict[float | None, list[Tail]] = {}
-    tails.update(zip(quantiles, tails_of(group, quantiles), strict=True))
-    units = [units_of(group, statistic, tails.get(statistic.quantile)) for statistic in statistics]
-    return [unit if len(unit) >= MIN_RUNS else None for unit in units]
+def _units_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -> list[list[Units | None]]:
+    parts: list[tuple[int, list[Statistic], Runs]] = []
+    for number, group in enumerate(groups):
+        if sum(messages > 0 for messages in group.lengths) < MIN_RUNS:
+            continue
+        shortest = min(group.lengths)
+        parts.append((number, [statistic for statistic in statistics if statistic.needs <= shortest], group))
+        long = (statistic for statistic in statistics if statistic.needs > shortest)
+        parts += ((number, [statistic], _joined_where_short(group, statistic.needs)) for statistic in long)
+    units: list[dict[Statistic, Units | None]] = [dict.fromkeys(statistics) for _ in groups]
+    asked = [(runs, [s.quantile for s in supported if s.quantile is not None]) for _, supported, runs in parts]
+    for (number, supported, runs), (_, quantiles), tails in zip(parts, asked, tails_of_all(asked), strict=True):
+        by_quantile: dict[float | None, tuple[list[Tail], Float64]] = {}
+        if quantiles:
+            by_quantile.update(zip(quantiles, zip(tails, quantiles_of_runs(runs, quantiles), strict=True), strict=True))
+        for statistic in supported:
+            unit = _units(groups[number], runs, statistic, *by_quantile.get(statistic.quantile, ((), None)))
+            units[number][statistic] = unit if len(unit) >= MIN_RUNS else None
+    return [list(of_group.values()) for of_group in units]
 
 
-def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail] | None = None) -> Units:
+def units_of(runs: Runs | Sequence[Run], statistic: Statistic) -> Units:
     """Return the statistic of each run, or of neighbours together where one run does not support it.
 
     A unit needs about as many episodes beyond the quantile as there are units: a tail of k episodes is biased by the order of 1/k,
     which no number of runs averages away, while U such units have a standard error of the order of 1/sqrt(k U).
     """
-    runs = group = Runs.of(runs)
-    if min(group.lengths) < statistic.needs:
-        runs = Runs(tuple(_joined_where_short([run for run in group if len(run)], statistic.needs)))
+    group = Runs.of(runs)
+    joined = _joined_where_short(group, statistic.needs)
+    tails = [] if statistic.quantile is None else tails_of(joined, [statistic.quantile])[0]
+    return _units(group, joined, statistic, tails)
+
+
+def _units(
+    group: Runs, runs: Runs, statistic: Statistic, tails: Sequence[Tail], values: Float64 | None = None
+) -> Units:
     episodes = None
     if statistic.quantile is None:
         independent = sum(map(_independent_for_mean, runs))
     else:
-        tails = tails_of(runs, [statistic.quantile])[0] if tails is None else tails
         episodes = episodes_of(tails)
-        independent = sum(len(run) / max(1.0, tail.inflation) for run, tail in zip(runs, tails, strict=True))
+        independent = sum(n / max(1.0, tail.inflation) for n, tail in zip(runs.lengths, tails, strict=True))
         if episodes is not None:
-            runs = _joined_to(runs, max(MIN_RUNS, round(math.sqrt(episodes))))
+            most = max(MIN_RUNS, round(math.sqrt(episodes)))
+            runs, values = (runs, values) if len(runs) <= most else (_joined_to(runs, most), None)
     return Units(
-        values=statistic.of_runs(runs),
+        values=statistic.of_runs(runs) if values is None else values,
         messages=sum(group.lengths),
         independent=max(1, int(independent)),
         runs=len(group),
@@ -121,25 +149,25 @@ def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail]
     )
 
 
-def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
-    groups: list[list[Run]] = [[]]
-    for run in runs:
-        if sum(map(len, groups[-1])) >= needs:
-            groups.append([])
-        groups[-1].append(run)
-    if len(groups) > 1 and sum(map(len, groups[-1])) < needs:
-        remainder = groups.pop()
-        groups[-1] += remainder
-    return [joined_runs(group) for group in groups if group]
+def _joined_where_short(group: Runs, needs: int) -> Runs:
+    if min(group.lengths) >= needs:
+        return group
+    ends: list[int] = []
+    messages = 0
+    for number, length in enumerate(group.lengths):
+        if length and messages >= needs:
+            ends.append(number)
+            messages = 0
+        messages += length
+    if ends and messages < needs:
+        ends.pop()
+    return group.joined_at((*ends, len(group)))
 
 
 def _joined_to(runs: Runs, most: int) -> Runs:
-    if len(runs) <= most:
-        return runs
     size, larger = divmod(len(runs), most)
     sizes = [size + 1] * larger + [size] * (most - larger)
-    ends = accumulate(sizes)
-    return Runs(tuple(joined_runs(runs.runs[end - n : end]) for n, end in zip(sizes, ends, strict=True)))
+    return runs.joined_at(tuple(accumulate(sizes)))
 
 
 def _independent_for_mean(run: Run) -> float:
@@ -202,23 +230,30 @@ def student_ends(values: Float64, confidence: float) -> tuple[float, float, floa
     return mean, mean - reach, mean + reach, deviation
 
 
-def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:
-    if not statistics:
-        return []
-    joined, runs = group.joined, len(group)
-    samples = len(joined.values)
-    quantiles = [s.quantile for s in statistics if s.quantile is not None and s.needs <= samples]
-    tails = dict(zip(quantiles, tails_of(joined, quantiles), strict=True))
-    nothing = Interval(None, None, None, confidence, samples, samples, Basis.WITHIN_RUN, runs, 0, None)
-    intervals = []
-    for statistic in statistics:
-        if samples < statistic.needs:
-            intervals.append(nothing)
-        elif statistic.quantile is None:
-            intervals.append(_mean_within(joined.runs[0], confidence, runs))
-        else:
-            (tail,) = tails[statistic.quantile]
-            intervals.append(_quantile_within(joined.ordered, statistic.quantile, tail, confidence, runs))
+def _intervals_within(
+    groups: Sequence[Runs], statistics: Sequence[Sequence[Statistic]], confidence: float
+) -> list[dict[Statistic, Interval]]:
+    """Return the intervals of some statistics of each group as if it were one run."""
+    asked: list[tuple[Runs, list[float]]] = []
+    for group, of_group in zip(groups, statistics, strict=True):
+        samples = sum(group.lengths)
+        quantiles = [s.quantile for s in of_group if s.quantile is not None and s.needs <= samples]
+        asked.append((group.joined if of_group else group, quantiles))
+    intervals: list[dict[Statistic, Interval]] = []
+    parts = zip(groups, statistics, asked, tails_of_all(asked), strict=True)
+    for group, of_group, (joined, quantiles), found in parts:
+        samples, runs, tails = sum(group.lengths), len(group), dict(zip(quantiles, found, strict=True))
+        by_statistic: dict[Statistic, Interval] = {}
+        for statistic in of_group:
+            if samples < statistic.needs:
+                counts = samples, samples, Basis.WITHIN_RUN, runs, 0, None
+                by_statistic[statistic] = Interval(None, None, None, confidence, *counts)
+            elif statistic.quantile is None:
+                by_statistic[statistic] = _mean_within(joined.runs[0], confidence, runs)
+            else:
+                (tail,) = tails[statistic.quantile]
+                by_statistic[statistic] = _quantile_within(joined.ordered, statistic.quantile, tail, confidence, runs)
+        intervals.append(by_statistic)
     return intervals
 
 

@@ -57,7 +57,8 @@ def share_inflation(indices: Indices, messages: int) -> float:
     """
     if not messages:
         return 1.0
-    return share_inflations(cells_of([messages]), [(indices, np.array([0, len(indices)]))])[0][0]
+    cells = cells_of([messages])
+    return share_inflations(cells, cells.counts(indices), np.array([[0, len(indices)]]))[0][0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +67,14 @@ class Cells:
     widths: Int64
     offsets: Indices
 
-    def counts(self, indices: Indices) -> Indices:
-        if len(indices) > _MANY * len(self.widths):
-            return np.diff(indices.searchsorted(self._bounds))
-        return np.bincount(self._cell_of_message[indices], minlength=len(self.widths))
+    def counts(self, indices: Indices, groups: int = 1) -> Indices:
+        """Return how many of the messages are in each cell, shape (groups, cells); `indices` are of one group after the other."""
+        cells, messages = len(self.widths), sum(self.lengths)
+        if groups == 1 and len(indices) > _MANY * cells:
+            return np.diff(indices.searchsorted(self._bounds))[None, :]
+        group = indices // messages if groups > 1 else 0
+        in_cell = self._cell_of_message[indices - group * messages] + group * cells
+        return np.bincount(in_cell, minlength=groups * cells).reshape(groups, cells)
 
     @cached_property
     def _bounds(self) -> Indices:
@@ -105,17 +110,16 @@ def cells_of(lengths: Sequence[int]) -> Cells:
     return Cells(tuple(lengths), widths, np.cumsum([0, *cells]))
 
 
-def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -> list[list[float]]:
+def share_inflations(cells: Cells, counts: Indices, offsets: Indices) -> list[list[float]]:
     """Return `share_inflation` of each series, for each of some subsets of their messages.
 
-    A subset is its ascending indices among all messages, with the first of these in each series and the number of all.
+    `counts`: of each subset its `Cells.counts`; `offsets`: the first of its messages in each series, and the number of all.
     """
-    counts = np.array([cells.counts(indices) for indices, _ in subsets], np.float64)
-    offsets = np.array([offsets for _, offsets in subsets])
+    counts = counts.astype(np.float64)
     shares = (offsets[:, 1:] - offsets[:, :-1])[..., None] / cells.messages
     variances = np.empty_like(shares)
     for (series, in_series), projections in zip(cells.blocks, cells.projections, strict=True):
-        in_block = counts[:, in_series].reshape(len(subsets), len(projections), -1)
+        in_block = counts[:, in_series].reshape(len(counts), len(projections), -1)
         centred = _projections(in_block) - shares[:, series] * projections
         variances[:, series] = _variances(centred, cells.messages[series])
     independent = shares * (1 - shares)
@@ -203,6 +207,13 @@ def sizes_between(ends: Indices) -> Int64:
     return sizes
 
 
+def gaps_of(events: Indices, messages: Indices, share: float) -> Float64:
+    gaps = np.full(len(events), np.inf)
+    np.divide(share * messages, events, out=gaps, where=events > 0)
+    return np.maximum(gaps, LEAST_GAP)
+
+
+@lru_cache(maxsize=4096)
 def independent_squares(events: int, messages: int, gap: float) -> float:
     """Return the mean squared size over the mean size of the episodes of independent events.
 

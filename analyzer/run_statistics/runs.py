@@ -43,26 +43,38 @@ class SendTimes:
     def __init__(self, sent_ns: Int64, offsets: Indices) -> None:
         self.sent_ns = sent_ns
         self.offsets = offsets
+        self._joined: dict[tuple[int, ...], SendTimes] = {}
+
+    def joined(self, ends: tuple[int, ...], *, is_timed: bool) -> SendTimes:
+        """Return the times of neighbours together, up to the runs at `ends`; evenly spaced unless every run `is_timed`."""
+        if ends not in self._joined:
+            offsets = self.offsets[[0, *ends]]
+            spans = pairwise(offsets.tolist())
+            parts = [
+                np.cumsum(self._steps_ns[start:end]) if is_timed else np.arange(end - start) for start, end in spans
+            ]
+            self._joined[ends] = SendTimes(np.concatenate(parts), offsets)
+        return self._joined[ends]
 
     @cached_property
     def by_run(self) -> list[Int64]:
         return [self.sent_ns[start:end] for start, end in pairwise(self.offsets.tolist())]
 
     @cached_property
-    def joined_ns(self) -> Int64:
-        return np.cumsum(np.concatenate([_steps_ns(times) for times in self.by_run]))
+    def _steps_ns(self) -> Int64:
+        return np.concatenate([_steps_ns(times) for times in self.by_run])
 
     @cached_property
-    def _first_ns(self) -> Int64:
+    def first_ns(self) -> Int64:
         return np.array([times[0] if len(times) else 0 for times in self.by_run], np.int64)
 
     @cached_property
-    def _distances_ns(self) -> Float64:
+    def distances_ns(self) -> Float64:
         return np.array([mean_distance(times) if len(times) else 1.0 for times in self.by_run])
 
     def positions(self, indices: Indices, events: Indices) -> Float64:
-        since_first = self.sent_ns[indices] - self._first_ns.repeat(events)
-        positions: Float64 = since_first / self._distances_ns.repeat(events)
+        since_first = self.sent_ns[indices] - self.first_ns.repeat(events)
+        positions: Float64 = since_first / self.distances_ns.repeat(events)
         return positions
 
 
@@ -166,10 +178,27 @@ class Runs:
 
     @cached_property
     def _joined(self) -> Runs:
-        joined = joined_runs(self.runs)
-        if self.runs:
-            joined.ordered = self.ordered
-        return Runs((joined,))
+        if not self.runs:
+            return Runs((Run(np.empty(0)),))
+        joined = self.joined_at((len(self),))
+        joined.runs[0].ordered = self.ordered
+        return joined
+
+    def joined_at(self, ends: tuple[int, ...]) -> Runs:
+        """Return neighbours joined, up to the runs at `ends`."""
+        is_timed = all(run.sent_ns is not None for run in self.runs)
+        times = self.times.joined(ends, is_timed=is_timed)
+        spans = zip(pairwise((0, *ends)), pairwise(times.offsets.tolist()), times.by_run, strict=True)
+        joined = Runs(
+            tuple(
+                self.runs[first]
+                if after == first + 1
+                else Run(self.values[start:end], sent_ns if is_timed else None, self.runs[first:after])
+                for (first, after), (start, end), sent_ns in spans
+            )
+        )
+        joined.__dict__.update({"values": self.values, **({"times": times} if is_timed else {})})
+        return joined
 
     def positions(self, indices: Indices, offsets: Indices) -> Float64:
         if len(self) == 1:
@@ -178,13 +207,7 @@ class Runs:
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:
-    if not runs:
-        return Run(np.empty(0))
-    if len(runs) == 1:
-        return runs[0]
-    group = Runs.of(runs)
-    is_timed = all(run.sent_ns is not None for run in runs)
-    return Run(group.values, group.times.joined_ns if is_timed else None, group.runs)
+    return Runs.of(runs).joined.runs[0]
 
 
 def _steps_ns(times: Int64) -> Int64:

@@ -13,7 +13,7 @@ from ..statistics.power import runs_to_decide
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, Float64, long_run_variance
 from .change import Change
-from .runs import Run, Runs, Statistic, quantiles_at
+from .runs import Run, Runs, Statistic, quantiles_at, quantiles_of_runs
 from .tails import inflations_of
 
 
@@ -25,19 +25,21 @@ class Spread:
     within: float | None
 
 
-def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic, errors: Float64 | None = None) -> Spread:
+def spread_of_runs(
+    runs: Runs | Sequence[Run], statistic: Statistic, errors: Float64 | None = None, values: Float64 | None = None
+) -> Spread:
     """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
 
     The part within is each run's own error, so `between**2 = max(0, variance - within**2)`. Runs that do not support the
-    statistic are left out. `errors` are the group's `log_errors`; None computes them.
+    statistic are left out. `errors` are the group's `log_errors`, `values` its statistics; None computes them.
     """
     runs = Runs.of(runs)
     needs = max(statistic.needs, 2 * COSINES + 1)
     if any(messages < needs for messages in runs.lengths):
-        runs, errors = Runs(tuple(run for run in runs if len(run) >= needs)), None
+        runs, errors, values = Runs(tuple(run for run in runs if len(run) >= needs)), None, None
     if not len(runs):
         return Spread(None, None)
-    values = statistic.of_runs(runs)
+    values = statistic.of_runs(runs) if values is None else values
     if scale_of(values) is not Scale.LOGARITHM:
         return Spread(None, None)
     if statistic.quantile is None:
@@ -112,11 +114,13 @@ def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -
         return []
     quantiles = [statistic.quantile for statistic in statistics if statistic.quantile is not None]
     together = groups[0] if len(groups) == 1 else Runs(tuple(run for group in groups for run in group))
-    errors = log_errors(together, quantiles)
+    columns = list(
+        zip(statistics, log_errors(together, quantiles), quantiles_of_runs(together, quantiles), strict=True)
+    )
     spreads, end = [], 0
     for group in groups:
         start, end = end, end + len(group)
         spreads.append(
-            [spread_of_runs(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)]
+            [spread_of_runs(group, s, errors[start:end], values[start:end]) for s, errors, values in columns]
         )
     return spreads

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -18,13 +19,15 @@ from .bursts import (
     episode_ends,
     equal_episodes,
     gap_of,
+    gaps_of,
     independent_squares,
     share_inflations,
     sizes_between,
 )
+from .runs import SendTimes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -146,63 +149,147 @@ def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
     One threshold for all, so that a quiet run adds no episodes; values are relative to their run's level, so that a
     slow run is not one.
     """
-    thresholds = thresholds_of(runs.ordered_relative, quantiles)
-    groups = np.array([0, len(runs.values)])
+    return _beyond_alike([runs], quantiles)
+
+
+def _beyond_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Beyond]:
+    """Return the messages of all groups beyond each quantile of their group; the groups have equal lengths of runs."""
+    first = groups[0]
+    starts = np.arange(len(groups) + 1) * len(first.values)
+    bounds = np.append((starts[:-1, None] + first.offsets[:-1]).ravel(), starts[-1])
+    thresholds = [thresholds_of(runs.ordered_relative, quantiles) for runs in groups]
+    values, positions_of_all = first.relative, first.positions
+    if len(groups) > 1:
+        values = np.concatenate([runs.relative for runs in groups])
+        positions_of_all = _positions([runs.times for runs in groups], bounds)
     beyond = []
-    for indices in indices_beyond(runs.relative, groups, [thresholds], quantiles):
-        offsets = indices.searchsorted(runs.offsets)
-        beyond.append(Beyond(indices, runs.positions(indices, offsets), offsets))
+    for indices in indices_beyond(values, starts, thresholds, quantiles):
+        offsets = indices.searchsorted(bounds)
+        beyond.append(Beyond(indices, positions_of_all(indices, offsets), offsets))
     return beyond
 
 
+def _positions(times: Sequence[SendTimes], bounds: Indices) -> Callable[[Indices, Indices], Float64]:
+    sent_ns, first_ns, distances_ns = (
+        np.concatenate([getattr(one, name) for one in times]) for name in ("sent_ns", "first_ns", "distances_ns")
+    )
+    together = SendTimes(sent_ns, bounds)
+    together.__dict__.update(first_ns=first_ns, distances_ns=distances_ns)
+    return lambda indices, offsets: together.positions(indices, np.diff(offsets))
+
+
+MESSAGES_TOGETHER = 1 << 17
+"""Messages of groups whose tails are found together, unless one has more."""
+
+
+def tails_of_all(asked: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[list[Tail]]]:
+    """Return `tails_of` each group and its quantiles; groups with equal quantiles and lengths of runs share the work."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for number, (runs, quantiles) in enumerate(asked):
+        alike.setdefault((*quantiles, runs.lengths), []).append(number)
+    found: dict[int, list[list[Tail]]] = {}
+    for numbers in alike.values():
+        runs, quantiles = asked[numbers[0]]
+        at_once = max(1, MESSAGES_TOGETHER // max(1, len(runs.values)))
+        for first in range(0, len(numbers), at_once):
+            part = numbers[first : first + at_once]
+            found.update(zip(part, _tails_of_alike([asked[n][0] for n in part], quantiles), strict=True))
+    return [found[number] for number in range(len(asked))]
+
+
 def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
+    """Return the tails of each run beyond each quantile."""
+    return _tails_of_alike([runs], quantiles)[0]
+
+
+def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[list[list[Tail]]]:
     if not quantiles:
-        return []
+        return [[] for _ in groups]
     levels = [level_below(quantile) for quantile in quantiles]
     extra = dict.fromkeys(level for level in levels if level is not None and level not in quantiles)
-    at = dict(zip([*quantiles, *extra], beyond_quantiles(runs, [*quantiles, *extra]), strict=True))
+    at = dict(zip([*quantiles, *extra], _beyond_alike(groups, [*quantiles, *extra]), strict=True))
     tails = [at[quantile] for quantile in quantiles]
-    # All runs beyond the first quantile, then all runs beyond the second ...
+    first, count = groups[0], len(groups)
+    # All runs of all groups beyond the first quantile, then all beyond the second ...
     positions = np.concatenate([beyond.positions for beyond in tails])
     events = np.concatenate([beyond.offsets[1:] - beyond.offsets[:-1] for beyond in tails])
     offsets = np.concatenate([[0], np.cumsum(events)])
-    counts = list(zip(events.tolist(), runs.lengths * len(quantiles), strict=True))
-    gaps = [gap_of(count, messages, TAIL_GAP_SHARE) for count, messages in counts]
+    lengths = first.lengths * (count * len(quantiles))
+    gaps = gaps_of(events, np.array(lengths), TAIL_GAP_SHARE)
     ends = episode_ends(positions, np.repeat(gaps, events), offsets)
     streaks = np.diff(episode_ends(positions, LEAST_GAP, offsets).searchsorted(offsets)).tolist()
     sizes, episodes = sizes_between(ends), ends.searchsorted(offsets)
     squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes]).tolist()
-    spans = list(pairwise(episodes.tolist()))
-    inflations = share_inflations(runs.cells, [(beyond.indices, beyond.offsets) for beyond in tails])
-    # Short bursts are seen only beyond the quantile.
+    spans = pairwise(episodes.tolist())
+    # Of each group, as its matrices are multiplied by themselves: with more rows a product may be rounded differently.
+    bounds = np.arange(count)[:, None] * len(first) + np.arange(len(first) + 1)
+    inflations = share_inflations(
+        first.cells,
+        np.concatenate([first.cells.counts(beyond.indices, count) for beyond in tails]),
+        np.concatenate([beyond.offsets[bounds] for beyond in tails]),
+    )
     bursts = [
-        None
-        if level is None
-        else bursts_to_count(at[level].by_run, beyond.by_run, len(runs.values))
-        or bursts_to_count(beyond.by_run, beyond.by_run, len(runs.values))
+        burst
         for level, beyond in zip(levels, tails, strict=True)
+        for burst in ([None] * count if level is None else _bursts(at[level], beyond, first, count))
     ]
+    inflated = chain.from_iterable(inflations)
+    columns = zip(events.tolist(), lengths, gaps.tolist(), spans, inflated, squared, streaks, strict=True)
     rows = [
         Tail(
             messages=messages,
             sizes=sizes[start:end],
             inflation=inflation,
-            squared=squared[row],
-            squares=independent_squares(messages, length, gaps[row]),
-            streaks=streaks[row],
-            bursts=bursts[row // len(runs)],
+            squared=square,
+            squares=independent_squares(messages, length, gap),
+            streaks=streak,
+            bursts=bursts[row // len(first)],
         )
-        for row, ((messages, length), (start, end), inflation) in enumerate(
-            zip(counts, spans, chain.from_iterable(inflations), strict=True)
+        for row, (messages, length, gap, (start, end), inflation, square, streak) in enumerate(columns)
+    ]
+    runs = len(first)
+    return [[rows[at : at + runs] for at in range(group * runs, len(rows), count * runs)] for group in range(count)]
+
+
+def _bursts(below: Beyond, beyond: Beyond, first: Runs, groups: int) -> list[int | None]:
+    """Return for each group the bursts that limit its tail; short ones are seen only beyond the quantile."""
+    runs, messages = len(first), len(first.values)
+    at_level, at_quantile = _may_be_bursts(below, runs, messages), _may_be_bursts(beyond, runs, messages)
+    found: list[int | None] = []
+    for group in range(groups):
+        span = slice(group * runs, (group + 1) * runs)
+        wide, deep = at_level[group], at_quantile[group]
+        burst = bursts_to_count(below.by_run[span], beyond.by_run[span], messages) if wide else None
+        found.append(burst or (bursts_to_count(beyond.by_run[span], beyond.by_run[span], messages) if deep else None))
+    return found
+
+
+def _may_be_bursts(beyond: Beyond, runs: int, messages: int) -> list[bool]:
+    """Return of each group whether a streak is longer than by chance, without which `bursts_to_count` finds none."""
+    events = np.diff(beyond.offsets[::runs])
+    gaps = gaps_of(events, np.full(len(events), messages), EPISODE_GAP_SHARE)
+    ends = episode_ends(beyond.positions, gaps.repeat(events), beyond.offsets)
+    sizes, streaks = sizes_between(ends), np.diff(ends.searchsorted(beyond.offsets[::runs]))
+    longest = np.zeros(len(events), np.int64)
+    has_any = streaks > 0
+    if has_any.any():
+        longest[has_any] = np.maximum.reduceat(sizes, (np.cumsum(streaks) - streaks)[has_any])
+    return [
+        size > _longest_streak(count, _by_chance(event, messages, gap)) if count else False
+        for event, gap, count, size in zip(
+            events.tolist(), gaps.tolist(), streaks.tolist(), longest.tolist(), strict=True
         )
     ]
-    return [rows[first : first + len(runs)] for first in range(0, len(rows), len(runs))]
 
 
 def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
     thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
     indices = indices_beyond(runs.values, runs.offsets, thresholds, quantiles)
-    return share_inflations(runs.cells, [(tail, tail.searchsorted(runs.offsets)) for tail in indices])
+    return share_inflations(
+        runs.cells,
+        np.concatenate([runs.cells.counts(tail) for tail in indices]),
+        np.array([tail.searchsorted(runs.offsets) for tail in indices]),
+    )
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
@@ -248,7 +335,7 @@ def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], message
     gap = gap_of(events, messages, EPISODE_GAP_SHARE)
     offsets = np.cumsum([0, *map(len, below)])
     sizes = sizes_between(episode_ends(np.concatenate(below), gap, offsets))
-    by_chance = 1 - (1 - events / messages) ** math.floor(gap)
+    by_chance = _by_chance(events, messages, gap)
     going_on = float(np.count_nonzero(sizes > 1)) / len(sizes)
     bursts = None
     for probability in (by_chance, max(by_chance, going_on)):
@@ -269,6 +356,12 @@ def _streaks(positions: Float64, gap: float) -> Streaks:
     return positions[first], positions[last], last - first + 1
 
 
+@lru_cache(maxsize=4096)
+def _by_chance(events: int, messages: int, gap: float) -> float:
+    return 1 - (1 - events / messages) ** math.floor(gap)
+
+
+@lru_cache(maxsize=4096)
 def _longest_streak(streaks: int, probability: float) -> float:
     if probability >= 1:
         return math.inf

@@ -122,7 +122,8 @@ def dependence() -> list[Any]:
         found += [long_run_variance(run), share_inflation(events, messages)]
         joined = np.concatenate([events, messages + np.flatnonzero(run < -1)])
         edges = np.array([0, len(events), len(joined)])
-        found += share_inflations(cells_of([messages, messages]), [(joined, edges)])
+        cells = cells_of([messages, messages])
+        found += share_inflations(cells, cells.counts(joined), edges[None, :])
     found += [independent_squares(events, 500, gap) for events, gap in ((1, 25.9), (40, 4.0), (40, 6.25), (499, 1.5))]
     found += [
         equal_episodes(n * (n - 1) // 2, (np.arange(1, n) ** 2 / np.linspace(1, 2, n - 1)).sum()) for n in (2, 7, 30)

@@ -70,7 +70,8 @@ def test_series_side_by_side_are_each_as_by_themselves(lengths):
     joined = np.concatenate([each + begin for each, begin in zip(events, first.tolist(), strict=False)])
     edges = np.cumsum([0, *map(len, events)])
     alone = [share_inflation(each, n) for each, n in zip(events, lengths, strict=True)]
-    assert share_inflations(cells_of(lengths), [(joined, edges)])[0] == pytest.approx(alone, rel=1e-12)
+    cells = cells_of(lengths)
+    assert share_inflations(cells, cells.counts(joined), edges[None, :])[0] == pytest.approx(alone, rel=1e-12)
 
 
 @pytest.mark.parametrize("lengths", [(5000,), (300, 0, 1, 2000)])
@@ -81,7 +82,7 @@ def test_cells_count_few_and_many_messages_alike(monkeypatch, lengths, share):
     counts = []
     for many in (-1, np.inf):
         monkeypatch.setattr(bursts, "_MANY", many)
-        counts.append(cells.counts(marked).tolist())
+        counts += cells.counts(marked).tolist()
     ends = np.cumsum(cells.widths)
     assert (
         counts[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from functools import partial
@@ -67,6 +67,14 @@ class Engine(ExitStack):
             jobs = ((batch.events, partial(begin, batch)) for batch in batches)
             yield from in_turn(jobs, self._count + 1, _MOST_EVENTS_AHEAD)
 
+    def _load_here(self, paths: Iterable[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
+        room = self._spool.room()
+        for path in paths:
+            trace = load(path, self._spool.folder, room)
+            if isinstance(trace, LoadedTrace):
+                room = max(0, room - trace.events)
+            yield trace
+
     def _load_new(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
         if len(paths) >= FILES_FOR_PROCESSES and self._count > 1:
             from .processes import can_start_processes, processes  # noqa: PLC0415 - few analyses need multiprocessing
@@ -74,7 +82,7 @@ class Engine(ExitStack):
             if can_start_processes():
                 self._executor = self.enter_context(processes(self._count))
         if self._executor is None:
-            return (load(path, self._spool.folder) for path in paths)
+            return self._load_here(paths)
         firsts = range(0, len(paths), _FILES_PER_JOB)
         batches = ([*paths[first : first + _FILES_PER_JOB]] for first in firsts)
         jobs = ((0, partial(self._executor.submit, load_some, part, self._spool.folder)) for part in batches)

@@ -40,6 +40,10 @@ LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
 """Yields each trace, or why a file is not one."""
 
 
+MOST_EVENTS_IN_MEMORY = 1_000_000
+"""Events that are not written and read again: 56 MB."""
+
+
 class TraceSpool:
     """Loads traces into a folder of temporary files; used again, it reads only those that changed."""
 
@@ -50,6 +54,11 @@ class TraceSpool:
     @property
     def folder(self) -> Path:
         return self._folder.path
+
+    def room(self) -> int:
+        """Return how many more events may stay in memory."""
+        parts = (part for loaded in self._loaded.values() for part in loaded.parts.values())
+        return max(0, MOST_EVENTS_IN_MEMORY - sum(p.count for p in parts if isinstance(p.events, EventColumns)))
 
     def load_all(self, paths: Sequence[Path], load_new: LoadAll) -> Iterator[LoadedTrace | TraceFormatError]:
         """Yield each trace, or why a file is not one; `load_new` loads those that are not here yet."""
@@ -67,24 +76,32 @@ class TraceSpool:
         self._folder.remove()
 
 
-def load(path: Path, folder: Path) -> LoadedTrace | TraceFormatError:
-    """Load one trace, its events into a file of `folder`, which other processes can read, too.
+def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatError:
+    """Load one trace, its events into a file of `folder`, which other processes can read, too; up to `room` stay in memory.
 
     Raises:
         OutputError: the events cannot be written.
     """
     file = folder / f"{secrets.token_hex(8)}.events"
+    in_memory: dict[EventKey, list[EventPart]] = {}
     written: dict[EventKey, list[tuple[int, int, SpooledPiece]]] = {}
     try:
         with file.open("wb") as stream:
 
             def take(piece: Mapping[Stage, EventColumns]) -> None:
+                nonlocal room
+                room -= sum(map(len, piece.values()))
                 for key, part in split_trace(piece, 0).items():
+                    in_memory.setdefault(key, []).append(part)
+                if room >= 0:
+                    return
+                for key, parts in in_memory.items():
                     try:
-                        spooled = write_events(stream, part.load())
+                        pieces = [(part.first_ns, part.last_ns, write_events(stream, part.load())) for part in parts]
                     except OSError as err:  # not of reading the trace
                         raise _full(path, err) from err
-                    written.setdefault(key, []).append((part.first_ns, part.last_ns, spooled))
+                    written.setdefault(key, []).extend(pieces)
+                in_memory.clear()
 
             trace = _read(path, take)
     except TraceFormatError as err:
@@ -92,12 +109,31 @@ def load(path: Path, folder: Path) -> LoadedTrace | TraceFormatError:
         return err
     except OSError as err:
         raise _full(path, err) from err
+    return LoadedTrace(trace, {**_joined(in_memory), **_spooled(file, written)}, file)
+
+
+def _joined(pieces: Mapping[EventKey, Sequence[EventPart]]) -> dict[EventKey, EventPart]:
+    return {
+        key: parts[0]
+        if len(parts) == 1
+        else EventPart(
+            0,
+            sum(part.count for part in parts),
+            min(part.first_ns for part in parts),
+            max(part.last_ns for part in parts),
+            EventColumns.concatenate(part.load() for part in parts),
+        )
+        for key, parts in pieces.items()
+    }
+
+
+def _spooled(file: Path, written: Mapping[EventKey, list[tuple[int, int, SpooledPiece]]]) -> dict[EventKey, EventPart]:
     parts = {}
     for key, pieces in written.items():
         firsts_ns, lasts_ns, spooled = zip(*pieces, strict=True)
         events = SpooledEvents(file, spooled)
         parts[key] = EventPart(0, events.count, min(firsts_ns), max(lasts_ns), events)
-    return LoadedTrace(trace, parts, file)
+    return parts
 
 
 def load_some(paths: Sequence[Path], folder: Path) -> list[LoadedTrace | TraceFormatError]:

@@ -151,6 +151,20 @@ def runs_in_turns(tmp_path):
 def _in_pieces(monkeypatch):
     monkeypatch.setattr(dds_trace.tracefile.reading.reader, "PIECE_EVENTS", 10)
     monkeypatch.setattr(dds_trace.tracefile.reading.mcap_walk, "_BLOCK_CHUNKS", 1)
+    monkeypatch.setattr(traces, "MOST_EVENTS_IN_MEMORY", 0)
+
+
+@pytest.mark.usefixtures("_in_pieces")
+@pytest.mark.parametrize("most_events", [30, 100, 150, 1000])
+def test_events_in_memory_say_the_same_as_on_the_disk(runs_in_turns, monkeypatch, most_events):
+    found = analyze(runs_in_turns)
+    monkeypatch.setattr(traces, "MOST_EVENTS_IN_MEMORY", most_events)
+    assert_same_results(found, analyze(runs_in_turns))
+    spool = TraceSpool()
+    for _ in range(2):
+        assert_same_results(found, analyze(runs_in_turns, spool=spool))
+        assert 0 <= spool.room() <= most_events
+    spool.close()
 
 
 @pytest.mark.usefixtures("_in_pieces")

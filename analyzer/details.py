@@ -20,7 +20,7 @@ from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
 from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
-from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
+from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, one_way_rows, rows_of_groups
 from .groups.recovery import RECOVERY_SCHEMA, outage_spans, recovery_frame
 from .loading.campaign import Campaign
 from .model.detail_frames import COST_FRAMES, WIRE_FRAMES
@@ -55,7 +55,7 @@ def collect_details(
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     groups = ((group, _column_of(rows, group), _run_of_row(rows, group)) for group in in_parts)
-    intervals = list(interval_rows(groups))
+    intervals = list(rows_of_groups(groups))
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
     frames = {
         **frames,

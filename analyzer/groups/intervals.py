@@ -48,14 +48,14 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
     groups = ((group, column, run_of_row[part]) for group, column, part in columns_by_group(batch, roundtrips))
-    return pl.DataFrame(list(interval_rows(groups)), schema=INTERVAL_SCHEMA)
+    return pl.DataFrame(list(rows_of_groups(groups)), schema=INTERVAL_SCHEMA)
 
 
 _Measured = tuple[int, str, Runs, "list[Spread]", float]
 """Group, metric, its runs, their spreads, and by how much a quantile may be off, ns."""
 
 
-def interval_rows(
+def rows_of_groups(
     groups: Iterable[tuple[int, Callable[[str], pl.Series], NDArray[np.int64]]],
 ) -> Iterator[dict[str, object]]:
     """Yield the rows of groups, each with its columns and the run of each row; small groups are measured together."""
@@ -69,6 +69,12 @@ def interval_rows(
                 yield from _rows_of(together)
                 together, messages = [], 0
     yield from _rows_of(together)
+
+
+def interval_rows(
+    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
+) -> Iterator[dict[str, object]]:
+    return rows_of_groups([(group, column, run_of_row)])
 
 
 def _measured(group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]) -> Iterator[_Measured]:

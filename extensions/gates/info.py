@@ -168,7 +168,7 @@ def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
     rows = [{**filled, **row} for frame in frames for row in frame.to_dicts()]
     for row in rows:
         row["domain_mode"] = row["domain_mode"] or ("same" if row["bridge"] == "none" else "different")
-    return group_labels(groups_of(rows, VendorLabels(VENDORS)))
+    return tuple(group_labels(groups_of(rows, VendorLabels(VENDORS))).values())
 
 
 def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGroup, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,8 +15,9 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
 from dds_trace.base.units import counted, format_duration, format_ratio, joined
 
-from .fastest import Fastest, tail_sentence, winner_sentences
+from .fastest import DRIFTS, Fastest, lowest_sentence, tail_sentence, winner_sentences
 from .groups import (
+    LOST,
     METRIC_LABELS,
     Group,
     Groups,
@@ -27,11 +29,13 @@ from .groups import (
     group_labels,
     in_domain,
     is_of_topics,
+    some_of,
+    time_words,
     topic_parts,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
 from .losses import UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
-from .numbers import Values
+from .numbers import ALL_MESSAGES, RECEIVED_MESSAGES, Median, Values, shown_medians
 from .sizes import late_by_group, late_share
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
@@ -81,7 +85,7 @@ class Conclusion:
 
 
 def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Sequence[Fastest]) -> Conclusion:
-    metric = values.default_metric
+    metric, medians = values.default_metric, shown_medians(analysis, groups, values)
     topics = topic_parts(analysis, "topic_sentences")
     if not groups.groups or is_of_topics(analysis):
         limits = [limits_words(analysis).strip()] if topics else []
@@ -106,19 +110,21 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
             if has_latency
             else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
         ),
-        *_level_remarks(usable, values, metric),
+        *_level_remarks(usable, medians, metric),
         *([] if losses or forged or unreached else ["Every message was received."]),
     )
     verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     if any(answer.clarity is Clarity.CLEAR and answer.fewest_runs == MIN_RUNS for answer in answers):
         rule += FEW_PASSES
-    first, *others = _who_is_fastest(fastest, usable, values, answers) if usable.groups else [(PointKind.NOTHING, "")]
+    first, *others = [(PointKind.NOTHING, "")]
+    if usable.groups:
+        first, *others = _who_is_fastest(fastest, usable, medians, metric, answers)
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
         (PointKind.FORGED, found_sentence(analysis, groups)),
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
-        *((PointKind.INTERFERENCE, text) for text in interference_sentences(judged, usable)),
+        *((PointKind.INTERFERENCE, text) for text in interference_sentences(analysis, usable)),
         (PointKind.LOSS, losses),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
@@ -142,12 +148,16 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
 
 
 def _who_is_fastest(
-    fastest: Sequence[Fastest], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+    fastest: Sequence[Fastest],
+    groups: Groups,
+    medians: Mapping[int, Median],
+    metric: str,
+    answers: Sequence[CaseAnswer],
 ) -> list[tuple[PointKind, str]]:
     if any(kind.is_decided for kind in fastest):
         winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
-        return [*winners, (PointKind.TAIL, tail_sentence(answers))]
-    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, values, answers)]
+        return [*winners, (PointKind.TAIL, tail_sentence(answers, contender_labels(answers, groups.vendors)))]
+    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, metric, answers)]
 
 
 def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
@@ -166,17 +176,26 @@ def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
 
 
 def _why_undecided(
-    fastest: Sequence[Fastest], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+    fastest: Sequence[Fastest],
+    groups: Groups,
+    medians: Mapping[int, Median],
+    metric: str,
+    answers: Sequence[CaseAnswer],
 ) -> list[str]:
     if fastest:
         return _no_winner(answers, groups.vendors)
-    vendors = sorted({groups.series_of(group).vendor_label for group in groups.groups})
+    floors = [group for group in groups.groups if groups.series_of(group).backend == "socket"]
+    others = [group for group in groups.groups if group not in floors] or floors
+    vendors = sorted({groups.series_of(group).vendor_label for group in others})
+    timed = any(group.index in medians for group in floors)
     if len(vendors) == 1:
-        return [_ways(vendors[0], groups, values), "No other middleware was measured."]
-    if not answers:
-        return [f"{joined(vendors)} were not compared, because that needs the rows of all messages."]
-    names = sorted(set(contender_labels(answers, groups.vendors).values()))
-    return [f"{joined(names)} were not measured under equal conditions, so they are not compared."]
+        floor = f" (plain sockets, the floor: {_span(floors, medians)})" if timed and others != floors else ""
+        return [f"{_levels(others, groups, medians, metric)}{floor}.", "No other middleware was measured."]
+    if answers:
+        why = "One middleware per setting was measured, so there is no ranking."
+    else:
+        why = f"{joined(vendors)} are not ranked, because that needs the rows of all messages."
+    return [why, f"{_levels(others, groups, medians, metric)}."]
 
 
 def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[str]:
@@ -187,15 +206,16 @@ def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[str
                 reasons.setdefault(row.reason, []).append((row, answer))
     labels = contender_labels(answers, vendors)
     total = sum(map(len, reasons.values()))
-    where = "for the one message compared" if total == 1 else f"for any of the {total} kinds of message compared"
+    where = "" if total == 1 else f" for any of the {total} kinds of message compared"
+    lowest = lowest_sentence([pair for judged in reasons.values() for pair in judged], labels)
     if len(reasons) == 1:
         ((reason, judged),) = reasons.items()
-        return [f"No clear winner {where}: {_WHY[Reason(reason)](judged, labels)}."]
+        return [f"No proven winner{where}: {_WHY[Reason(reason)](judged, labels)}.", lowest]
     parts = [
         f"In {len(judged)} of them {_WHY[Reason(reason)](judged, labels)}."
         for reason, judged in sorted(reasons.items(), key=lambda item: -len(item[1]))
     ]
-    return [f"No clear winner {where}.", " ".join(parts)]
+    return [f"No proven winner{where}.", lowest, " ".join(parts)]
 
 
 def _near(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
@@ -221,7 +241,7 @@ _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[
     Reason.IN_SEQUENCE: lambda *_: (
         "the setups were recorded one after the other (interleave them, or give --trust-order)"
     ),
-    Reason.DEPENDENT: lambda *_: "the passes depend on each other, so that they count for less than they are",
+    Reason.DEPENDENT: lambda *_: f"{DRIFTS}, so the passes count for less than their number",
     Reason.FEW_RUNS: _few_runs,
     Reason.LOSSES: lambda *_: "the fastest one loses too much",
 }
@@ -231,49 +251,58 @@ _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[
 _MOST_WAYS = 3
 
 
-def _ways(vendor: str, groups: Groups, values: Values) -> str:
-    metric = values.default_metric
-    ways: dict[str, list[int]] = {}
-    for group in sorted(groups.groups, key=lambda group: group.series):
-        median_ns = values.times_ns[metric]["p50"][group.index]
-        if median_ns is not None:
-            ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
-    spans = {
-        way: " to ".join(dict.fromkeys(_median(end) for end in (min(medians_ns), max(medians_ns))))
-        for way, medians_ns in ways.items()
-    }
-    what = f"{vendor}: median {METRIC_LABELS[metric].lower()} of all {_messages(groups.groups, values)}"
-    if len(spans) == 1:
-        return f"{what} {next(iter(spans.values()))}."
-    return f"{what} {joined(f'{span} {in_domain(way)}' for way, span in list(spans.items())[:_MOST_WAYS])}."
+def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Median], metric: str) -> str:
+    """Return the medians of some groups by their way and, of several, their middleware."""
+    names = {groups.series_of(group).vendor_label for group in chosen}
+    ways: dict[tuple[str, str], list[Group]] = {}
+    for group in sorted(chosen, key=lambda group: group.series):
+        if group.index in medians:
+            series = groups.series_of(group)
+            ways.setdefault((series.vendor_label, in_domain(domain_label(series))), []).append(group)
+    has_ways = len({way for _, way in ways}) > 1
+    spans = []
+    for (vendor, way), same in list(ways.items())[: None if len(names) > 1 else _MOST_WAYS]:
+        cell = f"({groups.cell_of(same[0]).label})" if len(names) > 1 and len(same) == 1 else ""
+        parts = (vendor if len(names) > 1 else "", _span(same, medians), cell, way if has_ways else "")
+        spans.append(" ".join(filter(None, parts)))
+    if not spans:
+        return f"{joined(sorted(names))}: no message came back"
+    what = f"edian {METRIC_LABELS[metric].lower()} of {_of(chosen, medians)}"
+    return f"M{what}: {joined(spans)}" if len(names) > 1 else f"{names.pop()}: m{what} {joined(spans)}"
+
+
+def _span(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
+    times_ns = sorted(medians[group.index].ns for group in groups if group.index in medians)
+    known_ns = [ns for ns in times_ns if math.isfinite(ns)]
+    lost = len(times_ns) - len(known_ns)
+    if not known_ns:
+        return LOST
+    words = " to ".join(dict.fromkeys(_median(end) for end in (known_ns[0], known_ns[-1])))
+    return f"{words} ({LOST} in {lost} of {counted(len(times_ns), 'result')})" if lost else words
+
+
+def _of(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
+    of = dict.fromkeys(medians[group.index].of for group in groups if group.index in medians)
+    return joined(words for words in of if words != ALL_MESSAGES or RECEIVED_MESSAGES not in of)
 
 
 def _median(time_ns: float) -> str:
-    return format_duration(time_ns) if time_ns else "below the clock's step"
+    return time_words(time_ns) if time_ns else "below the clock's step"
 
 
-def _messages(groups: Iterable[Group], values: Values) -> str:
-    unsent = values.plain["unsent"]
-    is_whole = all(group.received == group.published and not unsent[group.index] for group in groups)
-    return "messages" if is_whole else "received messages"
-
-
-def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
+def _level_remarks(groups: Groups, medians: Mapping[int, Median], metric: str) -> list[str]:
     remarks, labels = [], group_labels(groups)
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
-        medians = sorted(
-            (median, group.index)
-            for group in groups.groups
-            if groups.cell_of(group).data_type == data_type
-            and (median := values.times_ns[metric]["p50"][group.index]) is not None
-        )
-        if not medians:
-            continue
-        name = data_type_label(data_type)
-        ends = dict.fromkeys((medians[0], medians[-1]))
-        spans = [f"{_median(ns)} ({labels[index].removeprefix(name).strip()})" for ns, index in ends]
-        whose = _messages((groups.groups[index] for _, index in ends), values)
-        remarks.append(f"{name}: median {METRIC_LABELS[metric].lower()} of all {whose} {' to '.join(spans)}.")
+        same = [g for g in groups.groups if groups.cell_of(g).data_type == data_type and g.index in medians]
+        ordered = sorted(same, key=lambda group: (medians[group.index].ns, group.index))
+        known = [group for group in ordered if math.isfinite(medians[group.index].ns)] or ordered
+        if known:
+            name, ends = data_type_label(data_type), {group.index: group for group in (known[0], known[-1])}.values()
+            spans = [f"{_span([end], medians)} ({labels[end.index].removeprefix(name).strip()})" for end in ends]
+            what = f"median {METRIC_LABELS[metric].lower()} of {_of(ends, medians)}"
+            lost = [labels[group.index] for group in ordered if group not in known]
+            more = f"; the median message is lost in {some_of(lost, 'more')}" if lost else ""
+            remarks.append(f"{name}: {what} {' to '.join(spans)}{more}.")
     return remarks
 
 

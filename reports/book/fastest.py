@@ -8,14 +8,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Reason
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate, joined
+from dds_trace.base.units import counted, format_rate, format_size, joined
 
-from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, size_span, some_of
+from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, joined, size_span, some_of, time_words
 from .verdicts import MODES, contender_labels, place_of
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
+
+DRIFTS = "results drift from pass to pass"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +29,12 @@ class Outcome:
     percentile: str = ""
     is_interleaved: bool = True
     is_lossy: bool = False
+    pairs: tuple[tuple[str, str], ...] = ()
+    """A slower and a faster setup each, where neither is the one with the lowest times."""
 
     @property
     def is_decided(self) -> bool:
-        return bool(self.p50 or self.p99 or self.slower)
+        return bool(self.p50 or self.p99 or self.slower or self.pairs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,9 @@ def outcome_of(case: CaseAnswer) -> Outcome:
         if slower:
             first, *alike = (name for name in names if name not in slower)
             return Outcome(best=(first, *sorted(alike)), slower=tuple(slower), percentile=percentile)
+    for percentile, _ in PERCENTILES:
+        if rows := case.of_claim(Claim.SLOWER, f"latency_{percentile}"):
+            return Outcome(percentile=percentile, pairs=tuple(sorted((row.subject, row.base) for row in rows)))
     return Outcome(is_interleaved=case.interleaved)
 
 
@@ -103,10 +110,14 @@ def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]
     for site, cases in by_place.items():
         cut = tuple((stretch.outcome, stretch.sizes, stretch.setups) for stretch in stretches(cases))
         alike.setdefault(cut, []).append(site)
-    return sorted(alike.values(), key=lambda sites: -len(sites))
+    return sorted(alike.values(), key=lambda sites: (not _is_decided(by_place[sites[0]]), -len(sites)))
 
 
-def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:
+def _is_decided(cases: Iterable[CaseAnswer]) -> bool:
+    return any(stretch.is_decided for stretch in stretches(cases))
+
+
+def _shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:
     usable = [case for case in cases if outcome_of(case).is_decided] or cases
     largest = max(case.payload_bytes for case in usable)
     by_rate = sorted((case for case in usable if case.payload_bytes == largest), key=lambda case: case.rate_hz)
@@ -129,12 +140,12 @@ def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `cases` are of `place`."""
+    """One kind of message: `lines` are spans of sizes, what is shown there, and whether it differs; `shown` is of the first that does."""
 
     heading: str
     lines: tuple[tuple[str, str, bool], ...]
     place: str
-    cases: tuple[CaseAnswer, ...]
+    shown: CaseAnswer
     left_out: int = 0
 
     @property
@@ -158,7 +169,9 @@ def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list
             lines = tuple(_line(stretch, cut, labels) for stretch in cut)
             on = "" if len(by_pair) == 1 else f" on {_pairs(pairs, len(by_pair))}"
             left_out = len(by_pair) - sum(map(len, alike)) if pairs is alike[-1] else 0
-            kinds.append(Fastest(what + on, lines, pairs[0], tuple(by_pair[pairs[0]]), left_out))
+            first = next((stretch for stretch in cut if stretch.is_decided), cut[0])
+            shown = _shown_case([case for case in by_pair[pairs[0]] if case in first.cases] or first.cases)
+            kinds.append(Fastest(what + on, lines, pairs[0], shown, left_out))
     return sorted(kinds, key=lambda kind: not kind.is_decided)
 
 
@@ -189,12 +202,84 @@ def _line(stretch: Stretch, cut: Sequence[Stretch], labels: Mapping[str, str]) -
     return span, fastest_words(stretch, own_labels), stretch.is_decided
 
 
-def tail_sentence(answers: Sequence[CaseAnswer]) -> str:
-    if any(answer.leader_p99 for answer in answers):
+def tail_sentence(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
+    """Return what is proven at p99 and in no other sentence, or that nothing is."""
+    has_named = False
+    slower: dict[tuple[str, str], list[CaseAnswer]] = {}
+    for answer in answers:
+        if answer.leader_p99 or outcome_of(answer).percentile == "p99":
+            has_named = True
+            continue
+        for row in answer.of_claim(Claim.SLOWER, "latency_p99"):
+            slower.setdefault((row.subject, row.base), []).append(answer)
+    parts = []
+    for pair, cases in slower.items():
+        sizes = sorted({case.payload_bytes for case in cases})
+        measured = sorted({answer.payload_bytes for answer in answers if answer.data_type == cases[0].data_type})
+        words = _takes_longer(Stretch(None, tuple(sizes), tuple(cases)), "p99", pair, labels)
+        parts.append(f"{words} {size_span(sizes, measured)}")
+    if parts:
+        return f"At p99, where no setup is proven to be the fastest, {some_of(parts, 'more pairs of setups', 'more pair of setups')}."
+    if has_named:
         return ""
     is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
-    what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge who is fastest at p99"
+    what = "No difference between setups at p99 is proven" if is_tested else "Too few messages to compare setups at p99"
     return f"{what}; record longer or more runs."
+
+
+def lowest_sentence(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
+    """Return the lowest medians where no setup is proven to be the fastest; the ones that take fewest repeats to decide first."""
+    ordered = sorted(judged, key=lambda pair: (pair[0].needs or math.inf, -(pair[0].value or 1.0)))
+    cases = [case for _, case in ordered]
+    parts = []
+    for row, case in ordered:
+        decides = f", and {repeats_words([row.needs])}" if row.needs else ""
+        who, times = _lowest([case], labels)
+        if who:
+            parts.append(f"{_where(case, cases)} {who} ({times}){decides}")
+    return f"{parts[0][0].upper()}{some_of(parts, 'more in the table')[1:]}." if parts else ""
+
+
+def _where(case: CaseAnswer, cases: Sequence[CaseAnswer]) -> str:
+    words = [f"at {format_size(case.payload_bytes)}"]
+    if len({other.data_type for other in cases}) > 1:
+        words[0] = f"{words[0]} ({data_type_label(case.data_type)})"
+    if len({other.rate_hz for other in cases}) > 1:
+        words.append(f"and {format_rate(case.rate_hz)}")
+    if len({other.domain_mode for other in cases}) > 1:
+        words.append(
+            f"{'in the' if case.domain_mode == 'same' else 'across'} {MODES.get(case.domain_mode, printable(case.domain_mode))}"
+        )
+    if len({place_of(other) for other in cases}) > 1:
+        words.append(f"on {place_of(case)}")
+    return " ".join(words)
+
+
+def repeats_words(counts: Iterable[int | None]) -> str:
+    known = [count for count in counts if count is not None]
+    return f"about {max(known)} repeats would decide" if known else ""
+
+
+def _lowest(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> tuple[str, str]:
+    """Return who has the lowest median, and it with the next one; lost messages are infinitely late."""
+    times = [
+        sorted((setup.p50_ns, setup.name) for setup in case.contenders if setup.p50_ns is not None) for case in cases
+    ]
+    firsts = [one for ordered in times for one in ordered[:1]]
+    seconds = [ns for ordered in times for ns, _ in ordered[1:2]]
+    names = Counter(name for _, name in firsts)
+    if not names:
+        return "", ""
+    if len(names) > 1:
+        counts = [f"{labels[name]} in {count}" for name, count in names.most_common(MOST_NAMED)]
+        return f"the lowest median is of {joined(counts)} of {counted(len(cases), 'comparison')}", ""
+    (name,) = names
+    following = f"; next {_ends(seconds)}" if seconds else ""
+    return f"{labels[name]} is lowest", f"{_ends([ns for ns, _ in firsts])}{following}"
+
+
+def _ends(times_ns: Sequence[float]) -> str:
+    return " to ".join(dict.fromkeys(map(time_words, (min(times_ns), max(times_ns)))))
 
 
 def _pairs(pairs: Sequence[str], count: int) -> str:
@@ -238,14 +323,18 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
         leads = [f"{leads[0].removesuffix(')')}, at p99 {_takes(stretch, Claim.FASTEST, 'p99', outcome.p99)})"]
     if leads:
         return ("of setups that all lose too much, " if outcome.is_lossy else "") + ", ".join(leads)
-    counts = [case.repeats_p50 for case in stretch.cases if case.repeats_p50 is not None]
-    repeats = f"about {max(counts)} repeats would decide" if counts else ""
+    repeats = repeats_words(case.repeats_p50 for case in stretch.cases)
     if not outcome.slower:
+        if outcome.pairs:
+            tail = "at p99 " if outcome.percentile == "p99" else ""
+            pairs = [_takes_longer(stretch, outcome.percentile, pair, labels) for pair in outcome.pairs]
+            return f"no proven winner, but {tail}{some_of(pairs, 'more')}{f' ({repeats})' if repeats else ''}"
         if not outcome.is_interleaved:
             repeats = "the setups were recorded one after the other"
         elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
-            repeats = Reason.DEPENDENT.value
-        return f"no clear winner{f' ({repeats})' if repeats else ''}"
+            repeats = DRIFTS
+        notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), repeats)))
+        return f"no proven winner{f' ({notes})' if notes else ''}"
     parts = [
         f"{labels[name]} takes {_takes(stretch, Claim.SLOWER, outcome.percentile, name, outcome.best[0])}"
         for name in outcome.slower
@@ -257,6 +346,19 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
 
 
 def _takes(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> str:
+    factors, within = _factors(stretch, claim, percentile, subject, base)
+    return f"{factors} as long{within}" if factors else f"longer, as messages were lost{within}"
+
+
+def _takes_longer(stretch: Stretch, percentile: str, pair: tuple[str, str], labels: Mapping[str, str]) -> str:
+    factors, within = _factors(stretch, Claim.SLOWER, percentile, *pair)
+    slow, fast = (labels[name] for name in pair)
+    if factors:
+        return f"{slow} takes {factors} as long as {fast}{within}"
+    return f"{slow} takes longer than {fast}, as messages were lost{within}"
+
+
+def _factors(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> tuple[str, str]:
     rows = [
         row
         for case in stretch.cases
@@ -264,7 +366,6 @@ def _takes(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: 
         if row.verdict == PROVEN and row.subject == subject and base in (None, row.base)
     ]
     factors = [row.value for row in rows if row.value is not None and math.isfinite(row.value)]
-    within = (
-        f", in {len(rows)} of {counted(len(stretch.cases), 'comparison')}" if len(rows) < len(stretch.cases) else ""
-    )
-    return f"{factor_words(factors)} as long{within}" if factors else f"longer, as messages were lost{within}"
+    is_part = len(rows) < len(stretch.cases)
+    within = f", in {len(rows)} of {counted(len(stretch.cases), 'comparison')}" if is_part else ""
+    return factor_words(factors) if factors else "", within

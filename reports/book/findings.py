@@ -99,7 +99,7 @@ _TONES = {"error": "bad", "warning": "open", "info": "info"}
 MOST_LINKED = 40
 
 
-def finding_block(kind: FindingKind, labels: Sequence[str]) -> Fold:
+def finding_block(kind: FindingKind, labels: Mapping[int, str]) -> Fold:
     first = kind.listed[0]
     severity = Span(kind.severity_word, f"strong severity {_TONES[kind.severity]}")
     summary = [severity, Span(f" {kind.heading}: "), Span(f"{first.where}: {first.what}", "")]
@@ -119,7 +119,7 @@ def finding_block(kind: FindingKind, labels: Sequence[str]) -> Fold:
     return Fold(summary, parts, name=f"{kind.severity}-{kind.code}", tone=kind.severity)
 
 
-def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:
+def _one(finding: Finding, labels: Mapping[int, str], rank: Mapping[int, int]) -> OneFinding:
     is_of_recording = finding.subject is Subject.RECORDING
     named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
     if len(named) == len(labels) > 1:

@@ -250,11 +250,14 @@ def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
     return Series(**_NO_MESSAGE, **{name: row[name] for name in SERIES_COLUMNS}, vendor_label=label)
 
 
-def group_labels(groups: Groups) -> tuple[str, ...]:
+def group_labels(groups: Groups) -> dict[int, str]:
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
-    return tuple(", ".join(filter(None, (groups.cell_of(group).label, short[group.series]))) for group in groups.groups)
+    return {
+        group.index: ", ".join(filter(None, (groups.cell_of(group).label, short[group.series])))
+        for group in groups.groups
+    }
 
 
 def data_type_label(data_type: str) -> str:

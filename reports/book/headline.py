@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from statistics import median
 
@@ -13,6 +13,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, joined
@@ -21,7 +22,7 @@ from dds_trace.tracefile.format.json_fields import object_of
 from .fastest import PERCENTILES
 from .groups import Groups, VendorLabels, factor_words, some_of, way_words
 from .numbers import Values
-from .verdicts import link_label, setup_labels
+from .verdicts import link_label, received_words, setup_labels
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
@@ -67,20 +68,47 @@ def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
     )
 
 
-def interference_sentences(judged: pl.DataFrame, groups: Groups) -> list[str]:
+def interference_sentences(analysis: Analysis, groups: Groups) -> list[str]:
     vendors = {group.index: groups.series_of(group).vendor_label for group in groups.groups}
-    cases: dict[str, dict[tuple[str, str], list[float]]] = {}
-    for row in judged.filter(pl.col("group").is_in(list(vendors)), claim=Claim.WITH.value).iter_rows(named=True):
-        who = f"The flow {row['base']}" if row["base"] else "A message"
-        factors = cases.setdefault(f"{who} with {row['subject']}", {})
-        if row["verdict"] == PROVEN and row["value"] is not None:
+    of_groups = pl.col("group").is_in(list(vendors))
+    judged = analysis.judgements.filter(of_groups, claim=Claim.WITH.value)
+    is_open = {key for key, rows in _by_flow(judged, "base", "subject") if {*rows["basis"]} == {Basis.WITHIN_RUN.value}}
+    cases: dict[tuple[str, str], list[str]] = {}
+    for key, rows in _by_flow(judged, "base", "subject"):
+        factors: dict[tuple[str, str], list[float]] = {}
+        for row in rows.filter(pl.col("value").is_not_null(), verdict=PROVEN).iter_rows(named=True):
             factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["value"])
-    return [printable(f"{case} {_takes(factors)}.") for case, factors in cases.items()]
+        cases[key] = [f"takes {'; '.join(_as_long(*factor) for factor in factors.items())}"] if factors else []
+    changed = pl.col("received_verdict").is_in([*_LOSES])
+    for key, rows in _by_flow(analysis.details.interference.filter(of_groups, changed), "flow", "with_flows"):
+        ordered = rows.sort(pl.col("received_difference").abs(), descending=True)
+        row = ordered.row(0, named=True)
+        cases.setdefault(key, []).append(f"{_LOSES[row['received_verdict']]} (received {received_words(row)})")
+    return [
+        printable(f"{_WITH_OF[bool(flow)].format(flow=flow, others=others)} {' and '.join(parts)}.")
+        if parts
+        else _not_slowed(flow, others, is_open=(flow, others) in is_open)
+        for (flow, others), parts in cases.items()
+    ]
 
 
-def _takes(factors: Mapping[tuple[str, str], Sequence[float]]) -> str:
-    longer = "; ".join(_as_long(*factor) for factor in factors.items())
-    return f"takes {longer}" if longer else "is in no result shown to take longer than without"
+_LOSES = {"worse": "loses more", "better": "loses less"}
+_WITH_OF = {True: "The flow {flow} with {others}", False: "A message with {others}"}
+
+
+def _by_flow(rows: pl.DataFrame, flow: str, others: str) -> Iterator[tuple[tuple[str, str], pl.DataFrame]]:
+    for (name, with_flows), part in rows.group_by(flow, others, maintain_order=True):
+        yield (str(name), str(with_flows)), part
+
+
+def _not_slowed(flow: str, others: str, *, is_open: bool) -> str:
+    names, what = others.split("+"), flow or "a message"
+    one = len(names) == 1
+    if is_open:
+        return printable(
+            f"Whether {joined(names)} {'slows' if one else 'slow'} {what} is open: a verdict needs {MIN_RUNS} runs of each."
+        )
+    return printable(f"{joined(names)} {'does' if one else 'do'} not measurably slow {what}.")
 
 
 def _as_long(vendor_statistic: tuple[str, str], factors: Sequence[float]) -> str:
@@ -115,15 +143,24 @@ def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
 def _cost_words(rows: pl.DataFrame) -> str:
     parts = []
     for name, label in PERCENTILES:
-        is_slower, is_known = pl.col("verdict") == "worse", pl.col("ratio").is_not_null()
-        costs = rows.filter(is_slower | is_known, statistic=name)  # others have too few messages
+        is_slower, is_faster, is_known = (
+            pl.col("verdict") == "worse",
+            pl.col("verdict") == "better",
+            pl.col("ratio").is_not_null(),
+        )
+        costs = rows.filter(is_slower | is_faster | is_known, statistic=name)  # others have too few messages
         is_lost = ~pl.col("ratio").is_finite().fill_null(value=False)
-        slower = costs.filter(is_slower & ~is_lost)
-        if not slower.is_empty():
-            counts = ((costs.filter(is_lost), "lost"), (costs.filter(~is_slower & ~is_lost), "not clearly slower"))
-            noted = [f"{words} in {count.height}" for count, words in counts if not count.is_empty()]
+        factors = [costs.filter(proven & ~is_lost)["ratio"].to_list() for proven in (is_slower, is_faster)]
+        proven = [f"{factor_words(ratios)} as long {label}" for ratios in factors if ratios]
+        if proven:
+            counts = [
+                (len(ratios), "faster" if ratios is factors[1] else "slower") for ratios in factors if all(factors)
+            ]
+            unclear = costs.filter(~is_slower & ~is_faster & ~is_lost)
+            counts += [(costs.filter(is_lost).height, "lost"), (unclear.height, "no proven difference")]
+            noted = [f"{words} in {count}" for count, words in counts if count]
             of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""
-            parts.append(f"{factor_words(slower['ratio'].to_list())} as long {label}{of_all}")
+            parts.append(f"{' and '.join(proven)}{of_all}")
     return ", ".join(parts)
 
 

@@ -113,7 +113,7 @@ def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> s
         for row, where in _lossy(answers, vendors)
         if row.reason == Reason.FEW_LOST.value
     ]
-    return f"Too few losses or runs to judge: {some_of(few, 'more in the table')}." if few else ""
+    return f"Too few losses or runs for a verdict: {some_of(few, 'more in the table')}." if few else ""
 
 
 def _lost_words(row: Judgement, where: str) -> str:

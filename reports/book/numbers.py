@@ -61,6 +61,41 @@ def values_info(analysis: Analysis) -> Values:
     )
 
 
+TYPICAL_RUN, ALL_MESSAGES, RECEIVED_MESSAGES = "a typical run", "all messages", "all received messages"
+
+
+@dataclass(frozen=True, slots=True)
+class Median:
+    """The median of a group that a report shows, infinite where the median message is lost, and of what it is."""
+
+    ns: float
+    of: str
+
+
+def shown_medians(analysis: Analysis, groups: Groups, values: Values) -> dict[int, Median]:
+    """Return the medians of a typical run; below three runs of all messages, where these are not known of the received ones."""
+    details, metric = analysis.details, values.default_metric
+    between = {"metric": metric, "percentile": "p50", "basis": Basis.BETWEEN_RUNS.value}
+    typical_ns = dict(details.intervals.filter(**between).select("group", "typical_ns").iter_rows())
+    with_losses_ns = {
+        group: setup.p50_ns
+        for answer in (details.answers if metric == "latency" else ())
+        for setup in answer.contenders
+        if setup.latency.basis is Basis.BETWEEN_RUNS
+        for group in setup.groups
+    }
+    medians = {}
+    for group in groups.groups:
+        is_whole = group.received == group.published and not values.plain["unsent"][group.index]
+        run_ns = (typical_ns if is_whole else with_losses_ns).get(group.index)
+        all_ns = values.times_ns[metric]["p50"][group.index]
+        if run_ns is not None:
+            medians[group.index] = Median(run_ns, TYPICAL_RUN)
+        elif all_ns is not None:
+            medians[group.index] = Median(all_ns, ALL_MESSAGES if is_whole else RECEIVED_MESSAGES)
+    return medians
+
+
 def whole_ns(value_ns: float | None) -> int | None:
     return None if value_ns is None or not math.isfinite(value_ns) else round(value_ns)
 

@@ -12,15 +12,13 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_s
 from ..blocks import FAIL, MARKS, OPEN, PASS, TERMINAL, Bars, Block, Fitted, Section, Sentence, Span
 from .answer import PointKind
 from .contents import Contents
-from .fastest import Fastest, outcome_of, shown_case
+from .fastest import Fastest
 from .findings import severity_counts
 from .headline import COMPARED, bridge_facts
 from .recommendation import advice_blocks
 from .verdicts import contender_labels
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
-
     from .sizes import SizeTable
 
 MOST_LINES = 18
@@ -57,7 +55,7 @@ def _brief(book: Contents) -> Fitted:
     parts += _thresholds(book.sizes)
     if PointKind.FASTEST in answer.kinds:
         parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
-    for kind, sentence in answer.sentences:
+    for kind, sentence in sorted(answer.sentences, key=lambda pair: pair[0] is PointKind.FEW_LOST):
         if kind is PointKind.BRIDGE:
             facts = bridge_facts(book.analysis.details.bridge_costs, vendors)
             sentences = [Sentence(fact.replace(" as long", ""), mark=PASS) for fact in facts]
@@ -75,15 +73,15 @@ def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[li
     for kind in kinds:
         part: list[Block] = [Sentence(kind.heading, "strong", NONE)]
         part += [Sentence(f"{span}: {words}", mark=PASS if decided else OPEN) for span, words, decided in kind.lines]
-        bars = [] if is_drawn else _bars(kind.cases, labels, place=kind.place if " on " in kind.heading else "")
+        bars = [] if is_drawn else _bars(kind, labels, place=kind.place if " on " in kind.heading else "")
         is_drawn = is_drawn or bool(bars)
         yield [*part, *bars]
 
 
-def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Bars]:
-    if not any(outcome_of(case).is_decided for case in cases):
+def _bars(kind: Fastest, labels: Mapping[str, str], place: str) -> list[Bars]:
+    if not kind.is_decided:
         return []
-    case = shown_case(cases)
+    case = kind.shown
     times = sorted(
         (setup.p50_ns, labels[setup.name])
         for setup in case.contenders

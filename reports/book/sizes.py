@@ -20,20 +20,18 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_r
 
 from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
-from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, time_words
-from .numbers import Intervals
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, format_ratio, time_words
+from .numbers import ALL_MESSAGES, TYPICAL_RUN, Intervals
 from .verdicts import MODES, contender_labels, place_of
 
 Late = Mapping[int, tuple[int, int, int]]
 """Group -> late messages, judged ones, and the ones that may be late."""
 
 
-TYPICAL_RUN, ALL_MESSAGES = "a typical run", "all messages"
-
 HOW_TO_READ = (
-    "Of a typical run where there are three or more, each with enough messages for the percentile, else of all messages; a lost "
-    "message is infinitely late. Bold: clearly the lowest of its row and domain, by a test of the runs. A dash: too few messages for "
-    "this percentile."
+    "Of a typical run where there are three or more, each with enough messages for the percentile, else of all messages; lost "
+    "messages count as later than any other. Bold: proven to be the lowest of its row and domain, by a test of the runs. A dash: too "
+    "few messages for this percentile."
 )
 
 
@@ -169,14 +167,8 @@ def late_by_group(analysis: Analysis) -> Late:
     details = analysis.details
     if not _deadline_words(details):
         return {}
-    counts = (
-        details.freshness.group_by("group")
-        .agg(pl.col("missed", "judged", "unsure").sum())
-        .join(analysis.summary.with_row_index("group").select("group", "unsent"), on="group")
-        .with_columns(pl.col("missed", "judged") + pl.col("unsent").fill_null(0))
-    )
-    rows = counts.select("group", "missed", "judged", "unsure").iter_rows()
-    return {group: (missed, judged, unsure) for group, missed, judged, unsure in rows}
+    counts = details.freshness.group_by("group").agg(pl.col("missed", "judged", "unsure").sum())
+    return {group: (missed, judged, unsure) for group, missed, judged, unsure in counts.iter_rows()}
 
 
 def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late) -> Threshold | None:

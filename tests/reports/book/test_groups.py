@@ -35,7 +35,7 @@ def test_a_label_names_only_what_differs():
 
 def test_the_label_of_a_group_is_its_cell_and_what_sets_its_series_apart():
     def labelled(*measured):
-        return set(group_labels(groups_info(make_analysis(*measured))))
+        return set(group_labels(groups_info(make_analysis(*measured))).values())
 
     bridged = Measured([MS], bridge="builtin", domain_mode="different")
     assert labelled() == set()

@@ -22,6 +22,7 @@ from dds_trace.reports.book.fastest import fastest_setups, tail_sentence, winner
 from dds_trace.reports.book.groups import VendorLabels
 from dds_trace.reports.book.headline import bridge_sentence
 from dds_trace.reports.book.losses import avoid_sentence, cure_sentence, few_lost_sentence
+from dds_trace.reports.book.verdicts import contender_labels
 
 UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
 VENDORS = VendorLabels({})
@@ -72,6 +73,11 @@ TESTED = tuple(replace(one, letters_p99="a") for one in (A, B))
 TAILS = setup("a", 2.0, 30.0, tiers=("a", "b")), setup("b", 4.0, 10.0, tiers=("b", "a"))
 TIERS = setup("a", 2.0, tiers=("a", "")), setup("b", 2.2, tiers=("a", "")), setup("c", 10.0, tiers=("b", ""))
 
+TAIL_OF_ONE = (
+    setup("a", 2.0, 4.0, tiers=("a", "ab")), setup("b", 4.0, 3.9, tiers=("b", "a")), setup("c", 9.0, 11.7, tiers=("c", "b")),
+)  # fmt: skip
+MIDDLE = setup("a", 2.0, tiers=("ab", "")), setup("b", 2.2, tiers=("a", "")), setup("c", 11.0, tiers=("b", ""))
+
 SLOW_TAILS = [
     replace(one, p50_ns=None, letters_p50="", p99_ns=ns * MS, letters_p99=tier)
     for one, ns, tier in zip(TIERS, (2, 2, 8), "aab", strict=True)
@@ -105,8 +111,12 @@ def on_devices(won):
         pytest.param([case(*TAILS, p99="b")], [1, 3], id="a leader at p99 only"),
         pytest.param([case(*SLOW_TAILS)], [1, 4], id="one is slower at p99 only"),
         pytest.param([case(*TESTED, p50="a")], [1, 2], id="no difference at p99"),
+        pytest.param([case(*TAIL_OF_ONE, p50="a")], [1, 2, 3, 1], id="a difference at p99 and nobody leads there"),
+        pytest.param([case(*MIDDLE)], [1, 5], id="slower than one that is not the lowest"),
         pytest.param(by_size("aba"), [1, 2, 2, 3, 3, 2], id="three stretches stay apart"),
-        pytest.param(by_size("-ba-a"), [3, 5, 2, 2, 3, 1, 4], id="five stretches are joined, undecided ones last"),
+        pytest.param(
+            by_size("-ba-a"), [3, 5, 2, 2, 3, 1, 4, 2, 4], id="five stretches are joined, undecided ones last"
+        ),
         pytest.param(by_size("baaa"), [1, 3, 2, 2], id="from a size on"),
         pytest.param(by_size("aaab"), [3, 2, 4, 3], id="up to a size"),
         pytest.param(by_size("baab"), [1, 3, 2, 3, 2, 4, 3], id="sizes between"),
@@ -129,7 +139,8 @@ def on_devices(won):
     ],
 )
 def test_who_is_fastest(answers, said, sentences):
-    found = [*winner_sentences(fastest_setups(answers, VENDORS)), tail_sentence(answers)]
+    labels = contender_labels(answers, VENDORS)
+    found = [*winner_sentences(fastest_setups(answers, VENDORS)), tail_sentence(answers, labels)]
     sentences(*found)
     assert numbers(" ".join(found)) == said
 
@@ -207,6 +218,12 @@ def costs(*rows):
             costs(("b", "v", "w", "p50", "worse", 2.0), ("b", "w", "w", "p50", "worse", 3.0)), [2, 3], id="two vendors"
         ),
         pytest.param(costs(("b", "v", "v", "p50", "same", 1.0)), [], id="no cost"),
+        pytest.param(costs(("b", "v", "v", "p50", "better", 0.15)), [0.15], id="a gain"),
+        pytest.param(
+            costs(*(("b", "v", "v", "p50", *each) for each in (("worse", 2.0), ("better", 0.5), ("same", 1.0)))),
+            [2, 0.5, 1, 1, 1, 3],
+            id="a cost, a gain and neither",
+        ),
     ],
 )
 def test_what_a_bridge_costs(rows, said, sentences):
@@ -290,11 +307,11 @@ def undecided(number, reason):
 @pytest.mark.parametrize(
     ("reasons", "said"),
     [
-        ((Reason.FEW_RUNS, Reason.ONLY_ONE), [3, 2]),
-        ((Reason.NOT_SHOWN, Reason.NOT_SHOWN), [2]),
-        ((Reason.NOT_SHOWN, Reason.FEW_RUNS), [2, 1, 1, 3, 2]),
-        ((Reason.BELOW_MARGIN,), [2.3, 0.7, 3.9]),
-        *(((reason,), []) for reason in (Reason.IN_SEQUENCE, Reason.DEPENDENT, Reason.LOSSES)),
+        ((Reason.FEW_RUNS, Reason.ONLY_ONE), [3, 2, 1, 2, 4]),
+        ((Reason.NOT_SHOWN, Reason.NOT_SHOWN), [2, 1, 2, 4, 2, 2, 4]),
+        ((Reason.NOT_SHOWN, Reason.FEW_RUNS), [2, 1, 2, 4, 2, 2, 4, 1, 1, 3, 2]),
+        ((Reason.BELOW_MARGIN,), [2.3, 0.7, 3.9, 1, 2, 4]),
+        *(((reason,), [1, 2, 4]) for reason in (Reason.IN_SEQUENCE, Reason.DEPENDENT, Reason.LOSSES)),
     ],
     ids=lambda value: "-".join(value) if value and isinstance(value[0], Reason) else "",
 )

@@ -29,7 +29,7 @@ from dds_trace.extensions.gates.words import change_words, gate_notes
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count
+from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio, time_words
 from dds_trace.reports.book.verdicts import conditions_label, setup_labels
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
@@ -92,6 +92,12 @@ def frames(report):
     for group in report["groups"]:
         yield from (format_duration(group[f"{m}_p50_ns"] or 0) for m in ("latency", "rtt", "intermediate", "response"))
     yield from map(str, range(len(report["sessions"]) + 1))
+    for row in report["intervals"] or []:
+        yield format_duration(row["typical_ns"] or 0)
+    for setup in (setup for answer in report["answers"] or [] for setup in answer["contenders"]):
+        yield time_words(setup["p50_ns"])
+    for row in report["interference"] or []:
+        yield from (format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new"))
     for topic in report["topics"]:
         for value in (value for value in topic.values() if type(value) in (int, float)):
             yield from (format_duration(value), format_count(round(value)))

@@ -48,7 +48,10 @@ def test_the_rate_in_the_middle_is_shown_and_the_others_stand_behind():
 def with_deadline(deadline_ns, *measured):
     analysis = make_analysis(*measured)
     rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
-    freshness = freshness_frame(*paired(rows, deadline_ns=deadline_ns))
+    unsent = {
+        (run_id, 7): count for run_id, count in zip(range(0xA000, 0xA100), analysis.summary["unsent"], strict=False)
+    }
+    freshness = freshness_frame(*paired(rows, deadline_ns=deadline_ns, unsent=unsent))
     details = replace(analysis.details, freshness=freshness, deadline_ns=deadline_ns)
     return replace(analysis, details=details)
 

@@ -21,7 +21,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
-from dds_trace.analyzer.model.detail_frames import COMPARISON_SCHEMA
+from dds_trace.analyzer.model.detail_frames import COMPARISON_SCHEMA, HOP_SCHEMA, TOPIC_SCHEMA
 from dds_trace.analyzer.model.finding import Finding, Source
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
@@ -39,7 +39,6 @@ from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.extensions.gates.gates import GateResult
 from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS
 from dds_trace.extensions.gates.info import ComparisonInfo, Unlike
-from dds_trace.extensions.topics.frames import HOP_SCHEMA, TOPIC_SCHEMA
 from dds_trace.reports.book.answer import Conclusion
 from dds_trace.reports.book.book import FORMAT_VERSION
 from dds_trace.reports.book.overview import Fact

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
+    from dds_trace.extensions.gates.sections import Patterns
 
     from .compare import Comparison
     from .gate import Gate
-    from .sections import Patterns
     from .thresholds import Threshold
 
 LEAST_ROOM = 0.1

@@ -12,7 +12,7 @@ from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Ju
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size, joined
 
-from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, joined, size_span, some_of, time_words
+from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, size_span, some_of, time_words
 from .verdicts import MODES, contender_labels, place_of
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))

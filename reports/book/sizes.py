@@ -20,7 +20,7 @@ from dds_trace.base.units import counted, format_duration, format_rate, format_r
 
 from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
-from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, format_ratio, time_words
+from .groups import LOST, METRIC_LABELS, VendorLabels, data_type_label, data_type_rank, time_words
 from .numbers import ALL_MESSAGES, TYPICAL_RUN, Intervals
 from .verdicts import MODES, contender_labels, place_of
 

@@ -69,7 +69,7 @@ def test_a_median_is_bold_exactly_where_a_sentence_calls_it_fastest(start, bridg
         )
         for size in sizes_of(span)
     }
-    assert bold or re.search(rf"{start} at every size: no clear winner", report)
+    assert bold or re.search(rf"{start} at every size: no proven winner", report)
     assert said == bold
 
 

@@ -6,14 +6,9 @@ import pytest
 from roundtrip_frames import MS, S, roundtrips, rows_by_group
 
 from dds_trace.analyzer.findings.surroundings import disturbed_flows, slowed_results
-from dds_trace.extensions.gates.costs import (
-    Overtaking,
-    Sent,
-    caught_after,
-    find_head_of_line,
-    find_interference,
-    flows_of,
-)
+from dds_trace.analyzer.model.detail_frames import Overtaking
+from dds_trace.analyzer.model.setting import flows_of
+from dds_trace.extensions.gates.costs import Sent, caught_after, find_head_of_line, find_interference
 
 CAMERA = {"payload_bytes": 1_000_000, "rate_hz": 20.0}
 IMU = {"payload_bytes": 296, "rate_hz": 100.0, "data_type": "imu"}

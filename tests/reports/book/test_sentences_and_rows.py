@@ -29,7 +29,7 @@ from dds_trace.extensions.gates.words import change_words, gate_notes
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, format_ratio, time_words
+from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, time_words
 from dds_trace.reports.book.verdicts import conditions_label, setup_labels
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"

@@ -118,7 +118,7 @@ def find_answers(
         return ()
     middlewares = rows.groups.filter(pl.col("backend") != "socket")
     groups = rows.groups if middlewares.is_empty() else middlewares
-    names = contender_names(groups)
+    names = contender_names(with_conditions(groups))
     parts = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
 
     def measure(part: pl.DataFrame) -> tuple[str, SetupRuns]:

@@ -144,8 +144,36 @@ _NAMED_LAST: Mapping[str, tuple[str, str]] = {
 """Column -> (text of a value, text of a null); named only if nothing else separates two setups."""
 
 
-def contender_names(parameters: pl.DataFrame) -> ContenderNames:
-    settings = parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).to_dicts()
+def contender_names(groups: pl.DataFrame) -> ContenderNames:
+    """Name each setup; one without its relay's trace like the only one that it may be, if no kind of message has both."""
+    cases: dict[tuple[ParameterValue, ...], set[tuple[ParameterValue, ...]]] = {}
+    for row in groups.select(*CONTENDER_COLUMNS, *CASE_COLUMNS, CONDITIONS).iter_rows():
+        cases.setdefault(row[: len(CONTENDER_COLUMNS)], set()).add(row[len(CONTENDER_COLUMNS) :])
+    may_be = {
+        setting: alike[0]
+        for setting in cases
+        if _is_without_relay(setting)
+        and len(alike := [other for other in cases if other != setting and _fits(setting, other)]) == 1
+        and cases[setting].isdisjoint(cases[alike[0]])
+    }
+    settings = [dict(zip(CONTENDER_COLUMNS, setting, strict=True)) for setting in cases if setting not in may_be]
+    names = _names_of(settings)
+    return names | {setting: names[whole] for setting, whole in may_be.items()}
+
+
+_OF_RELAY = frozenset({"relay_vendor", "relay_backend"})
+
+
+def _is_without_relay(setting: tuple[ParameterValue, ...]) -> bool:
+    return all(value is None for name, value in zip(CONTENDER_COLUMNS, setting, strict=True) if name in _OF_RELAY)
+
+
+def _fits(unknown: tuple[ParameterValue, ...], other: tuple[ParameterValue, ...]) -> bool:
+    values = zip(CONTENDER_COLUMNS, unknown, other, strict=True)
+    return all(name in _OF_RELAY or value == other_value for name, value, other_value in values)
+
+
+def _names_of(settings: Sequence[Setting]) -> dict[tuple[ParameterValue, ...], str]:
     separate = {"vendor", "bridge", *_NAMED_LAST}
     parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in separate]
     short = tell_apart(settings, _middleware_words, parts)

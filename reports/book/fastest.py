@@ -333,6 +333,8 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
             repeats = "the setups were recorded one after the other"
         elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
             repeats = DRIFTS
+        if not any(setup.p50_ns is not None for case in stretch.cases for setup in case.contenders):
+            return "no proven winner (the latency is unknown without the relay's trace)"
         notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), repeats)))
         return f"no proven winner{f' ({notes})' if notes else ''}"
     parts = [

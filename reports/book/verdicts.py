@@ -164,6 +164,8 @@ def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
 
 def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     value = setting[column]
+    if value is None and column.startswith("relay_"):
+        return "relay unknown"
     return printable(f"depth {value}" if column == "depth" else "none" if value is None else value)
 
 

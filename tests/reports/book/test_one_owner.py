@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from analyses import MS, Measured, around, make_analysis
+from analyses import MS, ZENOH, Measured, around, make_analysis
 from campaigns import write_run
 from trace_files import evenly
 from wording import numbers
@@ -49,3 +49,29 @@ def test_a_message_that_never_left_misses_a_deadline_once(tmp_path, metric, late
     book = Book(analysis, shows_all=True)
     assert numbers(book.answer.remarks[0])[1:3] == [missed, judged]
     assert analysis.details.freshness["missed"].sum() == missed
+
+
+SIDES = [{}, ZENOH, {"setting": "queue_depth=1"}]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_relays_trace_that_is_not_there_is_no_setup_of_its_own(seed):
+    chance = random.Random(seed)
+    sides, missing = chance.sample(SIDES, 2), chance.choice(("pi1", "pi2"))
+    measured = [
+        Measured(around(chance.randint(1, 9) * MS), ping_device=pi, relay_device=None if pi == missing else "b", **side)
+        for side in sides
+        for pi in ("pi1", "pi2")
+    ]
+    book = Book(make_analysis(*measured))
+    whole = Book(make_analysis(*(one for one in measured if one.relayed)))
+    assert book.sizes.choices == whole.sizes.choices
+    assert len(book.sizes.choices) == 2
+    text = " ".join(load_reporter("md").render(book).split())
+    assert "without the relay's trace" in text
+    assert not {"none", "relay unknown"} & {word for label in book.sizes.choices for word in label.split(", ")}
+
+
+def test_setups_of_one_message_of_which_one_has_no_relays_trace_stay_two():
+    alike = [Measured(around(n * MS), relay_device=device, ping_device="b") for n, device in ((1, "b"), (2, None))]
+    assert len({*Book(make_analysis(*alike)).sizes.choices}) == 2

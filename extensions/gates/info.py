@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -131,12 +130,14 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
+    has_failed = any(result.outcome is GateOutcome.REGRESSED for result in results)
+    is_whole = not only_base and not has_failed
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
         said="Both sides are the same recordings: nothing can have changed."
         if comparison.same_recordings
-        else _answer(groups)
+        else _answer(groups, is_whole=is_whole)
         if groups
         else "The two sides have no result in common: there is nothing to compare.",
         seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
@@ -205,36 +206,53 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
     return WORST_FIRST.index(group.verdict), -most
 
 
-def _answer(groups: Sequence[ComparedGroup]) -> str:
+def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> str:
+    """Return what became worse and what became better; `is_whole` if no result is gone and no gate failed."""
     several, count = len(groups) > 1, counted(len(groups), "result")
-    counts = Counter(group.verdict for group in groups)
-    parts = []
     losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
+    worse, gained = _times_words(groups, "slower", count), _gains(groups, count)
     if losing:
         where = f", most in {losing[0].label}" if several else ""
-        parts.append(f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})")
+        worse = [f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})", *worse]
+    is_worse = bool(worse) or any(group.verdict in WORST_FIRST[:3] for group in groups)
+    if is_worse:
+        parts = [*(worse or [f"slower in a result of {count}, as messages were lost"]), *gained]
+        return f"{'; '.join(parts)[0].upper()}{'; '.join(parts)[1:]}."
+    if gained:
+        return f"Better: {'; '.join(gained)}.{' No regression.' if is_whole else ''}"
+    if all(group.verdict == "too few runs" for group in groups):
+        return f"No verdict is possible: it needs {MIN_RUNS} runs a side."
+    return f"No result is proven to be slower or faster, of {len(groups)}." if several else "No change is proven."
+
+
+def _gains(groups: Sequence[ComparedGroup], count: str) -> list[str]:
+    keeps_more = [group for group in groups if group.delivery["verdict"] == "better"]
+    most = max(keeps_more, key=lambda group: group.delivery["difference"] or 0.0, default=None)
+    parts = []
+    if most is not None:
+        where = f" in {most.label}, more in {len(keeps_more)} of {count}" if len(groups) > 1 else ""
+        parts.append(f"received {received_words(most.delivery)}{where}")
+    return [*parts, *_times_words(groups, "faster", count)]
+
+
+def _times_words(groups: Sequence[ComparedGroup], word: str, count: str) -> list[str]:
     # A percentile that was lost is part of the losses.
-    slower = [
+    verdict, sign = ("worse", 1) if word == "slower" else ("better", -1)
+    changed = [
         (row, group)
         for group in groups
         for row in group.times()
-        if row.verdict == "worse" and row.value is not None and math.isfinite(row.value)
+        if row.verdict == verdict and row.value and math.isfinite(row.value)
     ]
-    if slower:
-        shown = [pair for pair in slower if pair[0] in pair[1].times(shown=True)]
-        row, worst = max(shown or slower, key=lambda pair: pair[0].value or 0.0)
-        where = f" in {worst.label}" if several else ""
-        metric, statistic = METRIC_AND_STATISTIC[row.statistic]
-        what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()}"
-        results = len({group.label for _, group in slower})
-        parts.append(f"slower in {results} of {count}, most the {what}{where}: {change_words(row.value)}")
-    elif counts["too few runs"] == len(groups):
-        parts.append(f"no verdict is possible: it needs {MIN_RUNS} runs a side")
-    else:
-        parts.append(f"nothing is shown to be slower in {count}")
-    parts += [f"{counts['faster']} faster"] if counts["faster"] else []
-    sentence = "; ".join(parts)
-    return f"{sentence[0].upper()}{sentence[1:]}."
+    if not changed:
+        return []
+    shown = [pair for pair in changed if pair[0] in pair[1].times(shown=True)]
+    row, most = max(shown or changed, key=lambda pair: sign * (pair[0].value or 0.0))
+    where = f" in {most.label}" if len(groups) > 1 else ""
+    metric, statistic = METRIC_AND_STATISTIC[row.statistic]
+    what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()}"
+    results = len({group.label for _, group in changed})
+    return [f"{word} in {results} of {count}, most the {what}{where}: {change_words(row.value)}"]
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], labels: Sequence[str]) -> str:

@@ -189,13 +189,15 @@ def proof_of(name: str, base: Path, new: Path) -> Advice:
     is_kept = pays(comparison)
     proof = comparison.rows.select(_PROOF).rows(named=True)
     received = comparison.delivery.select(_RECEIVED).rows(named=True)
-    reason = f"{name} {'pays' if is_kept else f'looked best, and does not pay: {_why_not(proof, received)}'}"
+    reason = f"{name} " + ("is proven better" if is_kept else f"looked best, and {_why_not(proof, received)}")
     return {"kept": is_kept, "reason": reason, "proof": proof, "received": received}
 
 
 def shown(advice: Advice) -> list[str]:
     looks = sorted(advice.get("first_look", {}).items(), key=lambda look: look[1])
-    lines = [f"{advice['vendor']}: {'use it' if advice['kept'] else 'the default is kept'}: {advice['reason']}"]
+    lines = [
+        f"{advice['vendor']}: {'use these settings' if advice['kept'] else 'keep the default'}: {advice['reason']}"
+    ]
     lines += [f"  export {name}={shlex.quote(value)}" for name, value in advice.get("variables", {}).items()]
     if looks:
         lines.append(

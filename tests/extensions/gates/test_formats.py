@@ -302,7 +302,20 @@ def mixed():
 
 def test_the_answer_says_what_is_lost_and_what_became_slower_and_most_where(sentences):
     sentences(mixed().said)
-    assert numbers(mixed().said) == [1, 5, 3, 10, 100, 50, 2, 5, 5, 10, 40, 1]
+    assert numbers(mixed().said) == [1, 5, 3, 10, 100, 50, 2, 5, 5, 10, 40, 1, 5, 4, 10, -20]
+
+
+@pytest.mark.parametrize(("before", "after", "said"), [(None, 5, [50, 100]), (5, 4, [1, 1, -20]), (5, 5, [])])
+def test_what_became_better_is_the_answer(before, after, said, sentences):
+    sides = [in_runs(times(ms), spread=1e-2) for ms in (before, after)]
+    found = compare_roundtrips(*sides, CompareOptions(metrics=("latency",), statistics=("p50",)))
+    answers = [
+        comparison_info(found).said,
+        comparison_info(found, judge_gates(found, [parse_gate("latency_p50 > 1us")])).said,
+    ]
+    sentences(*answers)
+    assert [numbers(answer) for answer in answers] == [said, said]
+    assert ["No regression" in answer for answer in answers] == [bool(said), False]  # a gate failed
 
 
 def test_groups_come_worst_first_by_the_names_of_the_report():

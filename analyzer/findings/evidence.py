@@ -83,6 +83,14 @@ class Evidence:
     def _counts(self) -> list[dict[str, int]]:
         return self.summary.exchange_counts.to_dicts()
 
+    @cached_property
+    def beacons(self) -> frozenset[int]:
+        """Results of beacons, which compare clocks: they go on together, and one ends before another."""
+        roles: dict[int, set[object]] = defaultdict(set)
+        for exchange, group in self.exchanges_by_group():
+            roles[group].add(exchange.run.labels.get("role"))
+        return frozenset(group for group, names in roles.items() if names == {"beacon"})
+
     def counts_by_exchange(self) -> Iterator[tuple[Exchange, int, dict[str, int]]]:
         rows = zip(self.exchanges_by_group(), self._counts, strict=True)
         return ((exchange, group, row) for (exchange, group), row in rows)

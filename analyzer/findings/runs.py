@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -15,6 +15,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from ..clocks.boots import ping_boots, share_boot
 from ..groups.summary import Summary
 from ..model.finding import Severity, Subject
+from ..model.setting import parse_setting, setting_of
 from ..pairing.exchanges import Exchange, Unplaced
 from ..pairing.one_way import fit_devices, segment_table
 from .evidence import Evidence, Observation, check, exchange_name, some
@@ -37,6 +38,7 @@ def _exchanges(evidence: Evidence) -> pl.DataFrame:
             "relay_recorded": exchange.relay_recorded,
             "is_described": exchange.relay is not None,
             "domain_of_relay": exchange.relay.domain_id if exchange.relay else None,
+            "is_beacon": group in evidence.beacons,
         }
         for exchange, group in evidence.exchanges_by_group()
     ]
@@ -257,12 +259,42 @@ def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
         if exchange.took_part and exchange.relay is not None:
             relays[exchange.run.run_id, exchange.relay.device].append(exchange)
     for (run_id, device), exchanges in relays.items():
-        spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
-        all_replied = len(spans) == len(exchanges)
-        at_one_time = all_replied and max(first for first, _ in spans) < min(last for _, last in spans)
-        if len(exchanges) > 1 and not at_one_time:
+        if len(exchanges) > 1 and not _answered_together(exchanges):
             listed = some(f"{exchange.relay_id:08x}" for exchange in exchanges)
             yield evidence.run(
                 run_id,
                 f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was restarted.",
+            )
+
+
+def _answered_together(exchanges: Sequence[Exchange]) -> bool:
+    spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
+    return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)
+
+
+@check(
+    "unrequested_relay",
+    Severity.WARNING,
+    Subject.RUN,
+    "End the others and record again; where all are to answer, give the ping -o relays={relays}.",
+)
+def unrequested_relays(evidence: Evidence) -> Iterator[Observation]:
+    """More relays answered a ping than it was to wait for."""
+    exchanges_of: dict[int, list[Exchange]] = defaultdict(list)
+    groups_of: dict[int, dict[int, None]] = defaultdict(dict)
+    for exchange, group in evidence.exchanges_by_group():
+        if exchange.replied_ns is not None and group not in evidence.beacons:
+            exchanges_of[exchange.run.run_id].append(exchange)
+            groups_of[exchange.run.run_id][group] = None
+    for run_id, exchanges in exchanges_of.items():
+        settings = parse_setting(setting_of(exchanges[0].run, exchanges[0].ping, None))
+        requested = settings.get("relays", "1")
+        if requested.isdecimal() and len(exchanges) > int(requested) and _answered_together(exchanges):
+            listed = some(exchange_name(exchange).partition(", ")[2] for exchange in exchanges)
+            yield Observation(
+                evidence.run_name(run_id),
+                f"{len(exchanges)} relays answered together ({listed}), and the ping was to wait for {requested}: each message "
+                "counts once for each of them, and each is the load of the others.",
+                tuple(groups_of[run_id]),
+                blanks={"relays": len(exchanges)},
             )

@@ -7,7 +7,8 @@ results of five sound runs are reported (10 p^3 for three of five).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from dds_trace.base.units import counted, format_duration, format_size
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
-from ..model.finding import Severity, Subject
+from ..model.finding import Finding, Severity, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
 from .evidence import Evidence, Observation, check
@@ -199,7 +200,43 @@ def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -
             name, buffer = _receive_buffer(session)
             if buffer is not None and small_bytes < buffer <= large_bytes:
                 return f"; between them is the socket buffer of {session.device} ({name} {format_size(buffer)})"
-    return "; the recorded environment shows no cause"
+    return _NO_CAUSE
+
+
+_NO_CAUSE = "; the recorded environment shows no cause"
+_SLOW = frozenset(
+    [
+        "udp_buffer_overflow",
+        "fragments_lost",
+        "retransmission_storm",
+        "heartbeat_bound_recovery",
+        "carried_twice",
+        "cpu_saturated",
+        "stood_still",
+        "schedule_not_held",
+        "waits_in_reader",
+    ]
+)
+"""Codes of findings that explain a slow result."""
+
+
+def with_causes(evidence: Evidence, findings: Sequence[Finding], titles: Mapping[str, str]) -> list[Finding]:
+    """Name in findings without a cause the others that the larger of two sizes has and the smaller has not."""
+    sizes = {int(pair.large["group"]): int(pair.small["group"]) for pair in _neighbouring_sizes(evidence)}
+    explained = []
+    for finding in findings:
+        if f"{_NO_CAUSE}." in finding.what:
+            large = finding.groups[0]
+            of_large, of_small = (
+                dict.fromkeys(other.code for other in findings if other.code in _SLOW and group in other.groups)
+                for group in (large, sizes[large])
+            )
+            causes = [titles[code][0].lower() + titles[code][1:] for code in of_large if code not in of_small]
+            words = f"; only at the larger size {' and '.join(causes)}" if causes else _NO_CAUSE
+            explained.append(replace(finding, what=finding.what.replace(_NO_CAUSE, words)))
+        else:
+            explained.append(finding)
+    return explained
 
 
 def _may_use_memory(session: Session) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 
 import polars as pl
@@ -53,6 +53,8 @@ class Overview:
 
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
+    if is_of_topics(analysis):  # what beacons sent is not what was measured
+        groups = replace(groups, cells=(), series=tuple(replace(member, setting="") for member in groups.series))
     conditions = {conditions_label(condition_of(member.setting)) for member in groups.series}
     devices = dict.fromkeys(device_label(member) for member in groups.series) or sorted(
         {f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}

@@ -100,7 +100,7 @@ NO_CURE = {
         "The relay's trace lacks runs",
     ),
     *("undescribed_run", "undescribed_session", "undescribed_relay", "missing_files", "doubtful_sessions"),
-    *("unclosed_session", "restarted_relays", "groups_in_parts", "cases_not_compared"),
+    *("unclosed_session", "restarted_relays", "unrequested_relays", "groups_in_parts", "cases_not_compared"),
     *("loaded", "load_missing", "link_replayed", "calls"),
 }
 

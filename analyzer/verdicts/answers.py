@@ -10,14 +10,14 @@ import numpy as np
 import polars as pl
 
 from ..model.names import group_words
-from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
+from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS, ParameterValue
 from ..model.runs import RunRows
 from ..model.setting import parse_setting
 from ..run_statistics.received import Bools, LossExcess, loss_excesses, received_interval
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis, Range
 from .cases import CONDITIONS, Contender, GroupRows, contender_names, is_too_large, partition_groups, with_conditions
-from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, exceeds_lossy_share, judged_losses
+from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, Reason, exceeds_lossy_share, is_replacing, judged_losses
 from .matching import SetupRuns
 from .ranking import Kind, Ranking, RankingOptions, judge_losers, rank_setups
 
@@ -150,7 +150,15 @@ def find_answers(
         if not is_too_large(part)
     ]
     losers = judge_losers(cases, confidence)
-    cases = [replace(case, barred=case.barred | _losers(rows)) for case, rows in zip(cases, losers, strict=True)]
+    cases = [
+        replace(
+            case,
+            barred=frozenset(
+                name for name in case.barred | _losers(rows) if not _replaces(case.columns, case.setups[name])
+            ),
+        )
+        for case, rows in zip(cases, losers, strict=True)
+    ]
     excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
     rankings = rank_setups(cases, confidence, options)
     return tuple(
@@ -168,9 +176,17 @@ def _losers(judged: Sequence[Judgement]) -> frozenset[str]:
 
 def _judged_losses(case: Kind, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
     for name, setup in case.setups.items():
-        is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
-        if row := judged_losses(name, next(excesses), setup.group, is_requested=is_requested):
+        requested = Reason.NONE
+        if "lifespan_ns" in parse_setting(str(setup.setting["setting"])):
+            requested = Reason.AS_REQUESTED
+        elif _replaces(case.columns, setup):
+            requested = Reason.REPLACED
+        if row := judged_losses(name, next(excesses), setup.group, requested):
             yield row
+
+
+def _replaces(columns: Mapping[str, ParameterValue], setup: SetupRuns) -> bool:
+    return is_replacing(columns["rate_hz"], setup.setting["history"])
 
 
 def _kind(case: pl.DataFrame, setups: Mapping[str, SetupRuns]) -> Kind:

@@ -50,6 +50,7 @@ class Reason(str, Enum):
     LOSSES = "the fastest one loses too much"
     FEW_LOST = "too few to judge"
     AS_REQUESTED = "too old messages are dropped as requested"
+    REPLACED = "keep_last replaces messages at the highest rate"
 
 
 DO_NOT_USE, PROVEN, OPEN = "do not use", "proven", "open"
@@ -96,16 +97,14 @@ def judgement_frame(rows: Iterable[Judgement]) -> pl.DataFrame:
     return pl.DataFrame(values, JUDGEMENT_SCHEMA, orient="row")
 
 
-def judged_losses(subject: str, excess: LossExcess, group: int | None, *, is_requested: bool) -> Judgement | None:
-    """Judge whether a setup is advised against: more than `LOSSY_SHARE` is lost for sure; None without a loss."""
+def judged_losses(subject: str, excess: LossExcess, group: int | None, requested: Reason) -> Judgement | None:
+    """Judge whether a setup is advised against: more than `LOSSY_SHARE` is lost for sure, unrequested; None without a loss."""
     if not excess.lost:
         return None
-    reason = Reason.NONE
-    if is_requested:
-        reason = Reason.AS_REQUESTED
-    elif not excess.is_sure() and exceeds_lossy_share(excess.share):
+    reason = requested
+    if reason is Reason.NONE and not excess.is_sure() and exceeds_lossy_share(excess.share):
         reason = Reason.FEW_LOST
-    is_advised = excess.is_sure() and not is_requested
+    is_advised = excess.is_sure() and requested is Reason.NONE
     return Judgement(
         *(Claim.LOSSY, subject, "lost", f"{LOSSY_SHARE:.0%}", excess.share, excess.low, excess.high),
         basis=(Basis.WITHIN_RUN if excess.p_value is None else Basis.BETWEEN_RUNS).value,
@@ -117,6 +116,11 @@ def judged_losses(subject: str, excess: LossExcess, group: int | None, *, is_req
         lost=excess.lost,
         messages=excess.messages,
     )
+
+
+def is_replacing(rate_hz: object, history: object) -> bool:
+    """Return whether newer messages replace older ones as they leave: these are no losses, the rate is the answer."""
+    return not rate_hz and history == "keep_last"
 
 
 def exceeds_lossy_share(lost: float) -> bool:

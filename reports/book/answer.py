@@ -34,7 +34,17 @@ from .groups import (
     topic_parts,
 )
 from .headline import bridge_sentence, interference_sentences, limits_words, recovery_sentences, where_sentence
-from .losses import UNREACHED, avoid_sentence, cure_sentence, few_lost_sentence, found_sentence, loss_sentence
+from .losses import (
+    MACHINE,
+    UNREACHED,
+    avoid_sentence,
+    cure_sentence,
+    few_lost_sentence,
+    found_sentence,
+    loss_sentence,
+    replaces,
+    throughput_sentence,
+)
 from .numbers import ALL_MESSAGES, RECEIVED_MESSAGES, Median, Values, shown_medians
 from .sizes import late_by_group, late_share
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
@@ -51,6 +61,7 @@ class PointKind(str, Enum):
     AVOID = "avoid"
     CURE = "cure"
     FEW_LOST = "few lost"
+    THROUGHPUT = "throughput"
     FASTEST = "fastest"
     UNDECIDED = "undecided"
     CLIENT_FLOOR = "client floor"
@@ -100,9 +111,11 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     answers = analysis.details.answers if has_latency else ()
     costs = analysis.details.bridge_costs if has_latency else analysis.details.bridge_costs.clear()
     cures = {group: finding.cure for finding in analysis.findings if finding.cure for group in finding.groups}
+    busy = {group for finding in analysis.findings if finding.code in MACHINE for group in finding.groups}
     forged = analysis.unusable_groups
     usable = replace(groups, groups=tuple(group for group in groups.groups if group.index not in forged))
     losses, unreached = loss_sentence(usable, values), found_sentence(analysis, groups, UNREACHED)
+    replaced = [group for group in usable.groups if group.received < group.published and replaces(usable, group)]
     remarks = (
         *_deadline_remarks(analysis, groups),
         *(
@@ -111,7 +124,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
             else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
         ),
         *_level_remarks(usable, medians, metric),
-        *([] if losses or forged or unreached else ["Every message was received."]),
+        *([] if losses or forged or unreached or replaced else ["Every message was received."]),
     )
     verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
@@ -126,10 +139,11 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
         *((PointKind.INTERFERENCE, text) for text in interference_sentences(analysis, usable)),
         (PointKind.LOSS, losses),
-        (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
+        (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures, busy)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         (PointKind.FEW_LOST, unreached),
+        (PointKind.THROUGHPUT, throughput_sentence(usable, values)),
         first,
         (
             PointKind.CLIENT_FLOOR,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
-from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason, is_replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_ratio, format_size, joined
 
@@ -49,14 +49,31 @@ def found_sentence(analysis: Analysis, groups: Groups, words_of: Mapping[str, st
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
-    planned, lost = _planned_and_lost(groups.groups, values)
+    counted_groups = [group for group in groups.groups if not replaces(groups, group)]
+    planned, lost = _planned_and_lost(counted_groups, values)
     if not lost:
         return ""
-    lossy = [group for group in groups.groups if _planned_and_lost([group], values)[1]]
+    lossy = [group for group in counted_groups if _planned_and_lost([group], values)[1]]
     scope, unsent = _scope(lossy, groups), sum(round(values.plain["unsent"][group.index] or 0) for group in lossy)
     where = f", all of them {scope}" if scope else ""
     never = f", {format_count(unsent)} of them never sent" if unsent else ""
     return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}{never}){where}."
+
+
+def replaces(groups: Groups, group: Group) -> bool:
+    return is_replacing(groups.cell_of(group).rate_hz, groups.series_of(group).history)
+
+
+def throughput_sentence(groups: Groups, values: Values) -> str:
+    """Return the transfer rates of messages that were sent as fast as they were taken, the highest first."""
+    rates = values.plain["transfer_rate_bytes_per_s"]
+    fast = [group for group in groups.groups if not groups.cell_of(group).rate_hz and rates[group.index]]
+    labels, parts = group_labels(groups), []
+    for group in sorted(fast, key=lambda group: -(rates[group.index] or 0)):
+        lost = 1 - (values.plain["received_ratio"][group.index] or 0.0)
+        share = f" ({format_ratio(lost)} replaced)" if lost > 0 and replaces(groups, group) else ""
+        parts.append(f"{labels[group.index]} {format_size(round(rates[group.index] or 0))}/s{share}")
+    return f"As fast as messages were taken: {some_of(parts, 'more in the table')}." if parts else ""
 
 
 def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int]:
@@ -88,13 +105,26 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
     return ", ".join(parts)
 
 
-def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
+MACHINE = frozenset({"cpu_saturated", "stood_still", "suspend"})
+"""Codes of what a machine did while messages were lost."""
+
+
+def avoid_sentence(
+    answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str], busy: Collection[int] = ()
+) -> str:
+    """Return the setups that lose too much; `busy` are results whose machine had no processor or stood still."""
     lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
-    worst = {row.subject: (row, where) for row, where in reversed(lossy)}.values() if len(lossy) > MOST_NAMED else lossy
-    shown = sorted(worst, key=lossy.index)[:MOST_NAMED]
-    more = [f"and {len(lossy) - len(shown)} more in the table"] if len(lossy) > len(shown) else []
-    words = "; ".join([*(_lost_words(row, where) for row, where in shown), *more])
-    return f"Do not use, because of losses: {words}." if lossy else ""
+    parts = []
+    for is_busy, condition in ((False, ""), (True, " on a machine as busy as this one was")):
+        same = [pair for pair in lossy if (pair[0].group in busy) is is_busy]
+        worst = (
+            {row.subject: (row, where) for row, where in reversed(same)}.values() if len(same) > MOST_NAMED else same
+        )
+        shown = sorted(worst, key=same.index)[:MOST_NAMED]
+        more = [f"and {len(same) - len(shown)} more in the table"] if len(same) > len(shown) else []
+        words = "; ".join([*(_lost_words(row, where) for row, where in shown), *more])
+        parts += [f"Do not use{condition}, because of losses: {words}."] * bool(same)
+    return " ".join(parts)
 
 
 def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:

@@ -137,6 +137,15 @@ _SPECS: dict[str, ParameterSpec] = {
     name: get_args(hint)[1] for name, hint in get_type_hints(Parameters, include_extras=True).items()
 }
 
+QOS_DEFAULTS: dict[str, ParameterValue] = {
+    "reliability": "reliable",
+    "durability": "volatile",
+    "history": "keep_last",
+    "depth": 10,
+    "serialization": "raw",
+}
+"""Columns that are options of both sides, with the option's default."""
+
 PARAMETER_COLUMNS = tuple(Column(name, row.dtype, row.unit, row.meaning) for name, row in _SPECS.items())
 PARAMETER_NAMES = tuple(field.name for field in fields(Parameters))
 

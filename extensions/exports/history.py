@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.exports.kinds import write_text_file
 from dds_trace.analyzer.model.names import distinct, group_words
-from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
+from dds_trace.analyzer.model.parameters import PARAMETER_NAMES, QOS_DEFAULTS
 from dds_trace.base.streams import plain
 from dds_trace.base.units import finite
 
@@ -61,7 +61,12 @@ def _known_measures(analysis: Analysis) -> Iterator[tuple[Measure, float]]:
 
 
 def _words(row: dict[str, Any], columns: Sequence[str]) -> str:
-    return plain(group_words(row, [name for name in columns if row[name] not in (None, "")]))[:_MOST_NAME]
+    """Name a result by its settings that are not the usual ones, whatever other results there are."""
+    relay = {f"relay_{name}": row[name] for name in ("vendor", "backend")}
+    usual = {**QOS_DEFAULTS, **relay, "domain_mode": "same" if row["bridge"] == "none" else "different"}
+    return plain(group_words(row, [name for name in columns if row[name] not in (None, "", usual.get(name))]))[
+        :_MOST_NAME
+    ]
 
 
 def bencher_json(analysis: Analysis) -> str:

@@ -227,7 +227,11 @@ def read_gates(
     if one_side and (limits_of_one_side(gates) != gates or (needed and not gates and limits_file is None)):
         raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
     more = [] if limits_file is None else read_limits(limits_file)
-    return [*gates, *(limits_of_one_side(more) if one_side else more)]
+    more = limits_of_one_side(more) if one_side else more
+    if limits_file is not None and not more:
+        of_one = " of one side" if one_side else ""
+        raise OptionError(f"{limits_file}: has no limit{of_one} for results; write one, or leave out --limits")
+    return [*gates, *more]
 
 
 def topic_limits(texts: list[str]) -> "list[Gate]":

@@ -13,7 +13,7 @@ from dds_trace.analyzer.run_statistics.change import Change, among_tests
 from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from dds_trace.analyzer.statistics.distributions import student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
-from dds_trace.analyzer.statistics.power import holm_adjusted, messages_to_close
+from dds_trace.analyzer.statistics.power import MOST_RUNS, holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration, format_number
@@ -33,6 +33,9 @@ NOT_APPLIED = "a requested setting was not applied"
 FAMILY = "Holm over groups"
 
 _MOST_TOPICS = 10
+
+_ROUNDING = 1e-12
+"""Error of a difference of two shares in floats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,12 +144,12 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
 def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False) -> list[GateResult]:
     """Judge every group of the base by every gate of a comparison made with `options_for` them.
 
-    First a result of `ALL_GROUPS` for each missing or dead group, then gate by gate.
+    First a result of `ALL_GROUPS` for each missing or dead group, and one of each limit that fits no result, then gate by gate.
     """
     if comparison.delivery.is_empty():
         return []
     names = varying_parameters(comparison.delivery, comparison.options.match)
-    results = [] if allow_missing else list(_missing(comparison, names))
+    results = [] if allow_missing else [*_missing(comparison, names), *_without_result(comparison, gates)]
     families: dict[object, list[Gate]] = {}
     for number, gate in enumerate(gates):  # limits by result are one family, as one limit of all is
         families.setdefault((gate.metric, gate.statistic, gate.against) if gate.is_by_result else number, []).append(
@@ -171,6 +174,23 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
         if row["is_dead"]:
             measured = group_words(row, names), GateOutcome.REGRESSED, change.new.value, *change.new.range
             yield result_of(ALL_GROUPS, *measured, reason="no reply was received on the new side", group=number)
+
+
+def _without_result(comparison: Comparison, gates: Sequence[Gate]) -> Iterator[GateResult]:
+    """Yield the limits that name no result of either side; one of topics is for recordings of topics."""
+    rows = [row for side in (comparison.delivery, comparison.only_base) for row in side.iter_rows(named=True)]
+    only_new = comparison.only_new.to_dicts()
+    files = {id(gate.sections): gate.sections for gate in gates if gate.sections is not None}
+    fitted = {key: (sections.fitting(rows), sections.fitting(only_new)) for key, sections in files.items()}
+    for gate in gates:
+        known, new = fitted.get(id(gate.sections), (frozenset(), frozenset()))
+        if gate.topics or not gate.results or gate.results in known:
+            continue
+        where = " ".join("=".join(pattern) for pattern in gate.results)
+        is_new = gate.results in new
+        reason = "the base has no such result" if is_new else "fits no result: correct it, or record what it names"
+        outcome = GateOutcome.INCONCLUSIVE if is_new else GateOutcome.REGRESSED
+        yield result_of(gate, where, outcome, reason=reason)
 
 
 def _judge(comparison: Comparison, family: Sequence[Gate], names: Sequence[str]) -> Iterator[GateResult]:
@@ -302,7 +322,7 @@ def _advice(gate: Gate, change: Change) -> _Advice:
         runs = runs_to_settle_value(change.new, gate.limit)
     if runs is None:
         return _Advice("the measured value is too close to the limit, or too much was lost, for more runs to decide")
-    return _runs_would_decide(max(runs, *(side.runs + 1 for side in sides)), sides)
+    return _runs_would_decide(runs, sides)
 
 
 def _too_few_runs(sides: Sequence[Interval]) -> str:
@@ -311,9 +331,12 @@ def _too_few_runs(sides: Sequence[Interval]) -> str:
     return f"it takes {MIN_RUNS} runs a side, there are {' and '.join(str(side.runs) for side in sides)}"
 
 
-def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> _Advice:
+def _runs_would_decide(runs: float, sides: Sequence[Interval]) -> _Advice:
     present = " and ".join(str(side.runs) for side in sides)
-    return _Advice(f"about {runs} runs a side would decide, there are {present}", runs)
+    if runs > MOST_RUNS:
+        return _Advice(f"more than {MOST_RUNS:,} runs a side would decide, there are {present}")
+    most = max(math.ceil(runs), *(side.runs + 1 for side in sides))
+    return _Advice(f"about {most} runs a side would decide, there are {present}", most)
 
 
 def _advice_on_received(
@@ -321,8 +344,7 @@ def _advice_on_received(
 ) -> _Advice:
     if few := _too_few_runs(sides):
         return _Advice(few, MIN_RUNS)
-    if value is None or low is None or high is None or value == limit:
+    if value is None or low is None or high is None or math.isclose(value, limit, rel_tol=0.0, abs_tol=_ROUNDING):
         return _Advice("more runs of this kind do not decide")
     reach = high - value if value < limit else value - low
-    fewest = max(side.runs for side in sides)
-    return _runs_would_decide(max(fewest + 1, math.ceil(fewest * (reach / (value - limit)) ** 2)), sides)
+    return _runs_would_decide(max(side.runs for side in sides) * (reach / (value - limit)) ** 2, sides)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 Patterns = tuple[tuple[str, str], ...]
@@ -65,6 +65,11 @@ class Sections:
         found = sorted((order, section) for section in self._fitting_of(row) for order in limits.get(section, ()))
         others = [order for order, section in found if section != found[-1][1]]
         return [order for order, _ in found if not others or order > others[-1]]
+
+    def fitting(self, rows: Iterable[Mapping[str, object]]) -> frozenset[Patterns]:
+        """Return the sections that fit any of the results."""
+        numbers = {number for row in rows for number in self._fitting_of(row)}
+        return frozenset(patterns for patterns, number in self._numbers.items() if number in numbers)
 
     def _fitting_of(self, row: Mapping[str, object]) -> tuple[int, ...]:
         texts = {column: _text(row, column) for column in self._columns}

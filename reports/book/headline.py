@@ -12,7 +12,7 @@ import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.names import device_pair
-from dds_trace.analyzer.model.setting import condition_of, parse_setting
+from dds_trace.analyzer.model.setting import condition_of, parse_setting, write_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim
 from dds_trace.base.printable import printable
@@ -164,8 +164,12 @@ def _cost_words(rows: pl.DataFrame) -> str:
     return ", ".join(parts)
 
 
+_COUNTS = ("flows", "relays")
+"""Conditions that are numbers, 1 if they are not there: a sentence has their range."""
+
+
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
-    links: dict[str, dict[str, None]] = {}
+    counts_by_link: dict[tuple[str, str, str], list[tuple[int, ...]]] = {}
     with_relay = {series.ping_device for series in groups.series if series.relay_device is not None}
     for series in groups.series:
         if series.relay_device is None and series.ping_device in with_relay:
@@ -173,8 +177,17 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         pair = device_pair(series.ping_device, series.relay_device)
         if series.relay_device == series.ping_device:
             pair = f"one machine ({pair})"
-        link = link_label(series.connectivity, condition_of(series.setting), " with ")
-        links.setdefault(pair, {})[link] = None
+        conditions = parse_setting(condition_of(series.setting))
+        numbers = tuple(int(conditions.pop(name, "1")) for name in _COUNTS)
+        link = pair, series.connectivity, write_setting(conditions)
+        counts_by_link.setdefault(link, []).append(numbers)
+    links: dict[str, list[str]] = {}
+    for (pair, connectivity, others), numbers_there in counts_by_link.items():
+        ends = [(min(numbers), max(numbers)) for numbers in zip(*numbers_there, strict=True)]
+        ranges = [" to ".join(map(str, dict.fromkeys(end))) if end[1] > 1 else "" for end in ends]
+        conditions = {**dict(zip(_COUNTS, ranges, strict=True)), **parse_setting(others)}
+        counted_link = write_setting({name: value for name, value in conditions.items() if value})
+        links.setdefault(pair, []).append(link_label(connectivity, counted_link, " with "))
     pairs_of: dict[tuple[str, ...], list[str]] = {}
     for pair, link_names in links.items():
         pairs_of.setdefault(tuple(link_names), []).append(pair)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.model.parameters import SETTING_COLUMNS, SITE_COLUMNS
+from dds_trace.analyzer.model.parameters import QOS_DEFAULTS, SETTING_COLUMNS, SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
@@ -196,15 +196,6 @@ def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
     return name, fit, "; ".join(filter(None, parts))
 
 
-QOS_DEFAULTS = {
-    "reliability": "reliable",
-    "durability": "volatile",
-    "history": "keep_last",
-    "depth": "10",
-    "serialization": "raw",
-}
-"""Columns that are options of both sides, with the option's default."""
-
 _SHOWN = ("rmw", "discovery", "tuned", "wire")
 _KEYS = {"realtime_priority": "realtime", "response_bytes": "response_size"}
 
@@ -275,7 +266,7 @@ def _message(setting: Setting, extra: Mapping[str, str], job: Job, messages: int
 
 def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterator[str]:
     for key, value in sorted(values.items()):
-        if value not in (QOS_DEFAULTS.get(key), "default"):
+        if value not in (str(QOS_DEFAULTS.get(key)), "default"):
             text = spell_duration(int(value)) if key.endswith("_ns") and value.isdecimal() else value
             yield from _option(SETTING_OPTIONS.get(key, f"--{key}"), text)
             yield from ("-o", "keys=keys") if key == "security" else ()

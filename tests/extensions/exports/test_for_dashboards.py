@@ -279,3 +279,5 @@ def test_names_do_not_follow_the_machine_or_what_else_was_measured(tmp_path):
     names = list(json.loads((tmp_path / "bencher.json").read_text()))
     assert names
     assert all("payload_bytes=" in name and "_device=" not in name for name in names)
+    assert max(map(len, names)) < 150
+    assert not any("=reliable" in name or "depth=10" in name or "relay_vendor" in name for name in names)

@@ -268,6 +268,8 @@ def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spr
         # A limit that is far takes one run more at the least, of the side that has more.
         ("received_ratio < -50 points", 0.0, -0.03, 0.02, [5, 3, 4]),
         ("received_ratio < -1 points", -0.01, -0.03, 0.02, []),
+        ("received_ratio < -0.5 points", 0.993 - 0.998, -0.03, 0.02, []),  # a limit but for the error of a float
+        ("received_ratio < -1 points", -0.0099, -0.03, 0.02, [1000, 3, 4]),  # and no number beyond it
         ("received_ratio < -1 points", None, -0.03, 0.02, []),
         ("received_ratio < -1 points", 0.0, None, 0.02, []),
         ("received_ratio < -1 points", 0.0, -0.03, None, []),
@@ -288,6 +290,7 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
     assert ("would decide" if wanted else "do not decide") in advice(3)
     if gate.against is not Against.NEW:
         assert numbers(advice(2)) == [3, 2, 4]
+    assert all(number <= 1000 for number in numbers(advice(3)))
 
 
 @pytest.mark.parametrize(

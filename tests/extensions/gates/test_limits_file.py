@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import polars as pl
 import pytest
+from commands import run_main
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, in_runs
@@ -140,7 +141,11 @@ NAMES = st.text(st.characters(codec="utf-8"), max_size=30) | st.text("[]*?!=\\\"
 @given(st.lists(NAMES, min_size=1, max_size=6, unique=True))
 def test_written_limits_of_topics_are_read_for_every_name(names):
     topics = pl.DataFrame({"topic": names}).with_columns(
-        rate_hz=pl.lit(10.0), missing_high=pl.lit(0), messages=pl.lit(100), age_p99_ns=pl.lit(None, pl.Int64)
+        rate_hz=pl.lit(10.0),
+        missing_high=pl.lit(0),
+        messages=pl.lit(100),
+        age_p99_ns=pl.lit(None, pl.Int64),
+        no_age=pl.lit(None, pl.String),
     )
     gates = read_text(topic_limits_text(topics), of_recording=True)
     chosen = rows_of_gates(gates, [{"data_type": name} for name in names])
@@ -204,3 +209,40 @@ def test_a_key_of_any_length_is_read_in_linear_time(key, part):
             assert_that_is_short(error)
         times.append(time.process_time() - began)
     assert times[1] < 6 * max(times[0], 0.1)
+
+
+EASY = LIMITS.replace("> 99 %", "> 50 %")
+
+
+@pytest.mark.parametrize("table", ["payload_bytes=145KB", "vendor=fastrtps payload_bytes=1*", "setting=a=b"])
+def test_a_limit_that_fits_no_result_is_named_and_fails(tmp_path, table):
+    text = EASY.replace("payload_bytes=2*", table)
+    base = side([5, 5, 5])
+    (first, *others) = judged(tmp_path / "limits.toml", text, base, base)
+    assert (first.subject, first.outcome.value) == (table, "regressed")
+    assert "fits no result" in first.reason
+    assert all(result.outcome.value == "passed" for result in others)
+    gates = read_limits(tmp_path / "limits.toml")
+    comparison = compare_roundtrips(base, base, options_for(gates, CompareOptions(metrics=(), statistics=())))
+    assert all(one.outcome.value == "passed" for one in judge_gates(comparison, gates, allow_missing=True))
+
+
+def test_a_limit_of_a_result_that_one_side_lacks_is_no_typing_error(tmp_path):
+    """The base's missing result fails by itself; one that the change adds is undecided; a replaced limit is neither."""
+    text = EASY + "[thresholds.'payload_bytes=2000']\nlatency_p50 = '< +60 %'\n"
+    path = tmp_path / "limits.toml"
+    less, more = side([5, 5]), side([5, 5, 5])
+    removed, added = judged(path, text, more, less), judged(path, text, less, more)
+    assert [one.reason for one in removed if one.outcome.value != "passed"] == ["missing on the new side"]
+    assert [(one.subject, one.outcome.value) for one in added if one.reason] == [("payload_bytes=3000", "inconclusive")]
+
+
+@pytest.mark.parametrize(
+    ("text", "new", "word"),
+    [("[thresholds]\nlatency_p50 = '< +5 %'\n", [], "one side"), ("[thresholds]\n", ["new"], "no limit")],
+)
+def test_a_file_without_a_limit_to_judge_by_is_refused(tmp_path, text, new, word, capsys):
+    path = tmp_path / "limits.toml"
+    path.write_text(text)
+    assert run_main("compare", tmp_path, *[tmp_path] * len(new), "--limits", path) == 2
+    assert word in capsys.readouterr().err

@@ -68,3 +68,12 @@ def test_each_sentence_has_its_kind():
     demo = Book(CAMPAIGNS["demo"]()).answer
     assert [kind.value for kind in demo.kinds] == ["undecided", "undecided", "bridge", "where"]
     assert [kind.value for kind in Book(EVERY_ANALYSIS["empty folder"]()).answer.kinds] == ["nothing"]
+
+
+@pytest.mark.parametrize(("counts", "words"), [((1, 2, 5), "1 to 5"), ((3,), "3")])
+@pytest.mark.parametrize(("name", "noun"), [("flows", "runs at once"), ("relays", "relays")])
+def test_a_link_with_several_numbers_of_runs_or_relays_is_one_clause(name, noun, counts, words):
+    settings = [f"{name}={count},link=x" if count > 1 else "link=x" for count in counts]
+    where = said(*(Measured(around(MS), setting=setting, connectivity="wired") for setting in settings))[-1]
+    assert where.count("wired") == 1
+    assert f" {words} {noun}" in where

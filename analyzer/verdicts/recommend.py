@@ -314,11 +314,9 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
 def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, str]], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     sizes, rates = (_next_to({point[axis] for point in measured}, at[axis]) for axis in (0, 1))
-    failing = [
-        f"at {format_size(round(size))} and {format_rate(rate)}, {failure}"
-        for size, rate in measured
-        if size in sizes and rate in rates and (failure := measured[size, rate][1])
-    ]
+    around = [(size, rate) for size, rate in measured if size in sizes and rate in rates]
+    words = {point: f"at {format_size(round(point[0]))} and {format_rate(point[1])}" for point in around}
+    failing = [f"{words[point]}, {failure}" for point in around if (failure := measured[point][1])]
     if failing:
         reason = f"not measured, and no estimate: {'; '.join(failing)}"
         return _candidate_of(setting, job, Fit.INCONCLUSIVE, None, (None, None), measured=False, reason=reason)
@@ -329,7 +327,15 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
     }
     guess = guess_time(values, at)
     if guess is None:
-        return None
+        if len(around) < len(sizes) * len(rates) or not around:
+            return None
+        works = all(measured[point][0].fit in (Fit.MEETS, Fit.LIKELY) for point in around)
+        does = "the deadline is met" if works else "it is not decided"
+        return _candidate_of(
+            *(setting, job, Fit.LIKELY if works else Fit.INCONCLUSIVE, None, (None, None)),
+            measured=False,
+            reason=f"not measured, and too little for an estimate: {' and '.join(words.values())} {does}",
+        )
     fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
     omitted = counted(guess.held_out, "omitted measurement was", "omitted measurements were")
     return _candidate_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shlex
@@ -110,13 +111,13 @@ def _own_nodes(recommendation: Recommendation, names: Sequence[str], summary: pl
             )
 
 
-def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
-    unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
-    runs = max(MIN_RUNS, *(candidate.needed_runs or candidate.runs for candidate in unclear))
-    needed = max([planned_messages(recommendation.job.reliability), *(candidate.needed or 0 for candidate in unclear)])
-    long = [candidate for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS]
-    enough = (one.messages / one.runs if one.needed_runs else 2 * one.messages / runs for one in long)
-    return runs, math.ceil(max([needed / runs, *enough]))
+def _messages_of_run(candidate: Candidate, reliability: float) -> tuple[int, int]:
+    runs = max(MIN_RUNS, candidate.needed_runs or candidate.runs)
+    needed = max(planned_messages(reliability), candidate.needed or 0)
+    if candidate.messages < needed or candidate.runs < MIN_RUNS:
+        return runs, math.ceil(needed / runs)
+    enough = candidate.messages / candidate.runs if candidate.needed_runs else 2 * candidate.messages / runs
+    return runs, math.ceil(max(needed / runs, enough))
 
 
 def _missing(recommendation: Recommendation, names: Sequence[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
@@ -127,13 +128,14 @@ def _missing(recommendation: Recommendation, names: Sequence[str]) -> tuple[str,
     if not unclear:
         return "", ()
     first, name = unclear[0]
-    runs, messages = _messages_of_run(recommendation)
-    what = "it" if len(unclear) == 1 else "the unclear ones"
-    of = "of" if len(unclear) == 1 else "with each setup, in turn; here"
-    words = (
-        f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {name}, each into a file of its own:"
+    runs, messages = _messages_of_run(first, recommendation.job.reliability)
+    commands = recording_commands(first.setting, recommendation.job, messages, runs)
+    how = (
+        "; its trace does not have all of its plan: sweep that again.",
+        ", by a sweep:",
+        ", each into a file of its own:",
     )
-    return words, recording_commands(first.setting, recommendation.job, messages)
+    return f"To decide {name}, record about {runs} runs of {messages:,} messages of it{how[len(commands)]}", commands
 
 
 def _pair(candidate: Candidate) -> str:
@@ -181,7 +183,7 @@ def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
     ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
     share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), list[str]()
     if candidate.value_ns is not None:
-        interval = f"{time} (95 %: {' to '.join(map(time_words, ends))})"
+        interval = f"{time} ({'95 %: ' * candidate.measured}{' to '.join(map(time_words, ends))})"
         numbers.append(time if None in ends or {*map(time_words, ends)} == {time} else interval)
         basis = ["a guess"]
     if share != MISSING:
@@ -225,10 +227,34 @@ IMU = "imu"
 _HASH = re.compile(r"#[0-9a-f]+")
 
 
-def recording_commands(setting: Setting, job: Job, messages: int) -> tuple[tuple[str, str], tuple[str, str]]:
+_NOT_IN_TRACE = frozenset({"environment", "configuration", "flow", "with", "flows"})
+"""Settings of a sweep by files, or by other messages at the same time, that a trace does not have."""
+
+_MADE_BY_SWEEP = frozenset({"link", "queue", "outage", "outage_by", "pings", "hosts", "topics", "relays"})
+"""Settings that `record` files under their name and does not make."""
+
+_NOT_OF_AN_AXIS = frozenset(
+    {"cpu_affinity", "deadline_ns", "lifespan_ns", "discovery", "bridge_running", "bridge_listen"}
+)
+
+
+def recording_commands(setting: Setting, job: Job, messages: int, runs: int) -> tuple[tuple[str, str], ...]:
+    """Return device and command: of both sides, of a sweep where `record` would not make the setup, or none."""
     extra = parse_setting(str(setting["setting"]))
+    is_here, connectivity = setting["ping_device"] == setting["relay_device"], str(setting["connectivity"])
+    is_swept = bool(_MADE_BY_SWEEP & extra.keys()) or (is_here and connectivity != "loopback")
+    is_named_only = connectivity.startswith("emulated-") and "link" not in extra
+    if _NOT_IN_TRACE & extra.keys() or is_named_only or (is_swept and not is_here):
+        return ()
     relay_extra = {key.removeprefix("relay."): extra.pop(key) for key in list(extra) if key.startswith("relay.")}
     variables = {key: extra.pop(key) for key in list(extra) if key.isupper()}
+    if is_swept:
+        length = {"messages": messages} if job.rate_hz else {"seconds": _SECONDS_AT_MAX}
+        plan = _plan(setting, extra, relay_extra, job, {**length, "repeats": runs})
+        lines = [shlex.quote(printable(f"{key}={_toml(value)}")) for key, value in plan]
+        write = " ".join(["printf '%s\\n'", *lines, "> decide.toml"])
+        sweep = " ".join([*_assigned(variables), "dds-trace sweep decide.toml"])
+        return ((printable(str(setting["ping_device"])), f"{write} && {sweep}"),)
     qos = {name: str(setting[name]) for name in QOS_DEFAULTS}
     own = {key: value for key, value in extra.items() if key in SETTING_OPTIONS}
     ping = {"rmw": str(setting["rmw"]), **own, **qos} if setting["rmw"] else {**own, **qos}
@@ -283,6 +309,72 @@ def _option(name: str, value: str) -> tuple[str, ...]:
 
 
 def _spelled(variables: Mapping[str, str], role: str, arguments: list[str]) -> str:
-    assignments = [f"{key}={shlex.quote(printable(_HASH.sub('', value)))}" for key, value in sorted(variables.items())]
     words = ["dds-trace", "record", role, *arguments, "--out", f"runs/{role}.mcap"]
-    return " ".join([*assignments, *(shlex.quote(printable(word)) for word in words)])
+    return " ".join([*_assigned(variables), *(shlex.quote(printable(word)) for word in words)])
+
+
+def _assigned(variables: Mapping[str, str]) -> list[str]:
+    return [f"{key}={shlex.quote(printable(_HASH.sub('', value)))}" for key, value in sorted(variables.items())]
+
+
+def _plan(
+    setting: Setting, extra: Mapping[str, str], relay_extra: Mapping[str, str], job: Job, run: Mapping[str, object]
+) -> Iterator[tuple[str, object]]:
+    """Yield the keys of a plan with their values."""
+    options = {**SETTING_OPTIONS, **PING_OPTIONS}
+    yield from ((f"run.{key}", value) for key, value in run.items())
+    link, _, inner = extra.get("link", "").rstrip(")").partition("(")
+    pairs = [pair.partition("=")[::2] for pair in inner.split(",") if pair]
+    yield from (("link.name", link), *((f"link.{key}", _link_value(key, text)) for key, text in pairs)) if link else ()
+    yield from () if link or setting["connectivity"] == "loopback" else (("network.namespaces", True),)
+    sides = {name: setting[name] for name in ("backend", "rmw", "bridge", *QOS_DEFAULTS)}
+    sides |= {"relay_backend": setting["relay_backend"], "relay_rmw": relay_extra.get("rmw")}
+    usual = {**QOS_DEFAULTS, "bridge": "none", "relay_backend": setting["backend"]}
+    yield from ((f"axes.{name}", value) for name, value in sides.items() if value not in (None, usual.get(name)))
+    further: dict[str, list[str]] = {"ping": [], "relay": []}
+    for key, text in extra.items():
+        name = options.get(key, key).removeprefix("--").removeprefix("-o ")
+        if key in _NOT_OF_AN_AXIS:
+            value = spell_duration(int(text)) if key.endswith("_ns") and text.isdecimal() else text
+            for side in further if key in SETTING_OPTIONS else ("ping",):
+                further[side] += _option(options[key], value)
+        elif key in options or key in _MADE_BY_SWEEP - {"link"}:
+            yield f"{'run' if key == 'wire' else 'axes'}.{name}", _typed(_UNIT_OF_TIME.sub("", text))
+        elif key not in ("link", "data"):
+            further["ping"] += ["--setting", f"{key}={text}"]
+    for key, text in relay_extra.items():
+        further["relay"] += () if key == "rmw" or text == "default" else _option(options.get(key, f"--{key}"), text)
+    yield from ((f"devices.{side}.options", words) for side, words in further.items() if words)
+    sent = {"data": extra.get("data", job.data_type), "rate": f"{job.rate_hz:g}" if job.rate_hz else "max"}
+    has_size = "data" not in extra and job.data_type != IMU
+    yield (
+        "matrix",
+        [{**sent, "rate": _typed(sent["rate"]), **({"size": spell_size(job.payload_bytes)} if has_size else {})}],
+    )
+
+
+_SECONDS_AT_MAX = 10
+"""How long a sweep sends as fast as it can, as no number of messages ends that."""
+
+_UNIT_OF_TIME = re.compile(r"(?<=\d)m?s$")
+
+
+def _link_value(key: str, text: str) -> object:
+    return text == "1" if key == "shared" else _HASH.sub("", text) if key == "file" else _typed(text)
+
+
+def _typed(text: str) -> object:
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return int(text) if text.isdecimal() else float(text)
+    except ValueError:
+        return text
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{key}={_toml(item)}' for key, item in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{','.join(map(_toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)

@@ -125,6 +125,24 @@ def test_an_unmeasured_cell_is_a_guess_that_says_so():
     assert recommend_settings(frame, Job("binary", 300_000, 10.0, 20 * MS, 0.9)).candidates == ()
 
 
+@pytest.mark.parametrize("sizes", [(10_000, 80_000), (5_000, 10_000, 80_000)])
+@pytest.mark.parametrize(("slow", "fit"), [(1, Fit.LIKELY), (8, Fit.INCONCLUSIVE), (100, Fit.INCONCLUSIVE)])
+def test_a_size_between_two_that_work_comes_first_where_no_error_can_be_given(sizes, slow, fit):
+    """Zenoh misses its deadline at every size; Fast DDS meets it at the next smaller size, and at the larger one as given."""
+    other = {"vendor": "zenoh", "relay_vendor": "zenoh"}
+    frame = pl.concat(
+        in_runs(
+            noisy(ms * MS * (slow if size == max(sizes) and ms == 2 else 1)), payload_bytes=size, run_id=run_id, **setup
+        )
+        for run_id, (size, ms, setup) in enumerate([(s, ms, v) for s in sizes for ms, v in ((2, {}), (99, other))], 1)
+    )
+    candidates = recommend_settings(frame, Job("binary", 30_000, 10.0, 16 * MS, 0.9, metric="latency")).candidates
+    first = candidates[0] if slow == 1 else next(one for one in candidates if one.setting["vendor"] == "fastdds")
+    assert (first.setting["vendor"], first.fit, first.value_ns, first.measured) == ("fastdds", fit, None, False)
+    assert len(candidates) == 2
+    assert ("is met" in first.reason) == (fit is Fit.LIKELY)
+
+
 def test_all_surely_late_is_an_answer_and_nothing_measured_is_none():
     assert recommend_settings(steady(noisy(40 * MS)), JOB).is_conclusive
     ranking = recommend_settings(steady([]), JOB)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -18,10 +19,10 @@ from dds_trace.tracefile.reading.source import Condition
 
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth, Row, empty_health
 from .losses import NONE
-from .messages import TopicMessages, find_recordings
+from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
 from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
-from .read import read_messages
+from .read import read_batches
 from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
 
 _MOST_NOTES = 10
@@ -120,7 +121,8 @@ def analyze_topics(
     )
 
 
-_Columns: TypeAlias = dict[tuple[str, str, str], TopicMessages]
+_TopicKey: TypeAlias = tuple[str, str, str]
+_Columns: TypeAlias = dict[_TopicKey, TopicMessages]
 
 
 @dataclass(slots=True)
@@ -131,6 +133,8 @@ class _Recording:
     condition: Condition
     columns: _Columns
     failure: str = ""
+    following: list[_Columns] = field(default_factory=list)
+    """Of its further files, until `join`."""
 
     @property
     def span(self) -> Span:
@@ -145,14 +149,19 @@ class _Recording:
             getattr(self.condition, kind).extend(found)
         self.condition.chunks += other.condition.chunks
         self.condition.topics |= other.condition.topics
-        number = sum(map(len, self.columns.values()))
-        for key, messages in other.columns.items():
-            if key in self.columns:
-                self.columns[key].extend(messages, number)
-            else:
-                self.columns[key] = TopicMessages(messages.topic)
-                self.columns[key].extend(messages, number)
+        self.following.append(other.columns)
         self.parts += other.parts
+
+    def join(self) -> None:
+        """Let the messages of each topic be those of all files."""
+        files, number = defaultdict[_TopicKey, list[TopicMessages]](list), 0
+        for columns in (self.columns, *self.following):
+            for key, messages in columns.items():
+                messages.columns["number"] = messages.column("number") + number
+                files[key].append(messages)
+            number += sum(map(len, columns.values()))
+        self.columns = {key: TopicMessages.joined(parts) for key, parts in files.items()}
+        self.following.clear()
 
 
 def _recordings(group: Sequence[Part], progress: Callable[[Path], None] | None) -> Iterator[_Recording]:
@@ -167,27 +176,29 @@ def _recordings(group: Sequence[Part], progress: Callable[[Path], None] | None) 
             whole.append(read)
             continue
         if whole is not None:
+            whole.join()
             yield whole
         whole, spans = (read, [read.span]) if read.columns else (None, [])
         if whole is None:
             yield read
     if whole is not None:
+        whole.join()
         whole.condition.damages += lost_files(whole.parts)
         yield whole
 
 
 def _read(part: Part) -> _Recording:
-    recording = _Recording([part], Condition(), {})
+    recording, messages = _Recording([part], Condition(), {}), MessageColumns()
     try:
-        for number, message in enumerate(read_messages(part.path, recording.condition)):
-            topic = message.topic
-            key = topic.name, topic.message_type, topic.encoding
-            if key not in recording.columns:
-                recording.columns[key] = TopicMessages(topic)
-            recording.columns[key].add(message, number)
+        for batch in read_batches(part.path, recording.condition):
+            messages.add(batch)
     except TraceFormatError as err:
         recording.failure = err.what
         recording.condition.damages.append(err.what)
+    topics = messages.by_topic()
+    count_copies(topics, partial(read_batches, part.path, Condition()))
+    names = ((one.topic.name, one.topic.message_type, one.topic.encoding) for one in topics)
+    recording.columns = dict(zip(names, topics, strict=True))
     return recording
 
 

@@ -95,14 +95,58 @@ def _with_header(types: Mapping[str, Fields], name: str) -> frozenset[str]:
 
 
 @cache
-def known_definition(name: str) -> str:
-    """Return the definition of a ROS 2 type, with its parts; empty for others, and without rosbags."""
+def known_definition(name: str, encoding: str = "cdr") -> str:
+    """Return the definition of a type of ROS 2, or of ROS 1 for `ros1`, with its parts; empty for others, and without rosbags."""
     if find_spec("rosbags") is None:
         return ""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
 
-    store = get_typestore(Stores.LATEST)
-    return store.generate_msgdef(name)[0] if name in store.fielddefs else ""
+    is_ros1 = encoding == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.LATEST)
+    return store.generate_msgdef(name, ros_version=1 if is_ros1 else 2)[0] if name in store.fielddefs else ""
+
+
+class StampPlace(NamedTuple):
+    """Offset of the stamp in each message of a type; `count_at` is the one of a sequence that must not be empty."""
+
+    at: int
+    count_at: int | None = None
+
+
+class _MessageType(NamedTuple):
+    name: str
+    types: Mapping[str, Fields]
+    with_header: frozenset[str]
+    leads: bool
+
+
+def _stamped_type(name: str, definition: str, encoding: str) -> _MessageType | None:
+    """Return a type that has a stamp; the header is the encoding's, whatever the definition says."""
+    if encoding not in _HEADERS:
+        return None
+    types = {**parse_definition(name, definition), _HEADER: _HEADERS[encoding]}
+    plain = plain_name(name)
+    fields = types[plain]
+    if not fields:
+        return None
+    leads = fields[0].type == _TIME and fields[0].length is None
+    with_header = _with_header(types, plain)
+    return _MessageType(plain, types, with_header, leads) if leads or with_header else None
+
+
+def stamp_place(name: str, definition: str, encoding: str) -> StampPlace | None:
+    """Return where plain CDR of version 1, or ROS 1, has the stamp that `stamp_reader` reads; None where values of any length precede it."""
+    stamped = _stamped_type(name, definition, encoding)
+    if stamped is None:
+        return None
+    walk = _PlaceWalk(bytes([0, 1, 0, 0]), stamped.types, stamped.with_header, is_cdr=encoding == "cdr")
+    with suppress(ValueError, RecursionError):
+        try:
+            _ = walk.time() if stamped.leads else walk.stamp_of(stamped.name)
+        except _FoundPlaceError:
+            walk.align(4)
+            return StampPlace(walk.at, walk.count_at)
+    return None
 
 
 def stamp_reader(name: str, definition: str, encoding: str) -> Callable[[bytes], int | None] | None:
@@ -110,22 +154,14 @@ def stamp_reader(name: str, definition: str, encoding: str) -> Callable[[bytes],
 
     `encoding` is `cdr` or `ros1`, `definition` the text of the type. Of several headers, as in an array, the first counts.
     """
-    if encoding not in _HEADERS:
-        return None
-    types = {_HEADER: _HEADERS[encoding], **parse_definition(name, definition)}
-    plain = plain_name(name)
-    fields = types[plain]
-    if not fields:
-        return None
-    leads = fields[0].type == _TIME and fields[0].length is None
-    with_header = _with_header(types, plain)
-    if not leads and not with_header:
+    stamped = _stamped_type(name, definition, encoding)
+    if stamped is None:
         return None
 
     def read(data: bytes) -> int | None:
         try:
-            walk = _Walk(data, types, with_header, is_cdr=encoding == "cdr")
-            stamp_ns = walk.time() if leads else walk.stamp_of(plain)
+            walk = _Walk(data, stamped.types, stamped.with_header, is_cdr=encoding == "cdr")
+            stamp_ns = walk.time() if stamped.leads else walk.stamp_of(stamped.name)
         except (struct.error, ValueError, RecursionError):
             return None
         return stamp_ns or None
@@ -230,6 +266,36 @@ class _Walk:
                 self.at += not fields and self.is_cdr  # an empty structure has one byte
                 for inner in fields:
                     self.skip(inner)
+
+
+class _FoundPlaceError(Exception):
+    """The walk is at the stamp."""
+
+
+@dataclass(slots=True)
+class _PlaceWalk(_Walk):
+    """The walk without a message: the first sequence with a header has an element, and any other value of variable length ends it."""
+
+    count_at: int | None = None
+
+    def time(self) -> int:
+        raise _FoundPlaceError
+
+    def text(self) -> bytes:
+        raise ValueError("of variable length")
+
+    def count(self) -> int:
+        if self.count_at is not None:
+            raise ValueError("of variable length")
+        self.align(4)
+        self.count_at = self.at
+        self.at += 4
+        return 1
+
+    def skip(self, field: Field) -> None:
+        if field.length == -1:
+            raise ValueError("of variable length")
+        _Walk.skip(self, field)
 
 
 def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:

@@ -1,35 +1,43 @@
-"""Messages of rosbag1, rosbag2 or MCAP by topic: times, size and header stamp."""
+"""Messages of rosbag1, rosbag2 or MCAP by topic, as columns: times, size, stamp of the header."""
 
 from __future__ import annotations
 
 import os
-from array import array
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
 from dds_trace.tracefile.format.encoding import decode_string
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
-from dds_trace.tracefile.reading.source import RawMessage
+from dds_trace.tracefile.format.message_stamps import StampReader, stamps_of
+from dds_trace.tracefile.mcapfile.scan import unaligned
+from dds_trace.tracefile.reading.source import NONE, MessageBatch
 from dds_trace.tracefile.reading.storage import find_storage
 
 from .clocks import DAY_NS, find_resets, of_one_clock
-from .header_stamps import known_definition, lost_by_recorder, parse_definition, plain_name, stamp_reader
-from .losses import COMMANDS, LOST_TYPE, NONE, TopicTimes
+from .header_stamps import lost_by_recorder
+from .losses import COMMANDS, LOST_TYPE, TopicTimes
 from .periods import Int64
 from .read import content_hash
+
+if TYPE_CHECKING:
+    from array import array
+
+Integers: TypeAlias = NDArray[np.integer[Any]]
 
 _LONGEST_FRAME_BYTES = 256
 _LEAST_ASCENDING = 0.9
 _AROUND = 5
-
-_TEXTS = ("ros1msg", "ros2msg")
+_LEAST_RESET_NS = 100_000_000
+"""As `find_resets` demands."""
 
 _SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
 
@@ -45,65 +53,44 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
     )
 
 
-_COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame", "content", "number")
+_COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "frame")
 
 
 @dataclass(slots=True)
 class TopicMessages:
-    """Messages of one topic, 72 bytes each; `bound_ns` is of stamps on the recorder's clock.
+    """Messages of one topic in stored order, as columns; `bound_ns` is of stamps on the recorder's clock.
 
-    Publishers differ by `publisher` (rosbag1) or perhaps by `frame`; messages of unlike `content` are no copies; `number` is of all topics.
+    Publishers differ by `publisher` (rosbag1) or perhaps by `frame`; `number` counts the messages of all topics.
+    `copies` are there twice, with the same time and content.
     """
 
     topic: RecordedTopic
-    columns: dict[str, array[int]] = field(default_factory=lambda: {name: array("q") for name in _COLUMNS})
+    columns: dict[str, Integers | array[int]]
     lost: dict[str, tuple[int, int]] = field(default_factory=dict)
     publishers: dict[str, JsonObject] = field(default_factory=dict)
     bound_ns: int | None = None
+    copies: int = 0
 
     def __len__(self) -> int:
         return len(self.columns["log_ns"])
 
-    def add(self, message: RawMessage, number: int) -> None:
-        stamp, begins_with_header = _readers_of(message.topic)
-        data, sequence = message.data, message.sequence
-        if message.topic.encoding == "ros1":  # a converter's numbers are of all topics
-            sequence = int.from_bytes(data[:4], "little") if begins_with_header else None
-        values = (
-            message.log_ns,
-            message.publish_ns,
-            stamp(data) if stamp else None,
-            len(data),
-            sequence,
-            hash(message.topic.publisher),
-            hash(_frame(data)) if begins_with_header else 0,
-            content_hash(data),
-            number,
-        )
-        for column, value in zip(self.columns.values(), values, strict=True):
-            column.append(NONE if value is None else value)
-        if self.topic.message_type == LOST_TYPE:
-            for topic, transport, recorder in lost_by_recorder(data):
-                before = self.lost.get(topic, (0, 0))
-                self.lost[topic] = before[0] + transport, before[1] + recorder
-        elif self.topic.name == PUBLISHER_TOPIC:
-            with suppress(ValueError):
-                record = object_of(parse_json(decode_string(data)))
-                self.publishers[f"{record.get('session_id')} {record.get('publisher_id')}"] = record
-
-    def extend(self, others: TopicMessages, number: int) -> None:
-        """Append the messages of a following file, before which `number` messages of all topics were read."""
-        for name, column in self.columns.items():
-            values = others.columns[name]
-            column.extend(array("q", [value + number for value in values]) if name == "number" else values)
-        for topic, (transport, recorder) in others.lost.items():
-            before = self.lost.get(topic, (0, 0))
-            self.lost[topic] = before[0] + transport, before[1] + recorder
-        self.publishers |= others.publishers
+    @classmethod
+    def joined(cls, files: Sequence[TopicMessages]) -> TopicMessages:
+        """Return the messages of files that follow each other."""
+        if len(files) == 1:
+            return files[0]
+        columns = {name: np.concatenate([file.column(name) for file in files]) for name in files[0].columns}
+        whole = cls(files[0].topic, dict(columns), copies=sum(file.copies for file in files))
+        for file in files:
+            whole.publishers |= file.publishers
+            for topic, (transport, recorder) in file.lost.items():
+                before = whole.lost.get(topic, (0, 0))
+                whole.lost[topic] = before[0] + transport, before[1] + recorder
+        return whole
 
     def column(self, name: str) -> Int64:
         """In stored order; `NONE` for a value that a message lacks."""
-        return np.frombuffer(self.columns[name], np.int64)
+        return np.asarray(self.columns[name], np.int64)
 
     def change_of_age_ns(self, start: int) -> float | None:
         """Return None where stamps do not go on."""
@@ -124,39 +111,252 @@ class TopicMessages:
             went_back = around[1] - around[0] < -by_ns / 2 if is_known else with_stamps
             if name == "log_ns" or went_back:
                 times_ns[start:][times_ns[start:] != NONE] += by_ns
-                self.columns[name] = array("q", times_ns.tobytes())
+                self.columns[name] = times_ns
 
-    @property
-    def copies(self) -> int:
-        keys = np.array([self.columns["log_ns"], self.columns["content"]])
+    def perhaps_copied(self) -> Int64:
+        """Return the numbers of messages that share time, size and stamp with another."""
+        keys = self.column("log_ns"), self.column("payload_bytes"), self.column("stamp_ns")
+        if (np.diff(keys[0]) > 0).all():
+            return np.empty(0, np.int64)
+        order = np.lexsort(keys)
+        is_equal = np.logical_and.reduce([np.diff(key[order]) == 0 for key in keys])
+        is_shared = np.append(is_equal, False) | np.append(False, is_equal)
+        numbers: Int64 = self.column("number")[order[is_shared]]
+        return numbers
+
+    def count_copies(self, contents: Mapping[int, int]) -> None:
+        """Count them by the content of messages by number."""
+        numbers = self.column("number")
+        indices = np.flatnonzero(np.isin(numbers, np.array([*contents], np.int64)))
+        keys = np.array([self.column("log_ns")[indices], [contents[number] for number in numbers[indices].tolist()]])
         keys = keys[:, np.lexsort(keys)]
-        return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
+        self.copies = int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
 
     def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None, counter: str) -> TopicTimes:
         """Return messages of the recording's clock by log time, all if none is."""
-        log_ns = self.column("log_ns")
-        order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
-        inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
-        order = inside if len(inside) else order
-        stamps = self.column("stamp_ns")
-        stamped_within = (stamps >= stamps[order].min()) & (stamps <= stamps[order].max())
-        stamped_within[order] = False
-        log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-2])
+        log_ns, stamps = self.column("log_ns"), self.column("stamp_ns")
+        left_out_ns = stamps[:0]
+        order: slice | Int64 = slice(None)
+        if log_ns.min() < first_ns or log_ns.max() > last_ns or (np.diff(log_ns) < 0).any():  # chunks may overlap
+            order = np.argsort(log_ns, kind="stable")
+            inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
+            order = inside if len(inside) else order
+            stamped_within = (stamps >= stamps[order].min()) & (stamps <= stamps[order].max())
+            stamped_within[order] = False
+            left_out_ns = stamps[stamped_within]
+        names = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame")
+        log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in names)
         is_ros1 = self.topic.encoding == "ros1"
         commands = any(map(COMMANDS.search, (self.topic.name, self.topic.message_type)))
         return TopicTimes(
-            *(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, counter),
-            stamps[stamped_within],
+            *(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, commands, lost, counter), left_out_ns
         )
+
+
+class MessageColumns:
+    """Collects the messages of a recording as columns of all topics: a message costs their bytes, and no object."""
+
+    def __init__(self) -> None:
+        self._topics: Sequence[RecordedTopic] = ()
+        self._parts: dict[str, list[Integers]] = {name: [] for name in ("topic", *_COLUMNS)}
+        self._stamps = _Stamps()
+        self._lost: dict[_TopicKey, dict[str, tuple[int, int]]] = {}
+        self._publishers: dict[_TopicKey, dict[str, JsonObject]] = {}
+
+    def add(self, batch: MessageBatch) -> None:
+        self._topics = batch.topics
+        self._stamps.know(batch.topics)
+        stamp_ns, sequence, frame = self._stamps.columns_of(batch)
+        columns: list[Integers] = [batch.topic.astype(np.int32), batch.log_ns, batch.publish_ns, stamp_ns]
+        columns += [batch.sizes.astype(np.int32), sequence, frame]
+        for parts, column in zip(self._parts.values(), columns, strict=True):
+            parts.append(column)
+        for index in np.flatnonzero(np.isin(batch.topic, self._stamps.counting)).tolist():
+            self._count(batch.topics[batch.topic[index]], batch.content(index))
+
+    def _count(self, topic: RecordedTopic, data: bytes) -> None:
+        if topic.message_type == LOST_TYPE:
+            lost = self._lost.setdefault(_key(topic), {})
+            for name, transport, recorder in lost_by_recorder(data):
+                before = lost.get(name, (0, 0))
+                lost[name] = before[0] + transport, before[1] + recorder
+            return
+        with suppress(ValueError):
+            record = object_of(parse_json(decode_string(data)))
+            name = f"{record.get('session_id')} {record.get('publisher_id')}"
+            self._publishers.setdefault(_key(topic), {})[name] = record
+
+    def by_topic(self) -> list[TopicMessages]:
+        """Return the messages of each topic, type and encoding, sorted by these, and forget them here."""
+        topic_index = _joined(self._parts, "topic")
+        indices, first_rows = np.unique(topic_index, return_index=True)
+        first_of: dict[_TopicKey, RecordedTopic] = {}
+        for index in indices[np.argsort(first_rows)].tolist():
+            first_of.setdefault(_key(self._topics[index]), self._topics[index])
+        keys = sorted(first_of)
+        rank_of = {key: rank for rank, key in enumerate(keys)}
+        ranks = np.array([rank_of.get(_key(topic), 0) for topic in self._topics], np.int32)[topic_index]
+        codes = {publisher: code for code, publisher in enumerate({topic.publisher: 0 for topic in self._topics})}
+        publisher = np.array([codes[topic.publisher] for topic in self._topics], np.int32)[topic_index]
+        number = np.argsort(ranks, kind="stable")
+        edges = np.cumsum(np.bincount(ranks, minlength=len(keys)))[:-1]
+        del topic_index, ranks
+        columns: dict[str, list[Integers]] = {"number": [*np.split(number, edges)]}
+        columns["publisher"] = _split(publisher, number, edges)
+        for name in _COLUMNS:
+            columns[name] = _split(_joined(self._parts, name), number, edges)
+        return [
+            TopicMessages(
+                first_of[key],
+                {name: parts[rank] for name, parts in columns.items()},
+                self._lost.get(key, {}),
+                self._publishers.get(key, {}),
+            )
+            for rank, key in enumerate(keys)
+        ]
+
+
+_TopicKey: TypeAlias = tuple[str, str, str]
+
+
+def _key(topic: RecordedTopic) -> _TopicKey:
+    return topic.name, topic.message_type, topic.encoding
+
+
+def _joined(parts: dict[str, list[Integers]], name: str) -> Integers:
+    column = np.concatenate(parts[name]) if parts[name] else np.empty(0, np.int64)
+    parts[name].clear()
+    return column
+
+
+def _split(column: Integers, number: Int64, edges: Int64) -> list[Integers]:
+    """Return the column of each topic; of equal values there is one."""
+    parts = np.split(column[number], edges)
+    return [np.broadcast_to(part[:1].copy(), part.shape) if (part[:1] == part).all() else part for part in parts]
+
+
+def count_copies(columns: Sequence[TopicMessages], read_again: Callable[[], Iterator[MessageBatch]]) -> None:
+    """Count messages that are there twice; content is read only of those that share what is cheap to compare."""
+    perhaps = [(topic, numbers) for topic in columns if len(numbers := topic.perhaps_copied())]
+    if not perhaps:
+        return
+    numbers = np.sort(np.concatenate([numbers for _, numbers in perhaps]))
+    contents, first = dict[int, int](), 0
+    with suppress(TraceFormatError):
+        for batch in read_again():
+            start, stop = np.searchsorted(numbers, (first, first + len(batch)))
+            contents |= {at: content_hash(batch.content(at - first)) for at in numbers[start:stop].tolist()}
+            first += len(batch)
+            if stop == len(numbers):
+                break
+    for topic, _ in perhaps:
+        topic.count_copies(contents)
+
+
+_PLAIN_CDR = int.from_bytes(b"\0\1", "little")
+_FRAME_BYTES_AT, _FRAME_AT = 12, 16
+"""Offsets of the length of a header's frame and of the frame, in both encodings."""
+
+_WORD_BYTES = 8
+_WEIGHTS = np.array([pow(0x9E3779B97F4A7C15, power, 1 << 64) for power in range(1, 35)], np.uint64)
+
+
+class _Stamps:
+    """Stamps, numbers and frames of messages, read as columns where their type has them at fixed offsets, else one by one."""
+
+    def __init__(self) -> None:
+        self._readers: list[StampReader | None] = []
+        self._places = np.empty((0, 2), np.int64)
+        self._flags = np.empty((0, 3), np.bool_)
+        self.counting: list[int] = []
+
+    def know(self, topics: Sequence[RecordedTopic]) -> None:
+        new = topics[len(self._readers) :]
+        if not new:
+            return
+        for index, topic in enumerate(new, len(self._readers)):
+            self.counting += [index] * (topic.message_type == LOST_TYPE or topic.name == PUBLISHER_TOPIC)
+            self._readers.append(stamps_of(topic))
+        readers = self._readers[-len(new) :]
+        places = [reader.place if reader and reader.place else None for reader in readers]
+        rows = [
+            (-1, -1) if place is None else (place.at, -1 if place.count_at is None else place.count_at)
+            for place in places
+        ]
+        flags = [
+            (reader is not None, reader is not None and reader.has_header, topic.encoding == "ros1")
+            for reader, topic in zip(readers, new, strict=True)
+        ]
+        self._places = np.concatenate([self._places, np.array(rows, np.int64)])
+        self._flags = np.concatenate([self._flags, np.array(flags, np.bool_)])
+
+    def columns_of(self, batch: MessageBatch) -> tuple[Int64, Int64, Int64]:
+        """Return stamps, sequence numbers and frames, `NONE` or 0 for those without."""
+        has_stamp, has_header, is_ros1 = self._flags[batch.topic].T
+        stamp_ns, is_read = self._stamps(batch, is_ros1)
+        for index in np.flatnonzero(has_stamp & ~is_read).tolist():
+            reader = self._readers[batch.topic[index]]
+            value = reader.read(batch.content(index)) if reader else None
+            stamp_ns[index] = NONE if value is None else value
+        sequence = batch.sequence
+        if is_ros1.any():  # a converter's numbers are of all topics
+            rows = np.flatnonzero(is_ros1 & has_header & (batch.sizes >= 4))
+            sequence = np.where(is_ros1, NONE, sequence)
+            sequence[rows] = unaligned(batch.data, "<u4")[batch.starts[rows]]
+        return stamp_ns, sequence, _frames(batch, has_header)
+
+    def _stamps(self, batch: MessageBatch, is_ros1: NDArray[np.bool_]) -> tuple[Int64, NDArray[np.bool_]]:
+        places, counts_at = self._places[batch.topic].T
+        is_read = (places >= 0) & (batch.sizes >= places + 8)
+        stamp_ns, rows = np.full(len(batch), NONE), np.flatnonzero(is_read)
+        numbers, starts = unaligned(batch.data, "<u4"), batch.starts[rows]
+        is_plain = is_ros1[rows] | (unaligned(batch.data, "<u2")[starts] == _PLAIN_CDR)
+        counted = np.flatnonzero(counts_at[rows] >= 0)
+        if len(counted):
+            counts = numbers[starts[counted] + counts_at[rows[counted]]]
+            is_plain[counted] &= (counts > 0) & (counts <= batch.sizes[rows[counted]])
+        is_read[rows] = is_plain
+        rows = rows[is_plain]
+        at = batch.starts[rows] + places[rows]
+        seconds = np.where(is_ros1[rows], numbers[at], unaligned(batch.data, "<i4")[at].astype(np.int64))
+        stamps = seconds * 1_000_000_000 + numbers[at + 4]
+        stamp_ns[rows] = np.where(stamps == 0, NONE, stamps)
+        return stamp_ns, is_read
+
+
+def _frames(batch: MessageBatch, has_header: NDArray[np.bool_]) -> Int64:
+    """Return a number for each text of a header's frame, 0 without one: publishers often differ by it."""
+    frames = np.zeros(len(batch), np.uint64)
+    rows = np.flatnonzero(has_header & (batch.sizes >= _FRAME_AT))
+    sizes = unaligned(batch.data, "<u4")[batch.starts[rows] + _FRAME_BYTES_AT].astype(np.int64)
+    is_short = sizes < _LONGEST_FRAME_BYTES
+    rows, sizes = rows[is_short], sizes[is_short]
+    sizes = np.minimum(sizes, batch.sizes[rows] - _FRAME_AT)
+    words, last_word = unaligned(batch.data, "<u8"), len(batch.data) - _WORD_BYTES
+    for size in np.unique(sizes).tolist() if len(sizes) and last_word >= 0 else ():
+        of_size = rows[sizes == size]
+        at, total = (
+            batch.starts[of_size] + _FRAME_AT,
+            np.full(len(of_size), size * int(_WEIGHTS[-1]) % (1 << 64), np.uint64),
+        )
+        for number, offset in enumerate(range(0, size, _WORD_BYTES)):
+            beyond = np.maximum(at + offset - last_word, 0)  # in bytes, at the end of the data
+            word = words[at + offset - beyond] >> (8 * beyond).astype(np.uint64)
+            used_bits = 8 * min(size - offset, _WORD_BYTES)
+            total += (word & np.uint64((1 << used_bits) - 1)) * _WEIGHTS[number]
+        frames[of_size] = total
+    return frames.view(np.int64)
 
 
 def run_on_after_resets(columns: Sequence[TopicMessages]) -> Iterator[tuple[int, int, int]]:
     """Let times go on where a clock was reset; yield when, by how much, and the topics with stamps that went on."""
-    log_ns, number = (np.concatenate([topic.column(name) for topic in columns]) for name in ("log_ns", "number"))
-    by_time = np.argsort(log_ns, kind="stable")
-    by_time = by_time[of_one_clock(log_ns[by_time])]
-    stored = np.sort(number[by_time])
-    in_order_ns = log_ns[np.argsort(number)][stored]
+    in_order_ns = _in_stored_order(columns, "log_ns")
+    if len(in_order_ns) < 2 or np.diff(in_order_ns).min() > -_LEAST_RESET_NS:
+        return
+    log_ns = np.sort(in_order_ns)
+    log_ns = log_ns[of_one_clock(log_ns)]
+    stored = np.flatnonzero((in_order_ns >= log_ns[0]) & (in_order_ns <= log_ns[-1]))
+    in_order_ns = in_order_ns[stored]
     resets = find_resets(in_order_ns)
     if resets and any(topic.copies for topic in columns):
         return  # a merged bag
@@ -178,16 +378,24 @@ def run_on_after_resets(columns: Sequence[TopicMessages]) -> Iterator[tuple[int,
 
 def leave_out_shared_numbers(columns: Sequence[TopicMessages]) -> None:
     """Take off the numbers of a converter's counter of all topics, which say nothing of one."""
-    rows = [
-        np.array([topic.column("log_ns"), topic.column("sequence"), np.full(len(topic), at)])
-        for at, topic in enumerate(columns)
-    ]
-    ordered = np.concatenate(rows, axis=1)
-    ordered = ordered[:, np.lexsort(ordered[1::-1])]
-    is_other_topic = np.diff(ordered[2]) != 0
-    if is_other_topic.any() and (np.diff(ordered[1])[is_other_topic] > 0).mean() > _LEAST_ASCENDING:
+    log_ns, sequence = (_in_stored_order(columns, name) for name in ("log_ns", "sequence"))
+    topic_index = np.empty(len(log_ns), np.int32)
+    for index, topic in enumerate(columns):
+        topic_index[topic.column("number")] = index
+    if (np.diff(log_ns) <= 0).any():
+        order = np.lexsort((sequence, log_ns))
+        sequence, topic_index = sequence[order], topic_index[order]
+    is_other_topic = np.diff(topic_index) != 0
+    if is_other_topic.any() and (np.diff(sequence)[is_other_topic] > 0).mean() > _LEAST_ASCENDING:
         for topic in columns:
-            topic.columns["sequence"] = array("q", [NONE]) * len(topic)
+            topic.columns["sequence"] = np.broadcast_to(np.array([NONE]), len(topic))
+
+
+def _in_stored_order(columns: Sequence[TopicMessages], name: str) -> Int64:
+    values = np.empty(sum(map(len, columns)), np.int64)
+    for topic in columns:
+        values[topic.column("number")] = topic.column(name)
+    return values
 
 
 def counts_of_recorder(columns: Sequence[TopicMessages]) -> tuple[dict[str, tuple[int, int]], str]:
@@ -214,18 +422,3 @@ def counts_of_recorder(columns: Sequence[TopicMessages]) -> tuple[dict[str, tupl
 def _total(records: Sequence[JsonObject], name: str) -> int | None:
     numbers = [number_of(record.get(name)) for record in records]
     return None if None in numbers else int(sum(filter(None, numbers)))
-
-
-@lru_cache(maxsize=10_000)
-def _readers_of(topic: RecordedTopic) -> tuple[Callable[[bytes], int | None] | None, bool]:
-    definition = topic.definition if topic.definition_encoding in _TEXTS else ""
-    definition = definition or known_definition(topic.message_type)
-    stamp = stamp_reader(topic.message_type, definition, topic.encoding)
-    fields = parse_definition(topic.message_type, definition)[plain_name(topic.message_type)]
-    return stamp, stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
-
-
-def _frame(data: bytes) -> bytes:
-    """Return the frame of a header: publishers often differ by it."""
-    size = int.from_bytes(data[12:16], "little")
-    return data[16 : 16 + size] if size < _LONGEST_FRAME_BYTES else b""

@@ -148,11 +148,11 @@ def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> 
 
 
 def _types_of(topic: RecordedTopic) -> Typestore:
-    """Return the recording's types of a topic, else the types of ROS 2, which have hardly changed."""
+    """Return the recording's types of a topic, else the types of ROS 1 or 2 by their names."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415 - only bags need it
 
     if not topic.definition:
-        return get_typestore(Stores.ROS2_JAZZY)
+        return get_typestore(Stores.ROS1_NOETIC if topic.encoding == "ros1" else Stores.ROS2_JAZZY)
     store = get_typestore(Stores.EMPTY)
     if topic.definition_encoding.endswith("idl"):
         for text in topic.definition.split(f"{'=' * 80}\n"):

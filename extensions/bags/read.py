@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Header, Metadata, Statistics
 
@@ -17,12 +18,25 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
-from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER
+from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from dds_trace.tracefile.mcapfile.records import parse_record, record_name, topic_of
+from dds_trace.tracefile.mcapfile.scan import lengths_at, unaligned
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
-from dds_trace.tracefile.reading.source import LATEST_NS, Budget, Condition, RawMessage, UnreadableError, unpack_message
+from dds_trace.tracefile.reading.source import (
+    LATEST_NS,
+    NONE,
+    ZSTD_MAGIC,
+    Budget,
+    Condition,
+    Int64,
+    MessageBatch,
+    RawMessage,
+    UnreadableError,
+    batched,
+    unpack_message,
+)
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
 from .bag1 import BAG1_MAGIC, bag1_messages
@@ -33,10 +47,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mcap.records import Channel
+    from numpy.typing import NDArray
 
-    from dds_trace.tracefile.mcapfile.blocks import Block, Record
+    from dds_trace.tracefile.mcapfile.blocks import Block
     from dds_trace.tracefile.mcapfile.chunks import PackedChunk
 
+
+_MOST_CHANNEL_IDS = 1 << 16
+_SEQUENCE_AT, _LOG_TIME_AT, _PUBLISH_TIME_AT = 2, 6, 14
+"""Offsets of fields in `MESSAGE_HEADER`."""
 
 _MOST_METADATA_BYTES = 16 << 20
 """A thousand topics with the QoS of ten publishers each have 6 MB."""
@@ -135,21 +154,35 @@ def _plain(text: str) -> str:
 
 
 def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages of a recording; messages that it lacks by its own counts are in the damages of `condition`, complete at the end."""
-    delivered = Counter[str]()
+    """Yield the messages of a recording; `condition` as for `read_batches`."""
+    for batch in read_batches(path, condition):
+        yield from batch.messages()
+
+
+def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
+    """Yield the messages of a recording, of all batches with indices in one growing list of topics.
+
+    Messages that it lacks by its own counts are in the damages of `condition`, complete at the end.
+    """
+    delivered, index_of, topics = Counter[str](), dict[RecordedTopic, int](), list[RecordedTopic]()
     with open_recording(path) as recording:
         condition.notes += recording.notes
         condition.damages += recording.damages
         for file, name in zip(recording.files, recording.names, strict=True):
             counts, about_file = Counter[str](), Condition()
-            budget = _UnpackedBytes(file.stat().st_size)
+            budget, indices = _UnpackedBytes(file.stat().st_size), list[int]()
+            last_topics: Sequence[RecordedTopic] = ()
             try:
-                for topic, log_ns, publish_ns, sequence, data in _READERS[storage_kind(file)](file, about_file):
-                    counts[topic.name] += 1
-                    log_within_ns = max(min(log_ns, LATEST_NS), -LATEST_NS)
-                    publish_within_ns = publish_ns if abs(publish_ns or 0) <= LATEST_NS else None
-                    unpacked = budget.unpacked(data) if topic.encoding == "cdr" else data
-                    yield RawMessage(topic, log_within_ns, publish_within_ns, sequence, unpacked)
+                for batch in _READERS[storage_kind(file)](file, about_file):
+                    indices = indices if batch.topics is last_topics else []
+                    last_topics = batch.topics
+                    for topic in batch.topics[len(indices) :]:
+                        indices.append(index_of.setdefault(topic, len(topics)))
+                        topics += [topic] * (indices[-1] == len(topics))
+                    for index, count in enumerate(np.bincount(batch.topic).tolist()):
+                        counts[batch.topics[index].name] += count
+                    numbered = replace(batch, topics=topics, topic=np.array(indices, np.int64)[batch.topic])
+                    yield from budget.unpacked(numbered)
             except UnreadableError as err:
                 raise TraceFormatError(name, f"the recording cannot be read further: {err}") from err
             finally:
@@ -176,19 +209,32 @@ def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str,
 
 
 class _UnpackedBytes:
+    """Unpacks messages that rosbag2 has packed one by one."""
+
     def __init__(self, size_bytes: int) -> None:
         self._room_bytes = most_unpacked_bytes(size_bytes)
 
-    def unpacked(self, packed: bytes) -> bytes:
-        data = unpack_message(packed, MAX_RECORD_BYTES + 1)
-        if data is packed:
-            return data
+    def unpacked(self, batch: MessageBatch) -> Iterator[MessageBatch]:
+        has_start = batch.sizes >= len(ZSTD_MAGIC)
+        is_packed = unaligned(batch.data, "<u4")[batch.starts[has_start]] == int.from_bytes(ZSTD_MAGIC, "little")
+        if not is_packed.any():
+            yield batch
+            return
+        done = 0
+        for part in batched(map(self._unpacked, batch.messages())):
+            yield replace(part, topics=batch.topics, topic=batch.topic[done : done + len(part)])
+            done += len(part)
+
+    def _unpacked(self, message: RawMessage) -> RawMessage:
+        data = unpack_message(message.data, MAX_RECORD_BYTES + 1) if message.topic.encoding == "cdr" else message.data
+        if data is message.data:
+            return message
         self._room_bytes -= len(data)
         if len(data) > MAX_RECORD_BYTES:
             raise UnreadableError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
         if self._room_bytes < 0:
             raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
-        return data
+        return message._replace(data=data)
 
 
 def storage_kind(file: Path) -> str:
@@ -203,11 +249,14 @@ def storage_kind(file: Path) -> str:
     return kinds[0]
 
 
-Item: TypeAlias = "tuple[Channel, RawMessage] | Attachment | Metadata"
+Item: TypeAlias = "MessageBatch | Attachment | Metadata"
 
 
 class McapItems:
-    """One-time iterable of the items of a file, in file order; messages out of damaged chunks are `doubtful`, others without a checksum `unchecked`."""
+    """One-time iterable of the items of a file, in file order; messages out of damaged chunks are `doubtful`, others without a checksum `unchecked`.
+
+    `records` has the channel of each topic of a batch.
+    """
 
     def __init__(self, file: RecordFile) -> None:
         self.walk = McapWalk(file)
@@ -215,8 +264,11 @@ class McapItems:
         self.header: Header | None = self.walk.header
         self.claims: dict[int, int] = {}
         self.chunks: list[tuple[int, int, int]] = []
-        self.topics: set[RecordedTopic] = set()
-        self._topics: dict[int, tuple[Channel, RecordedTopic]] = {}
+        self.topics: list[RecordedTopic] = []
+        self.records: list[Channel] = []
+        self._index_of: dict[int, int] = {}
+        self._indices = np.full(_MOST_CHANNEL_IDS, -1, np.int64)
+        self._indices_are_of = -1
         self.doubtful = 0
         self.unchecked = 0
         self._budget = Budget(file.size)
@@ -225,49 +277,92 @@ class McapItems:
 
     def __iter__(self) -> Iterator[Item]:
         for block in self.walk:
-            for chunk, records in block.parts():
-                yield from self._items(block, chunk, records)
+            yield from self._items(block)
         for channel_id, count in self._undeclared.items():
             self.walk.damages.append(f"{counted(count, 'message')} of channel {channel_id}: its declaration is lost")
         if self._impossible:
             impossible = counted(self._impossible, "message has a time", "messages have times")
             self.walk.damages.append(f"{impossible} that no clock shows (after the year 2262)")
 
-    def _items(self, block: Block, chunk: PackedChunk | None, records: list[Record]) -> Iterator[Item]:
-        data, header_bytes, times_ns, get = block.data, MESSAGE_HEADER.size, list[int](), self.channels.get
-        for opcode, start, length in records:
-            if opcode != Opcode.MESSAGE:
-                yield from self._other(opcode, bytes(data[start : start + length]), block.offset(start))
+    def _items(self, block: Block) -> Iterator[Item]:
+        starts = block.scan.message_starts()
+        sizes = lengths_at(block.data, starts) - MESSAGE_HEADER.size
+        if len(sizes) and sizes.min() < 0:
+            starts, sizes = starts[sizes >= 0], sizes[sizes >= 0]
+        taken = self._budget.take(len(starts))
+        is_beyond, starts, sizes = taken < len(starts), starts[:taken], sizes[:taken]
+        at = starts + RECORD_HEADER.size
+        times_ns, channel_ids = unaligned(block.data, "<i8"), unaligned(block.data, "<u2")[at]
+        log_ns, publish_ns = times_ns[at + _LOG_TIME_AT], times_ns[at + _PUBLISH_TIME_AT]
+        topic, done = np.empty(taken, np.int64), 0
+        for opcode, start, length in block.scan.others:
+            content = bytes(block.data[start : start + length])
+            if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                yield from self._other(opcode, content, block.offset(start))
                 continue
-            if length < header_bytes:
-                continue
-            channel_id, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(data, start)
+            until = int(np.searchsorted(starts, start))
+            if until > done and self.channels.would_change(opcode, content):
+                topic[done:until] = self._topics_of(channel_ids[done:until])
+                done = until
+            self.walk.declare(opcode, content, block.offset(start))
+        topic[done:] = self._topics_of(channel_ids[done:])
+        is_known, is_possible = topic >= 0, log_ns >= 0  # of 63 bits
+        self._impossible += int((~is_possible | (publish_ns < 0)).sum())
+        self._undeclared.update(channel_ids[~is_known].tolist())
+        self._count_checked(block, starts, is_known)
+        self._see(block, starts, log_ns, is_possible if block.chunks else is_known & is_possible)
+        log_ns[~is_possible], publish_ns[publish_ns < 0] = LATEST_NS, NONE
+        sequence = unaligned(block.data, "<u4")[at + _SEQUENCE_AT].astype(np.int64)
+        if taken:
+            columns = topic, log_ns, publish_ns, sequence
+            batch = MessageBatch(self.topics, *columns, block.data, at + MESSAGE_HEADER.size, sizes)
+            yield batch if is_known.all() else batch.selected(is_known)
+        if is_beyond:
             self._budget.take()
-            self._impossible += log_ns > LATEST_NS or publish_ns > LATEST_NS
-            declared = get(channel_id)
-            if declared is None:
-                self.walk.look_ahead()
-                declared = get(channel_id)
-            if chunk is not None:
-                times_ns.append(log_ns)
-            elif declared is not None and self.walk.is_near(log_ns):
-                self.walk.saw(log_ns, log_ns)
-            if declared is None:
-                self._undeclared[channel_id] += 1
-                continue
-            self.doubtful += block.is_doubtful
-            self.unchecked += not block.is_doubtful and not (chunk and chunk.crc)
-            content = bytes(data[start + header_bytes : start + length])
-            channel, topic = self._topics.get(channel_id, (None, None))
-            if topic is None or channel is not declared.record:
-                topic = topic_of(declared.record, self.channels.schemas)
-                self._topics[channel_id] = declared.record, topic
-                self.topics.add(topic)
-            yield declared.record, RawMessage(topic, log_ns, publish_ns, sequence, content)
-        possible_ns = [time_ns for time_ns in times_ns if time_ns <= LATEST_NS]
-        if possible_ns:
-            self.chunks.append((min(possible_ns), max(possible_ns), len(times_ns)))
-            self.walk.saw(min(possible_ns), max(possible_ns))
+
+    def _count_checked(self, block: Block, starts: Int64, is_known: NDArray[np.bool_]) -> None:
+        if block.is_doubtful:
+            self.doubtful += int(is_known.sum())
+        elif not block.chunks:
+            self.unchecked += int(is_known.sum())
+        else:
+            for first, stop, chunk in _parts(block, starts):
+                self.unchecked += 0 if chunk.crc else int(is_known[first:stop].sum())
+
+    def _see(self, block: Block, starts: Int64, log_ns: Int64, is_seen: NDArray[np.bool_]) -> None:
+        for first, stop, _ in _parts(block, starts):
+            possible_ns = log_ns[first:stop][is_seen[first:stop]]
+            if len(possible_ns):
+                self.chunks.append((int(possible_ns.min()), int(possible_ns.max()), stop - first))
+                self.walk.saw(*self.chunks[-1][:2])
+        if not block.chunks and is_seen.any():
+            self.walk.saw_near(log_ns[is_seen])
+
+    def _topics_of(self, channel_ids: NDArray[np.uint16]) -> Int64:
+        """Return the indices of the topics of messages as the channels are declared now, -1 for an undeclared one."""
+        if self._indices_are_of != self.channels.changes:
+            self._indices_are_of = self.channels.changes
+            self._indices.fill(-1)
+        topic = self._indices[channel_ids]
+        if len(topic) and topic.min() < 0:
+            for channel_id in np.unique(channel_ids[topic < 0]).tolist():
+                self._indices[channel_id] = self._topic_index(channel_id)
+            topic = self._indices[channel_ids]
+        return topic
+
+    def _topic_index(self, channel_id: int) -> int:
+        declared = self.channels.get(channel_id)
+        if declared is None:
+            self.walk.look_ahead()
+            declared = self.channels.get(channel_id)
+        if declared is None:
+            return -1
+        index = self._index_of.get(channel_id, -1)
+        if index < 0 or self.records[index] is not declared.record:
+            index = self._index_of[channel_id] = len(self.records)
+            self.records.append(declared.record)
+            self.topics.append(topic_of(declared.record, self.channels.schemas))
+        return index
 
     def _other(self, opcode: int, content: bytes, offset: int) -> Iterator[Item]:
         try:
@@ -279,26 +374,30 @@ class McapItems:
                 yield parse_record(Attachment, content)
             elif opcode == Opcode.METADATA:
                 yield parse_record(Metadata, content)
-            else:
-                self.walk.declare(opcode, content, offset)
         except ValueError as err:
             self.walk.damages.append(f"the {record_name(opcode)} record at byte {offset} is damaged ({err})")
 
 
-def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
+def _parts(block: Block, starts: Int64) -> Iterator[tuple[int, int, PackedChunk]]:
+    """Yield the first message of each chunk, the one after its last, and the chunk."""
+    edges = [*np.searchsorted(starts, [position for position, _ in block.chunks]).tolist(), len(starts)]
+    yield from zip(edges, edges[1:], (chunk for _, chunk in block.chunks), strict=False)
+
+
+def _mcap_messages(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     with closing(RecordFile(path)) as file:
         items = McapItems(file)
         try:
             for item in items:
-                if isinstance(item, tuple):
-                    yield item[1]
+                if isinstance(item, MessageBatch):
+                    yield item
         finally:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
             names = {topic.name for topic in items.topics}
             silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
-            condition.topics |= items.topics | {topic_of(channel, items.channels.schemas) for channel in silent}
+            condition.topics |= {*items.topics} | {topic_of(channel, items.channels.schemas) for channel in silent}
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
             for topic, count in [(declaration.topic, count) for declaration, count in claims if declaration]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count
@@ -307,8 +406,8 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
 _MAGICS = {MAGIC: ".mcap", BAG1_MAGIC: ".bag", SQLITE_MAGIC: ".db3"}
 _SEARCHED_BYTES = 1 << 20
 
-_READERS: dict[str, Callable[[Path, Condition], Iterator[RawMessage]]] = {
+_READERS: dict[str, Callable[[Path, Condition], Iterator[MessageBatch]]] = {
     ".mcap": _mcap_messages,
-    ".bag": bag1_messages,
-    ".db3": sqlite_messages,
+    ".bag": lambda path, condition: batched(bag1_messages(path, condition)),
+    ".db3": lambda path, condition: batched(sqlite_messages(path, condition)),
 }

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
-from mcap.writer import CompressionType, Writer
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
@@ -24,8 +24,9 @@ from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
-from dds_trace.tracefile.reading.source import LATEST_NS, Condition, UnreadableError
+from dds_trace.tracefile.reading.source import LATEST_NS, Condition, Int64, MessageBatch, UnreadableError
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
+from dds_trace.tracefile.recovery.mcap_copy import McapCopy
 from dds_trace.tracefile.writing.event_chunks import LIBRARY
 
 from .bag1 import bag1_messages
@@ -68,10 +69,10 @@ class _NewFile:
     last_ns: int = 0
     topics: Counter[RecordedTopic] = field(default_factory=Counter)
 
-    def count(self, topic: RecordedTopic, log_ns: int) -> None:
-        self.messages += 1
-        self.first_ns, self.last_ns = min(self.first_ns, log_ns), max(self.last_ns, log_ns)
-        self.topics[topic] += 1
+    def add(self, topic: RecordedTopic, count: int, first_ns: int, last_ns: int) -> None:
+        self.messages += count
+        self.first_ns, self.last_ns = min(self.first_ns, first_ns), max(self.last_ns, last_ns)
+        self.topics[topic] += count
 
     @property
     def described(self) -> BagFile:
@@ -139,52 +140,65 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
     return report
 
 
+class _NewChannels:
+    """Ids of channels in the new file, each declared once, up to `MOST_CHANNELS`; 0 beyond."""
+
+    def __init__(self, copy: McapCopy, walked: McapItems, new: _NewFile) -> None:
+        self._copy, self._walked, self._new = copy, walked, new
+        self._schemas: dict[tuple[int, str], int] = {}
+        self._ids: dict[tuple[int, str, int], int] = {}
+
+    def id_of(self, channel: Channel) -> int:
+        key = channel.id, channel.topic, channel.schema_id
+        if key not in self._ids:
+            if len(self._ids) == MOST_CHANNELS:
+                return 0
+            schema, schema_id = self._walked.channels.schemas.get(channel.schema_id), 0
+            if schema is not None:
+                if (schema.id, schema.name) not in self._schemas:
+                    new_id = self._copy.add_schema(schema.name, schema.encoding, _definition(schema))
+                    self._schemas[schema.id, schema.name] = new_id
+                schema_id = self._schemas[schema.id, schema.name]
+            self._ids[key] = self._copy.add_channel(channel, schema_id)
+            self._new.topics.setdefault(topic_of(channel, self._walked.channels.schemas), 0)
+        return self._ids[key]
+
+    def ids_of(self, batch: MessageBatch) -> Int64:
+        """Return the id of each message's channel, and count the messages."""
+        indices, firsts, inverse, counts = np.unique(
+            batch.topic, return_index=True, return_inverse=True, return_counts=True
+        )
+        new_ids = np.zeros(len(indices), np.int64)
+        for at in np.argsort(firsts).tolist():
+            new_ids[at] = self.id_of(self._walked.records[indices[at]])
+            if new_ids[at]:
+                range_ns = int(batch.log_ns.min()), int(batch.log_ns.max())
+                self._new.add(batch.topics[indices[at]], int(counts[at]), *range_ns)
+        return new_ids[inverse]
+
+
 def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
     with closing(RecordFile(source)) as file, new.path.open("xb") as stream:
         walked = McapItems(file)
         items = iter(walked)
         item = next(items, None)  # now the header and the first chunk's compression are known
-        writer = Writer(stream, compression=CompressionType.NONE if walked.walk.is_unpacked else CompressionType.ZSTD)
         library = walked.header.library if walked.header else "unknown"
-        writer.start(_profile(walked), f"{library}; recovered by dds-trace {__version__}")
-        schemas, channels, left_out = dict[tuple[int, str], int](), dict[tuple[int, str, int], int](), 0
-
-        def declared(channel: Channel) -> int | None:
-            """Return the channel's id in the new file, None beyond `MOST_CHANNELS`."""
-            key = channel.id, channel.topic, channel.schema_id
-            if key not in channels:
-                if len(channels) == MOST_CHANNELS:
-                    return None
-                schema = walked.channels.schemas.get(channel.schema_id)
-                schema_id = 0
-                if schema is not None:
-                    if (schema.id, schema.name) not in schemas:
-                        new_id = writer.register_schema(schema.name, schema.encoding, _definition(schema))
-                        schemas[schema.id, schema.name] = new_id
-                    schema_id = schemas[schema.id, schema.name]
-                channels[key] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id, channel.metadata
-                )
-                new.topics.setdefault(topic_of(channel, walked.channels.schemas), 0)
-            return channels[key]
-
+        library = f"{library}; recovered by dds-trace {__version__}"
+        copy, left_out = McapCopy(stream, _profile(walked), library, is_packed=not walked.walk.is_unpacked), 0
+        channels = _NewChannels(copy, walked, new)
         while item is not None:
             if isinstance(item, Attachment):
-                writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+                copy.add_attachment(item)
             elif isinstance(item, Metadata):
-                writer.add_metadata(item.name, item.metadata)
+                copy.add_metadata(item)
             else:
-                channel, message = item
-                channel_id = declared(channel)
-                if channel_id is None:
-                    left_out += 1
-                else:
-                    numbers = message.publish_ns or 0, message.sequence or 0
-                    writer.add_message(channel_id, message.log_ns, message.data, *numbers)
-                    new.count(message.topic, message.log_ns)
+                channel_ids = channels.ids_of(item)
+                is_kept = channel_ids > 0
+                left_out += int((~is_kept).sum())
+                copy.add_messages(item.selected(is_kept), channel_ids[is_kept])
             item = next(items, None)
-        unused = [channel for _, channel in walked.channels.items() if declared(channel.record) is None]
-        writer.finish()  # type: ignore[no-untyped-call]
+        unused = [channel for _, channel in walked.channels.items() if not channels.id_of(channel.record)]
+        copy.finish()
     new.unchecked = walked.unchecked
     lost = f"{counted(left_out, 'message')} of further ones, and {counted(len(unused), 'channel')} without any, are left out"
     beyond = f"it declares more than {MOST_CHANNELS:,} channels, which no MCAP file can have: {lost}"
@@ -232,7 +246,7 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
         for message in messages:
             row = (declared(message.topic), message.log_ns, message.data)
             database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
-            new.count(message.topic, message.log_ns)
+            new.add(message.topic, 1, message.log_ns, message.log_ns)
         for topic in condition.topics:
             declared(topic)
         database.commit()
@@ -261,7 +275,7 @@ def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
                     latching=1 if topic.qos else None,
                 )
             bag.write(connections[topic], message.log_ns, message.data)
-            new.count(topic, message.log_ns)
+            new.add(message.topic, 1, message.log_ns, message.log_ns)
     return condition.damages, 0
 
 

@@ -29,6 +29,8 @@ class RecordedTopic:
     qos: str = ""
     publisher: str = ""
     type_hash: str = ""
+    descriptors: bytes = b""
+    """A protobuf `FileDescriptorSet`, where that is the definition."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
 from mcap.opcode import Opcode
 
-from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
-from ..format.events import EVENT_RECORD_BYTES
+from ..format.encoding import MESSAGE_HEADER
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
 from .file import RecordFile
 from .records import Buffer
-from .scan import ChannelEvents, Scan, scan_records, split_by_channel
+from .scan import ChannelEvents, Scan, scan_indexed, scan_records, split_by_channel
 
 BLOCK_BYTES = 2 << 20
 """Small chunks are read together up to this size."""
@@ -54,9 +53,6 @@ _MOST_REUSED_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this is dropped
 _FREE: deque[UnpackMemory] = deque(maxlen=8)
 """Memory for the next block of any file: touching fresh memory was a fifth of reading lz4. `append` and `pop` are atomic."""
 
-Record = tuple[int, int, int]
-"""Opcode, offset of the content in a block's data, length of the content."""
-
 
 def most_unpacked_bytes(end: int) -> int:
     return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
@@ -92,59 +88,45 @@ class Block:
             return self.at + position
         return self.chunks[bisect(self.chunks, position, key=itemgetter(0)) - 1][1].offset
 
-    def parts(self) -> Iterator[tuple[PackedChunk | None, list[Record]]]:
-        """Yield the records of each chunk, or all that are outside."""
-        length = EVENT_RECORD_BYTES - RECORD_HEADER.size
-        records: list[Record] = [
-            (Opcode.MESSAGE, at + RECORD_HEADER.size, length)
-            for first, count in self.scan.runs
-            for at in range(first, first + count * EVENT_RECORD_BYTES, EVENT_RECORD_BYTES)
-        ]
-        records = sorted(records + self.scan.others, key=itemgetter(1)) if records else self.scan.others
-        end = len(records)
-        starts = [bisect(records, position, key=itemgetter(1)) for position, _ in self.chunks] + [end]
-        if not self.chunks:
-            yield None, records
-        for (_, chunk), start, stop in zip(self.chunks, starts, starts[1:], strict=False):
-            yield chunk, records[start:stop]
-
     def give_back_memory(self) -> None:
         if self.memory and self.memory.size <= _MOST_REUSED_BYTES:
             _FREE.append(self.memory)
 
 
-def unpack_chunks(file: RecordFile, chunks: list[PackedChunk], *, skips_others: bool) -> Block:
-    """Unpack chunks up to the first that is damaged; one without a CRC is, if it has other records, unless these are skipped."""
+def unpack_chunks(file: RecordFile, chunks: list[PackedChunk], *, is_trace: bool) -> Block:
+    """Unpack chunks up to the first that is damaged; one without a CRC is, if it has other records, unless it is of a trace of ours."""
     memory = _free_memory()
     data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
     scan, sound, start, unsound_at, why = Scan(), list[tuple[int, PackedChunk]](), 0, None, ""
     for chunk in chunks:
         stop = start + chunk.unpacked_bytes
         try:
-            chunk_scan = _scan_chunk(file, chunk, memory, start, skips_others=skips_others)
+            chunk_scan = _scan_chunk(file, chunk, memory, start, is_trace=is_trace)
         except DamagedChunkError as err:
             unsound_at, why = chunk.offset, str(err)
             break
         scan.extend(chunk_scan)
         sound.append((start, chunk))
         start = stop
-    return Block(data, scan, 0, sound, split_by_channel(scan.events(data)), memory, unsound_at, why)
+    events = split_by_channel(scan.events(data)) if scan.runs else []
+    return Block(data, scan, 0, sound, events, memory, unsound_at, why)
 
 
-def _scan_chunk(file: RecordFile, chunk: PackedChunk, memory: UnpackMemory, start: int, *, skips_others: bool) -> Scan:
+def _scan_chunk(file: RecordFile, chunk: PackedChunk, memory: UnpackMemory, start: int, *, is_trace: bool) -> Scan:
     stop = start + chunk.unpacked_bytes
     chunk.unpack(file, memory, start)
-    scan = scan_records(memory.records(stop), start, stop)
+    data = memory.records(stop)
+    indexed = None if is_trace else scan_indexed(data, start, stop, chunk.indexed_starts(file) + start)
+    scan = indexed or scan_records(data, start, stop, is_trace=is_trace)
     if not chunk.crc and scan.end < stop:
         raise DamagedChunkError("a record in it is cut off")
-    is_odd = scan.skipped or any(length < LEAST_BYTES[Opcode(opcode)] for opcode, _, length in scan.others)
-    if not chunk.crc and not skips_others and is_odd:
+    if not (chunk.crc or is_trace) and (scan.skipped or scan.has_short(data, LEAST_BYTES)):
         raise DamagedChunkError("a record in it is damaged")
     return scan
 
 
 def outside_block(data: bytes, at: int, scan: Scan) -> Block:
-    return Block(data, scan, at, (), split_by_channel(scan.events(data)))
+    return Block(data, scan, at, (), split_by_channel(scan.events(data)) if scan.runs else [])
 
 
 def _free_memory() -> UnpackMemory:

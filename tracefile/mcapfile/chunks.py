@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
 import cramjam
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from dds_trace.base.units import counted
 
+from ..format.encoding import RECORD_HEADER
 from .file import MAX_RECORD_BYTES, RecordFile, RecordHeader
 from .records import RecordContent, crc32
 
@@ -24,6 +28,11 @@ _UNSUSPECTED_BYTES = 1 << 20  # any ratio up to here: a blank image packs better
 
 _MOST_LZ4_RATIO = 255
 _PREFIX_STEP_BYTES = 1024  # at most this unpacks to 64 MiB more than is allowed
+
+_INDEX = struct.Struct("<BQHI")
+"""Header of a MessageIndex record, channel id, bytes of its entries: pairs of log time and offset."""
+
+_INDEX_BYTES, _ENTRY_BYTES = 6, 16
 
 _thread_local = threading.local()
 
@@ -41,6 +50,8 @@ class PackedChunk:
     crc: int
     compression: str
     claimed_bytes: int
+    indexed_bytes: int = 0
+    """Bytes of message indexes after the chunk."""
 
     @property
     def end(self) -> int:
@@ -78,6 +89,18 @@ class PackedChunk:
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
+
+    def indexed_starts(self, file: RecordFile) -> NDArray[np.int64]:
+        """Return where messages begin in the chunk as its indexes say, which may be wrong; nothing where one is odd."""
+        data, at, parts = file.read(self.end, self.indexed_bytes), 0, [np.empty(0, np.int64)]
+        while at < len(data):
+            _, length, _, entries_bytes = _INDEX.unpack_from(data, at)
+            if length != entries_bytes + _INDEX_BYTES or entries_bytes % _ENTRY_BYTES:
+                return parts[0]
+            parts.append(np.frombuffer(data, "<i8", entries_bytes // 8, at + _INDEX.size)[1::2])
+            at += RECORD_HEADER.size + length
+        starts = np.concatenate(parts)
+        return starts[(starts >= 0) & (starts <= self.unpacked_bytes)]
 
     def unpack_prefix(self, file: RecordFile) -> bytes:
         packed = file.read(self.data_offset, self.packed_bytes)

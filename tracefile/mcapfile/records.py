@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import ItemsView, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -95,6 +96,7 @@ _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hun
 @dataclass(frozen=True, slots=True)
 class DeclaredChannel:
     record: Channel
+    schema: Schema | None
     stage: Stage | None
     fault: str | None
 
@@ -111,6 +113,7 @@ class ChannelTable:
         self._settled: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
         self.schemas: dict[int, Schema] = {}
         self._channels: dict[int, DeclaredChannel] = {}
+        self.changes = 0
 
     def get(self, channel_id: int) -> DeclaredChannel | None:
         return self._channels.get(channel_id)
@@ -126,22 +129,37 @@ class ChannelTable:
     def add_missing(self, other: ChannelTable) -> None:
         self.schemas = {**other.schemas, **self.schemas}
         self._channels = {**other._channels, **self._channels}
+        self.changes += 1
+
+    def would_change(self, opcode: int, content: Buffer) -> bool:
+        """Return whether a Schema or Channel record differs from what is declared so far."""
+        with suppress(ValueError):
+            return not self._is_declared(_record(opcode, content))
+        return False
+
+    def _is_declared(self, record: Schema | Channel) -> bool:
+        if isinstance(record, Schema):
+            return record.id in self._settled[0] or self.schemas.get(record.id) == record
+        declared = self._channels.get(record.id)
+        if record.id in self._settled[1] or declared is None:
+            return declared is not None
+        return declared.record == record and declared.schema is self.schemas.get(record.schema_id)
 
     def declare(self, opcode: int, content: Buffer, offset: int) -> str:
         """Add a Schema or Channel record at `offset` in the file; return what is wrong with it."""
         try:
-            is_long = len(content) > _MOST_CACHED_BYTES
-            record = _parse(opcode, content) if is_long else _parsed_once(opcode, bytes(content))
+            record = _record(opcode, content)
         except ValueError as err:
             fault = f"a {record_name(opcode)} record is damaged ({err})"
             if self._is_trace:
                 raise TraceFormatError(self._path, fault, offset) from err
             return fault
-        if isinstance(record, Schema):
-            if record.id not in self._settled[0]:
+        if not self._is_declared(record):
+            self.changes += 1
+            if isinstance(record, Schema):
                 self.schemas[record.id] = record
-        elif record.id not in self._settled[1]:
-            self._add(record, offset)
+            else:
+                self._add(record, offset)
         return ""
 
     def _add(self, channel: Channel, offset: int) -> None:
@@ -158,7 +176,11 @@ class ChannelTable:
         stage = STAGE_OF_TOPIC.get(channel.topic)
         schema = self.schemas.get(channel.schema_id)  # a lost schema is not another schema
         fault = event_fault(stage, channel.message_encoding, schema.name if schema else None) if stage else None
-        self._channels[channel.id] = DeclaredChannel(channel, stage, fault)
+        self._channels[channel.id] = DeclaredChannel(channel, schema, stage, fault)
+
+
+def _record(opcode: int, content: Buffer) -> Schema | Channel:
+    return _parse(opcode, content) if len(content) > _MOST_CACHED_BYTES else _parsed_once(opcode, bytes(content))
 
 
 def _parse(opcode: int, content: Buffer) -> Schema | Channel:
@@ -183,4 +205,5 @@ def topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> RecordedTopic:
         channel.metadata.get("offered_qos_profiles", ""),
         channel.metadata.get("callerid", ""),
         channel.metadata.get("topic_type_hash", ""),
+        schema.data if schema and schema.encoding == "protobuf" else b"",
     )

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,7 @@ from ..mcapfile.blocks import (
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, Records, TornRecordError, read_summary
 from ..mcapfile.records import ChannelTable, record_name
-from ..mcapfile.scan import MESSAGES_AND_CHANNELS, Scan, scan_records
+from ..mcapfile.scan import MESSAGES_AND_CHANNELS, Int64, Scan, scan_records, single_record
 from .source import UnreadableError
 
 if TYPE_CHECKING:
@@ -122,6 +123,15 @@ class McapWalk:
         first, last = self._range_ns or (first_ns, last_ns)
         self._range_ns = min(first, first_ns), max(last, last_ns)
 
+    def saw_near(self, log_ns: Int64) -> None:
+        """Take the times of messages outside of chunks, one after the other as far as each is near."""
+        times_ns = [int(log_ns[0]), int(log_ns.min()), int(log_ns.max())]
+        if not all(map(self.is_near, times_ns)) or not self._range_ns:
+            times_ns = log_ns.tolist()
+        for time_ns in times_ns:
+            if self.is_near(time_ns):
+                self.saw(time_ns, time_ns)
+
     def is_near(self, log_ns: int) -> bool:
         first_ns, last_ns = self._range_ns or (log_ns, log_ns)
         return first_ns - _DAY_NS <= log_ns <= last_ns + _DAY_NS
@@ -139,7 +149,8 @@ class McapWalk:
 
     def _ahead(self) -> Iterator[Block]:
         """Yield blocks until a record is not followed by another, or a chunk is damaged: the walk goes on there."""
-        most = min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
+        cores = 0 if isinstance(self.pool, InlineExecutor) else len(os.sched_getaffinity(0))
+        most = min(_MOST_BLOCKS_AHEAD, cores + 1)
         with closing(in_order(self._jobs(), self.pool, most, _BYTES_AHEAD)) as blocks:
             for block in blocks:
                 is_too_much = any(self._take(chunk) for _, chunk in block.chunks)
@@ -165,6 +176,12 @@ class McapWalk:
                 yield chunks_bytes, self._unpacking(chunks)
                 chunks, chunks_bytes = [], 0
             self._at = header.end
+            if (
+                header.opcode == Opcode.MESSAGE_INDEX
+                and chunks
+                and header.offset == chunks[-1].end + chunks[-1].indexed_bytes
+            ):
+                chunks[-1] = replace(chunks[-1], indexed_bytes=header.end - chunks[-1].end)
             if chunk is not None:
                 is_empty = not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc)
                 chunks += [] if is_empty else [chunk]
@@ -176,7 +193,7 @@ class McapWalk:
             yield chunks_bytes, self._unpacking(chunks)
 
     def _unpacking(self, chunks: list[PackedChunk]) -> Callable[[], Block]:
-        return partial(unpack_chunks, self._file, chunks, skips_others=self._is_trace)
+        return partial(unpack_chunks, self._file, chunks, is_trace=self._is_trace)
 
     def _sound_header(self) -> RecordHeader | None:
         assert self._at is not None
@@ -199,12 +216,11 @@ class McapWalk:
         # Double the read size: few bytes are wasted when records are sparse.
         length = header.end - header.offset
         data = self._file.read(header.offset, max(length, min(self._stretch_bytes, self._file.size - header.offset)))
-        scan = scan_records(data, 0, len(data), _OUTSIDE, only=True)
+        scan = scan_records(data, 0, len(data), _OUTSIDE, only=True, is_trace=self._is_trace)
         self._stretch_bytes = min(max(2 * scan.end, _FIRST_STRETCH_BYTES), BLOCK_BYTES)
-        is_odd = any(length < LEAST_BYTES[Opcode(opcode)] for opcode, _, length in scan.others)
-        if is_odd or not self._fits_next(self._file, header.offset + scan.end):
+        if scan.has_short(data, LEAST_BYTES) or not self._fits_next(self._file, header.offset + scan.end):
             data, self._stretch_bytes = data[:length], _FIRST_STRETCH_BYTES
-            scan = scan_records(data, 0, length, _OUTSIDE, only=True)
+            scan = scan_records(data, 0, length, _OUTSIDE, only=True, is_trace=self._is_trace)
         self._at = header.offset + scan.end
         return data, scan
 
@@ -240,7 +256,7 @@ class McapWalk:
         if self._take(chunk):
             raise UnreadableError(_TOO_MUCH)
         fits = self._fits_next(self._file, header.end)
-        block = unpack_chunks(self._file, [chunk], skips_others=self._is_trace)
+        block = unpack_chunks(self._file, [chunk], is_trace=self._is_trace)
         is_ending_elsewhere = not (fits or chunk.crc or chunk.compression or self._is_trace)
         self._is_in_damage = block.unsound_at is not None or is_ending_elsewhere
         if not self._is_in_damage:
@@ -300,8 +316,8 @@ class McapWalk:
                 f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
         elif header.opcode in _OUTSIDE:
-            scan = Scan(others=[(header.opcode, RECORD_HEADER.size, header.length)], steps=1)
             data = source.read(header.offset, header.end - header.offset)
+            scan = single_record(header.opcode, header.length, is_trace=self._is_trace)
             is_doubtful = source is not self._file or not self._fits_next(source, header.end)
             yield Block(data, scan, header.offset, is_doubtful=is_doubtful)
 

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import zstandard
+from numpy.typing import NDArray
+
+from dds_trace.base.errors import TraceFormatError
 
 from ..format.bag_metadata import RecordedTopic
 from ..format.encoding import CDR_HEADER
 from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE, Records, Stage
 from ..mcapfile.chunks import unpack_zstd
+from ..mcapfile.records import Buffer
 
 LATEST_NS = 2**63 - 1
 """Latest time of a message that 64 bits with a sign hold (year 2262); MCAP has twice that."""
+
+NONE = -(2**63)
+"""Value of a column for a message that lacks it."""
 
 _UNSUSPECTED_MESSAGES, _LEAST_MESSAGE_BYTES = 2_000_000, 64
 """More messages than this, of fewer bytes each, are no recording but an attack."""
@@ -35,6 +42,86 @@ class RawMessage(NamedTuple):
     publish_ns: int | None
     sequence: int | None
     data: bytes
+
+
+Int64: TypeAlias = "NDArray[np.int64]"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MessageBatch:
+    """Messages in stored order, as columns; `data` has their bytes from `starts` on, and is reused for the next batch.
+
+    `topic` is the index in `topics`; `NONE` is a value that the storage lacks.
+    """
+
+    topics: Sequence[RecordedTopic]
+    topic: Int64
+    log_ns: Int64
+    publish_ns: Int64
+    sequence: Int64
+    data: Buffer
+    starts: Int64
+    sizes: Int64
+
+    def __len__(self) -> int:
+        return len(self.topic)
+
+    @classmethod
+    def of(cls, messages: Sequence[RawMessage]) -> MessageBatch:
+        topics = {id(message.topic): message.topic for message in messages}
+        index_of = {key: index for index, key in enumerate(topics)}
+        sizes = np.array([len(message.data) for message in messages], np.int64)
+        publish_ns = [NONE if abs(message.publish_ns or 0) > LATEST_NS else message.publish_ns for message in messages]
+        return cls(
+            [*topics.values()],
+            np.array([index_of[id(message.topic)] for message in messages], np.int64),
+            np.array([max(min(message.log_ns, LATEST_NS), -LATEST_NS) for message in messages], np.int64),
+            np.array([NONE if time_ns is None else time_ns for time_ns in publish_ns], np.int64),
+            np.array([NONE if message.sequence is None else message.sequence for message in messages], np.int64),
+            b"".join(message.data for message in messages),
+            np.cumsum(sizes) - sizes,
+            sizes,
+        )
+
+    def selected(self, rows: NDArray[np.bool_]) -> MessageBatch:
+        names = ("topic", "log_ns", "publish_ns", "sequence", "starts", "sizes")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def content(self, index: int) -> bytes:
+        start = int(self.starts[index])
+        return bytes(self.data[start : start + int(self.sizes[index])])
+
+    def messages(self) -> Iterator[RawMessage]:
+        columns = (self.topic, self.log_ns, self.publish_ns, self.sequence, self.starts, self.sizes)
+        for topic, log_ns, publish_ns, sequence, start, size in zip(*(c.tolist() for c in columns), strict=True):
+            yield RawMessage(
+                self.topics[topic],
+                log_ns,
+                None if publish_ns == NONE else publish_ns,
+                None if sequence == NONE else sequence,
+                bytes(self.data[start : start + size]),
+            )
+
+
+_BATCH_MESSAGES, _BATCH_BYTES = 8192, 4 << 20
+
+
+def batched(messages: Iterable[RawMessage]) -> Iterator[MessageBatch]:
+    """Collect messages in batches; an error comes after all messages before it."""
+    pending, size_bytes = list[RawMessage](), 0
+    try:
+        for message in messages:
+            pending.append(message)
+            size_bytes += len(message.data)
+            if len(pending) == _BATCH_MESSAGES or size_bytes >= _BATCH_BYTES:
+                yield MessageBatch.of(pending)
+                pending, size_bytes = [], 0
+    except (UnreadableError, TraceFormatError):
+        if pending:
+            yield MessageBatch.of(pending)
+        raise
+    if pending:
+        yield MessageBatch.of(pending)
 
 
 @dataclass(slots=True)
@@ -59,13 +146,16 @@ class Budget:
     def __init__(self, size_bytes: int) -> None:
         self._messages = _UNSUSPECTED_MESSAGES + size_bytes // _LEAST_MESSAGE_BYTES
 
-    def take(self) -> None:
-        self._messages -= 1
-        if self._messages < 0:
+    def take(self, count: int = 1) -> int:
+        """Return how many of the next messages are read; an error if none is."""
+        taken = min(count, self._messages)
+        if taken <= 0 < count:
             raise UnreadableError("it has more messages than so few bytes hold")
+        self._messages -= taken
+        return taken
 
 
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
 
 
@@ -131,7 +221,7 @@ def unpack_message(data: bytes, most_bytes: int = _MESSAGE_BYTES) -> bytes:
 
     Serialized CDR begins with a zero byte, so it is never taken for a zstd frame.
     """
-    if data[:4] != _ZSTD_MAGIC:
+    if data[:4] != ZSTD_MAGIC:
         return data
     try:
         return unpack_zstd(data, most_bytes)

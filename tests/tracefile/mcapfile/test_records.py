@@ -1,6 +1,7 @@
 import json
 import struct
 import tarfile
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from dds_trace.tracefile.format.encoding import MESSAGE_HEADER
 from dds_trace.tracefile.format.events import EVENT_SCHEMA_NAME, Stage, event_fault
 from dds_trace.tracefile.mcapfile.file import RecordFile, read_summary
 from dds_trace.tracefile.mcapfile.records import ChannelTable, parse_record, record_name
-from dds_trace.tracefile.mcapfile.scan import MESSAGES_AND_CHANNELS
+from dds_trace.tracefile.mcapfile.scan import MESSAGES_AND_CHANNELS, lengths_at
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
 
 CHANNEL = Channel(id=3, topic="/t", message_encoding="cdr", metadata={"a": "b"}, schema_id=1)
@@ -183,7 +184,10 @@ def in_data(path):
 
 
 def records_of(block, end):
-    for opcode, start, length in (record for _, records in block.parts() for record in records):
+    starts = block.scan.message_starts()
+    lengths = lengths_at(block.data, starts).tolist()
+    messages = [(Opcode.MESSAGE, start + 9, length) for start, length in zip(starts.tolist(), lengths, strict=True)]
+    for opcode, start, length in sorted(messages + block.scan.others, key=itemgetter(1)):
         content = bytes(block.data[start : start + length])
         if opcode == Opcode.MESSAGE:
             names = ("channel_id", "sequence", "log_time", "publish_time")

@@ -1,0 +1,209 @@
+"""The stamp of a message in any encoding: a header in CDR or ROS 1, the first `google.protobuf.Timestamp`, `timestamp` or `stamp` in JSON."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+from dds_trace.extensions.bags.header_stamps import (
+    StampPlace,
+    known_definition,
+    parse_definition,
+    plain_name,
+    stamp_place,
+    stamp_reader,
+)
+
+from .bag_metadata import RecordedTopic
+
+_TEXTS = {"cdr": ("ros2msg", "ros1msg"), "ros1": ("ros1msg",)}
+"""Encodings of definitions by the encoding of messages."""
+
+_MOST_SECONDS = 2**33
+"""Beyond the year 2242: no clock of today."""
+
+_MOST_STEPS = 10_000
+"""Fields that are passed over before the stamp of one message."""
+
+
+class StampReader(NamedTuple):
+    """How the stamp of a topic's messages is read: from each one, or from all at `place`; `has_header` where a header comes first."""
+
+    read: Callable[[bytes], int | None]
+    place: StampPlace | None = None
+    has_header: bool = False
+
+
+@lru_cache(maxsize=10_000)
+def stamps_of(topic: RecordedTopic) -> StampReader | None:
+    """Return how stamps of a topic are read, None for a type without."""
+    name, encoding = topic.message_type, topic.encoding
+    if encoding == "protobuf":
+        read = _protobuf_reader(name, topic.descriptors)
+        return StampReader(read) if read else None
+    if encoding == "json":
+        return StampReader(_json_stamp) if _may_have_stamp(topic.definition) else None
+    definition = topic.definition if topic.definition_encoding in _TEXTS.get(encoding, ()) else ""
+    definition = definition or known_definition(name, encoding)
+    read = stamp_reader(name, definition, encoding)
+    if read is None:
+        return None
+    first = next(iter(parse_definition(name, definition)[plain_name(name)]), None)
+    has_header = first is not None and first.type == "std_msgs/Header" and first.length is None
+    return StampReader(read, stamp_place(name, definition, encoding), has_header)
+
+
+_JSON_TIME = re.compile(rb'(?<!\\)"(?:time)?stamp"\s*:\s*\{([^{}]*)\}')
+_JSON_SECONDS = re.compile(rb'"secs?"\s*:\s*(-?\d{1,10})\s*(?:,|$)')
+_JSON_NANOSECONDS = re.compile(rb'"n(?:ano)?secs?"\s*:\s*(\d{1,9})\s*(?:,|$)')
+
+
+def _may_have_stamp(schema: str) -> bool:
+    return '"properties"' not in schema or re.search(r'"(time)?stamp"', schema) is not None
+
+
+def _json_stamp(data: bytes) -> int | None:
+    for found in _JSON_TIME.finditer(data):
+        seconds, nanoseconds = _JSON_SECONDS.search(found[1]), _JSON_NANOSECONDS.search(found[1])
+        if seconds and nanoseconds:
+            return _in_ns(int(seconds[1]), int(nanoseconds[1]))
+    return None
+
+
+def _in_ns(seconds: int, nanoseconds: int) -> int | None:
+    return seconds * 1_000_000_000 + nanoseconds or None if 0 <= seconds < _MOST_SECONDS else None
+
+
+_TIMESTAMP = ".google.protobuf.Timestamp"
+_VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
+"""Wire types of protobuf."""
+
+_FILE, _PACKAGE, _MESSAGE_TYPE = 1, 2, 4
+_TYPE_NAME, _FIELD, _NESTED_TYPE = 1, 2, 3
+_FIELD_NUMBER, _FIELD_TYPE = 3, 6
+_SECONDS, _NANOSECONDS = 1, 2
+"""Numbers of fields in `descriptor.proto` and `timestamp.proto`."""
+
+_Types = Mapping[str, Sequence[tuple[int, str]]]
+"""Number and type of each field that is a message, by message type."""
+
+
+def _protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes], int | None] | None:
+    """Return a reader of the first timestamp in the order of the schema; of a repeated field the first value that has one counts."""
+    try:
+        types = dict(_message_types(descriptors))
+    except (ValueError, RecursionError):
+        return None
+    stamped, before = {_TIMESTAMP}, 0
+    while len(stamped) > before:
+        before = len(stamped)
+        stamped |= {kind for kind, fields in types.items() if any(part in stamped for _, part in fields)}
+    root = f".{name}"
+    if root not in stamped:
+        return None
+    stamped_fields = {kind: [part for part in fields if part[1] in stamped] for kind, fields in types.items()}
+
+    def read(data: bytes) -> int | None:
+        try:
+            return _Message(data, stamped_fields).stamp_of(root, 0, len(data))
+        except (ValueError, IndexError, RecursionError):
+            return None
+
+    return read
+
+
+class _Message:
+    def __init__(self, data: bytes, types: _Types) -> None:
+        self._data, self._types, self._steps = data, types, _MOST_STEPS
+
+    def stamp_of(self, kind: str, start: int, stop: int) -> int | None:
+        if kind == _TIMESTAMP:
+            return self._timestamp(start, stop)
+        stamped, later = self._types[kind], dict[int, list[tuple[int, int]]]()
+        numbers = [number for number, _ in stamped]
+        for number, wire, at, end in _wire_fields(self._data, start, stop):
+            self._steps -= 1
+            if self._steps < 0:
+                raise ValueError("too much before the stamp")
+            if wire != _BYTES or number not in numbers:
+                continue
+            if number != numbers[0]:
+                later.setdefault(number, []).append((at, end))
+            elif (stamp_ns := self.stamp_of(stamped[0][1], at, end)) is not None:
+                return stamp_ns
+        for number, part in stamped[1:]:
+            for at, end in later.get(number, ()):
+                if (stamp_ns := self.stamp_of(part, at, end)) is not None:
+                    return stamp_ns
+        return None
+
+    def _timestamp(self, start: int, stop: int) -> int | None:
+        values = {number: at for number, wire, at, _ in _wire_fields(self._data, start, stop) if wire == _VARINT}
+        return _in_ns(values.get(_SECONDS, 0), values.get(_NANOSECONDS, 0))
+
+
+def _wire_fields(data: bytes, start: int, stop: int) -> Iterator[tuple[int, int, int, int]]:
+    """Yield number, wire type, start and end of each field in a message; for a varint its value, and 0."""
+    at = start
+    while at < stop:
+        tag, at = _varint(data, at, stop)
+        wire = tag & 7
+        if wire == _VARINT:
+            value, at = _varint(data, at, stop)
+            yield tag >> 3, wire, value, 0
+            continue
+        size = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(wire, 0)
+        if wire == _BYTES:
+            size, at = _varint(data, at, stop)
+        elif not size:
+            raise ValueError("not protobuf")
+        if size > stop - at:
+            raise ValueError("longer than the message")
+        yield tag >> 3, wire, at, at + size
+        at += size
+
+
+def _varint(data: bytes, at: int, stop: int) -> tuple[int, int]:
+    value = shift = 0
+    while at < stop and shift < 64:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+    raise ValueError("a number is cut off")
+
+
+def _message_types(descriptors: bytes) -> Iterator[tuple[str, list[tuple[int, str]]]]:
+    """Yield the name of each message type in a `FileDescriptorSet` and its fields that are messages."""
+    for _, start, stop in _parts(descriptors, 0, len(descriptors), {_FILE}):
+        parts = list(_parts(descriptors, start, stop, {_PACKAGE, _MESSAGE_TYPE}))
+        packages = [descriptors[at:end].decode() for number, at, end in parts if number == _PACKAGE]
+        scope = "".join(f".{package}" for package in packages[-1:])
+        for number, at, end in parts:
+            if number == _MESSAGE_TYPE:
+                yield from _message_type(descriptors, at, end, scope)
+
+
+def _message_type(data: bytes, start: int, stop: int, scope: str) -> Iterator[tuple[str, list[tuple[int, str]]]]:
+    parts = list(_parts(data, start, stop, {_TYPE_NAME, _FIELD, _NESTED_TYPE}))
+    name = "".join(f"{scope}.{data[at:end].decode()}" for number, at, end in parts if number == _TYPE_NAME)
+    fields = []
+    for number, at, end in parts:
+        if number == _NESTED_TYPE:
+            yield from _message_type(data, at, end, name)
+        elif number == _FIELD:
+            about = {part: (wire, first, last) for part, wire, first, last in _wire_fields(data, at, end)}
+            wire, first, last = about.get(_FIELD_TYPE, (_VARINT, 0, 0))
+            if wire == _BYTES:
+                fields.append((about.get(_FIELD_NUMBER, (0, 0, 0))[1], data[first:last].decode()))
+    yield name, fields
+
+
+def _parts(data: bytes, start: int, stop: int, numbers: set[int]) -> Iterator[tuple[int, int, int]]:
+    for number, wire, at, end in _wire_fields(data, start, stop):
+        if wire == _BYTES and number in numbers:
+            yield number, at, end

@@ -189,16 +189,17 @@ class MessageColumns:
     def by_topic(self) -> list[TopicMessages]:
         """Return the messages of each topic, type and encoding, sorted by these, and forget them here."""
         topic_index = _joined(self._parts, "topic")
-        indices, first_rows = np.unique(topic_index, return_index=True)
+        first_rows = np.full(len(self._topics), len(topic_index))
+        first_rows[topic_index[::-1]] = np.arange(len(topic_index) - 1, -1, -1)
         first_of: dict[_TopicKey, RecordedTopic] = {}
-        for index in indices[np.argsort(first_rows)].tolist():
+        for index in np.argsort(first_rows)[: int((first_rows < len(topic_index)).sum())].tolist():
             first_of.setdefault(_key(self._topics[index]), self._topics[index])
         keys = sorted(first_of)
         rank_of = {key: rank for rank, key in enumerate(keys)}
         ranks = np.array([rank_of.get(_key(topic), 0) for topic in self._topics], np.int32)[topic_index]
         codes = {publisher: code for code, publisher in enumerate({topic.publisher: 0 for topic in self._topics})}
         publisher = np.array([codes[topic.publisher] for topic in self._topics], np.int32)[topic_index]
-        number = np.argsort(ranks, kind="stable")
+        number = np.argsort(ranks.astype(np.uint16) if len(keys) <= _MOST_16_BITS else ranks, kind="stable")  # by radix
         edges = np.cumsum(np.bincount(ranks, minlength=len(keys)))[:-1]
         del topic_index, ranks
         columns: dict[str, list[Integers]] = {"number": [*np.split(number, edges)]}
@@ -253,6 +254,7 @@ def count_copies(columns: Sequence[TopicMessages], read_again: Callable[[], Iter
         topic.count_copies(contents)
 
 
+_MOST_16_BITS = 1 << 16
 _PLAIN_CDR = int.from_bytes(b"\0\1", "little")
 _FRAME_BYTES_AT, _FRAME_AT = 12, 16
 """Offsets of the length of a header's frame and of the frame, in both encodings."""
@@ -333,7 +335,8 @@ def _frames(batch: MessageBatch, has_header: NDArray[np.bool_]) -> Int64:
     rows, sizes = rows[is_short], sizes[is_short]
     sizes = np.minimum(sizes, batch.sizes[rows] - _FRAME_AT)
     words, last_word = unaligned(batch.data, "<u8"), len(batch.data) - _WORD_BYTES
-    for size in np.unique(sizes).tolist() if len(sizes) and last_word >= 0 else ():
+    are_equal = len(sizes) and sizes.min() == sizes.max()
+    for size in (sizes[:1] if are_equal else np.unique(sizes)).tolist() if last_word >= 0 else ():
         of_size = rows[sizes == size]
         at, total = (
             batch.starts[of_size] + _FRAME_AT,

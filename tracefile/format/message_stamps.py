@@ -36,7 +36,6 @@ class StampReader(NamedTuple):
     has_header: bool = False
 
 
-@lru_cache(maxsize=10_000)
 def stamps_of(topic: RecordedTopic) -> StampReader | None:
     """Return how stamps of a topic are read, None for a type without."""
     name, encoding = topic.message_type, topic.encoding
@@ -45,7 +44,12 @@ def stamps_of(topic: RecordedTopic) -> StampReader | None:
         return StampReader(read) if read else None
     if encoding == "json":
         return StampReader(_json_stamp) if _may_have_stamp(topic.definition) else None
-    definition = topic.definition if topic.definition_encoding in _TEXTS.get(encoding, ()) else ""
+    is_text = topic.definition_encoding in _TEXTS.get(encoding, ())
+    return _header_reader(name, topic.definition if is_text else "", encoding)
+
+
+@lru_cache(maxsize=1000)
+def _header_reader(name: str, definition: str, encoding: str) -> StampReader | None:
     definition = definition or known_definition(name, encoding)
     read = stamp_reader(name, definition, encoding)
     if read is None:

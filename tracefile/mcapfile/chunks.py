@@ -94,8 +94,11 @@ class PackedChunk:
         """Return where messages begin in the chunk as its indexes say, which may be wrong; nothing where one is odd."""
         data, at, parts = file.read(self.end, self.indexed_bytes), 0, [np.empty(0, np.int64)]
         while at < len(data):
-            _, length, _, entries_bytes = _INDEX.unpack_from(data, at)
-            if length != entries_bytes + _INDEX_BYTES or entries_bytes % _ENTRY_BYTES:
+            _, length, _, entries_bytes = (
+                _INDEX.unpack_from(data, at) if len(data) - at >= _INDEX.size else (0, 0, 0, 1)
+            )
+            is_whole = length <= len(data) - at - RECORD_HEADER.size
+            if not is_whole or length != entries_bytes + _INDEX_BYTES or entries_bytes % _ENTRY_BYTES:
                 return parts[0]
             parts.append(np.frombuffer(data, "<i8", entries_bytes // 8, at + _INDEX.size)[1::2])
             at += RECORD_HEADER.size + length

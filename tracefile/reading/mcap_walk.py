@@ -49,6 +49,8 @@ _UNSUSPECTED_LOOKS = 1_000_000
 _DAY_NS = 86_400 * 10**9
 _FIRST_STRETCH_BYTES = 4096
 _BLOCK_CHUNKS = 1000
+_MOST_INDEX_HEADERS = 1 << 20  # bytes, of 65,536 channels; an entry is shorter than a message
+_BLOCK_BYTES_OF_OTHERS = 3 * BLOCK_BYTES  # read by one thread: less often, and images are long
 _MOST_BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # of all these blocks
 _TOO_MUCH = f"it unpacks to more than {LARGEST_FILE_RATIO} times its size"
@@ -87,6 +89,7 @@ class McapWalk:
         self._stretch_bytes = _FIRST_STRETCH_BYTES
         self._looks_left = _UNSUSPECTED_LOOKS + file.size
         self._unpacked_bytes = 0
+        self._block_bytes = BLOCK_BYTES if is_trace else _BLOCK_BYTES_OF_OTHERS
         self._range_ns: tuple[int, int] | None = None
 
     @property
@@ -171,26 +174,42 @@ class McapWalk:
                 chunk = self._sound_chunk(header)
                 if chunk is None:
                     break
-            is_full = chunk and (chunks_bytes + chunk.unpacked_bytes > BLOCK_BYTES or len(chunks) == _BLOCK_CHUNKS)
+            is_full = chunk and (
+                chunks_bytes + chunk.unpacked_bytes > self._block_bytes or len(chunks) == _BLOCK_CHUNKS
+            )
             if chunks and (is_outside or is_full):
                 yield chunks_bytes, self._unpacking(chunks)
                 chunks, chunks_bytes = [], 0
             self._at = header.end
-            if (
-                header.opcode == Opcode.MESSAGE_INDEX
-                and chunks
-                and header.offset == chunks[-1].end + chunks[-1].indexed_bytes
-            ):
-                chunks[-1] = replace(chunks[-1], indexed_bytes=header.end - chunks[-1].end)
             if chunk is not None:
                 is_empty = not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc)
-                chunks += [] if is_empty else [chunk]
+                chunks += [] if is_empty else [chunk if self._is_trace else self._with_indexes(chunk)]
                 chunks_bytes += chunk.unpacked_bytes
             elif is_outside:
                 data, scan = self._stretch(header)
                 yield len(data), partial(outside_block, data, header.offset, scan)
         if chunks:
             yield chunks_bytes, self._unpacking(chunks)
+
+    def _with_indexes(self, chunk: PackedChunk) -> PackedChunk:
+        """Return a chunk with its indexes, and go on to the last one: those before it are sound, as another follows each."""
+        at = last_at = data_at = chunk.end
+        data, size = b"", _FIRST_STRETCH_BYTES
+        while True:
+            if at + RECORD_HEADER.size > data_at + len(data):
+                data, data_at = self._file.read(at, min(size, max(self._file.size - at, 0))), at
+                size = min(2 * size, _SEARCHED_BYTES)
+            if len(data) < RECORD_HEADER.size:
+                break
+            opcode, length = RECORD_HEADER.unpack_from(data, at - data_at)
+            if opcode != Opcode.MESSAGE_INDEX or not LEAST_BYTES[Opcode.MESSAGE_INDEX] <= length <= MAX_RECORD_BYTES:
+                break
+            last_at, at = at, at + RECORD_HEADER.size + length
+        self._at = last_at
+        indexed_bytes = min(at, self._file.size) - chunk.end
+        return replace(
+            chunk, indexed_bytes=indexed_bytes * (indexed_bytes < chunk.unpacked_bytes + _MOST_INDEX_HEADERS)
+        )
 
     def _unpacking(self, chunks: list[PackedChunk]) -> Callable[[], Block]:
         return partial(unpack_chunks, self._file, chunks, is_trace=self._is_trace)

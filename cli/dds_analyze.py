@@ -21,3 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tune_gc()
     avoid_slow_sorts()
     run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]))
+
+
+if __name__ == "__main__":
+    main()

@@ -17,3 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if words[:1] == ["status"]:
         dds_trace(["record", *words])
     run_command(lambda: run_alias("dds-record", app, ["record", *settings_as_options(words)]), needs_stdout=False)
+
+
+if __name__ == "__main__":
+    main()

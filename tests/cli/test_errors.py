@@ -60,7 +60,7 @@ main()
 )
 def test_one_line_says_what_to_install(package, extra, arguments, tmp_path):
     ran = subprocess.run(
-        [sys.executable, "-c", WITHOUT.format(module="analyze"), package, SAMPLES, "--out", tmp_path, *arguments],
+        [sys.executable, "-c", WITHOUT.format(module="dds_analyze"), package, SAMPLES, "--out", tmp_path, *arguments],
         check=False,
         capture_output=True,
         text=True,
@@ -71,7 +71,7 @@ def test_one_line_says_what_to_install(package, extra, arguments, tmp_path):
 
 
 def test_a_package_that_belongs_to_no_extra_is_a_fault_of_the_installation():
-    command = [sys.executable, "-c", WITHOUT.format(module="analyze"), "mcap", SAMPLES]
+    command = [sys.executable, "-c", WITHOUT.format(module="dds_analyze"), "mcap", SAMPLES]
     ran = subprocess.run(command, check=False, capture_output=True, text=True)
     assert ran.stderr.splitlines()[-1].startswith("ModuleNotFoundError")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOMS = Path(__file__).parents[2] / "reports"
 REPORT = json.loads((ROOMS / "report.schema.json").read_text(encoding="utf-8"))
-COMPARISON = json.loads((ROOMS / "comparison" / "comparison.schema.json").read_text(encoding="utf-8"))
+COMPARISON = json.loads((ROOMS.parent / "extensions/gates/comparison.schema.json").read_text(encoding="utf-8"))
 
 
 def closed(schema):

@@ -57,7 +57,7 @@ READING = (
         "dds_trace.extensions.bags.command",
     ),
     *("dds_trace.analyzer.analysis", "dds_trace.analyzer.saving.folder", "dds_trace.extensions.gates.report"),
-    *("dds_trace.extensions.gates.gates", "dds_trace.reports.html.page", "dds_trace.cli.analyze"),
+    *("dds_trace.extensions.gates.gates", "dds_trace.reports.html.page", "dds_trace.cli.dds_analyze"),
     *("dds_trace.analyzer.pipeline", "dds_trace.analyzer.engines", "dds_trace.analyzer.findings"),
     *("dds_trace.extensions.campaigns.plan.plan_file", "dds_trace.extensions.campaigns.run.progress"),
     *("rich.progress", "rich._emoji_codes", "pyarrow.compute", "numpy.ma"),

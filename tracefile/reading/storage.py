@@ -99,9 +99,10 @@ def is_bag(folder: Path) -> bool:
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
     suffix = _opener_suffix(file) or ".mcap"
-    open_file: Callable[[Path, Executor, Path], Source] = McapSource if suffix == ".mcap" else load("storages", suffix)
-    with unpacked(file) as path, closing(open_file(path, pool, file)) as source:
-        yield source
+    with unpacked(file) as path:
+        opened: Source = McapSource(path, pool, file) if suffix == ".mcap" else load("storages", suffix)(path, file)
+        with closing(opened) as source:
+            yield source
 
 
 def _opener_suffix(file: Path) -> str | None:

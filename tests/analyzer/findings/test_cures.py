@@ -232,7 +232,7 @@ TRIED_ELSEWHERE = {
 }
 
 
-@pytest.mark.parametrize("check", all_checks(), ids=lambda check: f"{check.code}-{name_of(check)}")
+@pytest.mark.parametrize("check", [*all_checks()], ids=lambda check: f"{check.code}-{name_of(check)}")
 def test_every_cure_was_tried_or_says_that_it_may_help(check):
     name = name_of(check)
     is_tried = name in TRIED_HERE or name in TRIED_ELSEWHERE or name in TRIED_WITH_MIDDLEWARE

@@ -74,7 +74,7 @@ def test_a_toy_finding_is_in_the_reference(monkeypatch):
     assert set(re.findall("### (.*)", text)) == {check.code for check in table.all_checks()}
 
 
-@pytest.mark.parametrize("check", table.all_checks(), ids=lambda check: f"{check.code}-{check.severity.value}")
+@pytest.mark.parametrize("check", [*table.all_checks()], ids=lambda check: f"{check.code}-{check.severity.value}")
 def test_a_check_has_a_short_title_and_says_what_to_do(check):
     assert re.fullmatch("[a-z]+(_[a-z]+)*", check.code)
     assert check.title[0].isupper() or check.title.startswith("--")

@@ -171,7 +171,7 @@ import stand_in_bridge
 from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.bridges.base import BridgeOptions
 from dds_trace.extensions.bridges.running import open_bridge
-from dds_trace.recorder.bridges.process import supervise
+from dds_trace.extensions.bridges import supervise
 supervise.STOP_PATIENCE_S = 0.2
 BRIDGE_MODULES["stand-in"] = "stand_in_bridge"
 stand_in_bridge.BRIDGE = stand_in_bridge.StandInBridge(part="leaves_children")

@@ -186,7 +186,7 @@ def test_a_taken_port_is_an_output_error(watcher, tmp_path):
 
 def test_the_command_ends_with_ctrl_c(tmp_path):
     write_runs(tmp_path, [1])
-    command = [sys.executable, "-m", "dds_trace.cli.analyze", "watch", str(tmp_path), "--port", "0"]
+    command = [sys.executable, "-m", "dds_trace.cli.dds_analyze", "watch", str(tmp_path), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         assert line.startswith("Serving http://127.0.0.1:")

@@ -12,7 +12,7 @@ import pytest
 from trace_files import ping_session, relay_session, run
 
 from dds_trace.analyzer.model.parameters import parameters_of
-from dds_trace.cli.record import command
+from dds_trace.cli.dds_record import main
 from dds_trace.extensions.campaigns.plan.cells import AXES, DEFAULTS, Cell
 from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
 from dds_trace.extensions.campaigns.plan.link import PRESETS
@@ -37,7 +37,7 @@ def options_of(arguments):
         mock.patch.object(sys, "argv", ["dds-record", *arguments, "--out", "x.mcap"]),
         pytest.raises(SystemExit) as ended,
     ):
-        command.main()
+        main()
     assert not ended.value.code
     return record.call_args.args[0]
 

@@ -181,6 +181,10 @@ bench-node *args: setup
 readme: setup
     {{bin}}/python scripts/quoted.py
 
+# What the newest releases of other programs read in our outputs: the table of docs/reference/readers.md (1.2 GB in a folder that it removes)
+readers: setup
+    {{bin}}/python scripts/readers.py
+
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup
     {{bin}}/python scripts/stored_report.py open docs/results/*/report.html.gz --out out/results

@@ -40,7 +40,7 @@ def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
 
 
 def _hex_ids(rows: pl.LazyFrame) -> pl.LazyFrame:
-    """Return rows with run ids as 16 hex digits, as `report.json` has them: readers of CSV round numbers from 2^63 on."""
+    """Return rows with run ids as 16 hex digits: readers of CSV round numbers from 2^63 on."""
     import polars as pl
 
     def hex_of(ids: pl.Series) -> pl.Series:

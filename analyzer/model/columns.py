@@ -60,7 +60,7 @@ PARQUET_ENCODINGS = {
     for column in ROUNDTRIP_COLUMNS
     if column.unit in ("ns", "UTC") or column.name == "sequence"
 }
-"""Encoding of columns of `roundtrips.parquet`, for which times ascend by steps or stay within a range; others are dictionaries."""
+"""Of `roundtrips.parquet`: times ascend by steps or stay within a range. Other columns are dictionaries."""
 
 COUNT_COLUMNS = (
     Column("published", pl.UInt64, "", "messages published, times the relays that took part"),

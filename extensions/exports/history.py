@@ -30,7 +30,7 @@ COMMIT_VARIABLES = ("GITHUB_SHA", "CI_COMMIT_SHA")
 
 
 class Measure(NamedTuple):
-    """A measure of a result; `value` is None where it is not known, and the result of a plan has every measure."""
+    """A measure of a result, which has every measure; `value` is None where unknown."""
 
     result: str
     name: str
@@ -102,7 +102,7 @@ def _otava_columns(analysis: Analysis) -> dict[str, Measure]:
 
 
 def otava_csv(analysis: Analysis) -> str:
-    """Return a row with a column for each measure of each result, sorted by name, empty where the measure is not known."""
+    """Return a row with a column for each measure of each result, by name; unknown is empty."""
     started_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     time = datetime.fromtimestamp(started_s, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     commit = next(filter(None, map(os.environ.get, COMMIT_VARIABLES)), "")
@@ -115,7 +115,7 @@ def otava_csv(analysis: Analysis) -> str:
 
 
 def otava_yaml(analysis: Analysis) -> str:
-    """Return the configuration by which Otava reads `latency.csv`, a file of such rows: which direction of a column is better."""
+    """Return Otava's configuration for such rows in `latency.csv`: which direction of a column is better."""
     directions = {
         name: 1 if measure.name == "received_ratio" else -1 for name, measure in _otava_columns(analysis).items()
     }

@@ -1,8 +1,7 @@
 """One timeline of all devices for https://ui.perfetto.dev, written by the protobufs of the package `perfetto` (extra of that name).
 
-A track for each device, below it lanes of round trips and topics; an arrow leads from each sending to its reception. A ping's slice begins
-at `publish_utc` of its row where its device is the first; times of other devices are of the first one's wall clock, by the fits of their
-clocks in that boot, without a fit of their own wall clock.
+A track for each device, below it lanes of round trips and topics; an arrow leads from each sending to its reception. All times are of the
+wall clock of the device that pinged first (`publish_utc` of its rows), the others' by the fits of their clocks in that boot.
 """
 
 from __future__ import annotations
@@ -31,10 +30,7 @@ _SEQUENCE = 1
 
 
 class Slice(NamedTuple):
-    """A stretch of time on a device; the two slices of one `message`, its sending and its reception, are joined by an arrow.
-
-    `row` names the row of `roundtrips.parquet`: run and relay in hex, sequence.
-    """
+    """A stretch of time on a device; an arrow joins the two slices of a `message`. `row`: run and relay in hex, sequence."""
 
     device: str
     lane: str
@@ -145,7 +141,7 @@ def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 class _Reference:
-    """The wall clock of the device that pinged first, on which the instants of all devices and boots are expressed."""
+    """The wall clock on which the instants of all devices and boots are expressed."""
 
     def __init__(self, analysis: Analysis) -> None:
         boots = session_boots(analysis.sessions)
@@ -175,7 +171,7 @@ class _Reference:
                 self._knots[relays[relay]].append(part.select("relay_ns", "wall_ns"))
 
     def wall_ns(self, session_id: int, monotonic_ns: Int64) -> Int64 | None:
-        """Return instants of the monotonic clock of a session, None if the session is unknown."""
+        """Return instants of a session's monotonic clock; None without the session."""
         session, boot = self._sessions.get(session_id, (None, ("", 0)))
         if session is None:
             return None

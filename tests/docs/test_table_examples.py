@@ -69,9 +69,10 @@ def test_polars_gives_our_own_p99(run_example, analyzed):
 
 def test_csv_has_the_same_rows_and_times_in_iso(analyzed):
     folder, analysis = analyzed
-    read = pl.read_csv(folder / "roundtrips.csv", schema_overrides={"run_id": pl.UInt64, "publish_utc": pl.String})
+    read = pl.read_csv(folder / "roundtrips.csv", schema_overrides={"run_id": pl.String, "publish_utc": pl.String})
     rows = analysis.load_roundtrips()
     assert read.columns == rows.columns
+    assert read["run_id"].to_list() == [f"{run_id:016x}" for run_id in rows["run_id"]]
     assert read["latency_ns"].to_list() == rows["latency_ns"].to_list()
     as_times = read["publish_utc"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.9fZ", time_unit="ns", time_zone="UTC")
     assert as_times.to_list() == rows["publish_utc"].to_list()

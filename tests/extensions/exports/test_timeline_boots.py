@@ -1,10 +1,12 @@
 """The timeline of devices that were recorded in several boots: what is drawn is held against the true times."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
+from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 from trace_files import (
     WALL_ANCHOR_NS,
     Message,
@@ -116,3 +118,34 @@ def test_an_arrow_of_the_file_joins_one_sending_and_its_reception(tmp_path):
     assert {slices[0] for slices in ends.values()} == {
         ("row", f"{run_id:016x} {relay_id:08x} {sequence}") for run_id, relay_id, sequence in truth
     }
+
+
+def test_a_topic_of_every_boot_is_at_its_true_time(tmp_path):
+    """Two publishers number their messages alike; in the second boot all clocks but the wall clocks begin again."""
+    sent_ns = {}
+    for boot in range(2):
+        later = {"boot_id": f"{boot + 3:08x}", "since_boot_ns": (90 + 7 * boot) * SECOND}
+        robot = replace(ROBOT, **later, wall_off_ns=boot * 3 * DAY)
+        laptop = replace(LAPTOP, **{**later, "boot_id": f"{boot + 5:08x}"}, wall_off_ns=boot * 3 * DAY - 2 * SECOND)
+        folder = tmp_path / str(boot)
+        published = [
+            replace(camera(seconds=5), topic=f"/boot_{boot}/{side}", clock=robot, guid=f"{boot}{number}" * 16)
+            for number, side in enumerate(("left", "right"))
+        ]
+        published = [replace(one, headers=robot.wall(one.sent_ns - 5 * MS)) for one in published]
+        for number, (clock, way_ns) in enumerate(((robot, 60_000), (laptop, FAR_NS)), 1):
+            heard = [Hearing(one, arrivals(one, way_ns, seed=number)) for one in published]
+            write_tap(folder / f"{number}.mcap", clock, heard, session_id=2 * boot + number)
+        write_beacon(folder, laptop, robot, seconds=8, number=boot)
+        sent_ns |= {one.topic: laptop.wall(one.sent_ns) for one in published}
+    flows, count = defaultdict(list), 0
+    for part in timeline_slices(analyze(tmp_path)):
+        flows[part.message].append(part)
+        if part.name.endswith(" one way"):
+            topic, sequence, *_ = part.name.split()
+            assert abs(part.begin_ns - sent_ns[topic][int(sequence) - 1]) < 1 * MS
+            count += 1
+        elif part.name.endswith(" stamp"):
+            assert 4 * MS < part.end_ns - part.begin_ns < 6 * MS
+    assert count == 2 * 2 * 2 * 150
+    assert {len(slices) for slices in flows.values()} == {2}

@@ -365,6 +365,28 @@ def count_or_time(column: str) -> bool:
     return column in counts or re.fullmatch(f"({'|'.join(METRICS)})_p[0-9_]+_ns", column) is not None
 
 
+def histories(folder: Path, truth: Mapping[str, Any]) -> Iterator[Compared]:
+    """Compare medians, p99 and shares received of all results, which the three files name by results."""
+    benchmarks = json.loads((folder / "bencher.json").read_text(encoding="utf-8"))
+    read: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for measures in benchmarks.values():
+        for name, metric in measures.items():
+            read["bencher"][name].append(metric["value"])
+    for path in folder.glob("github-benchmark-*.json"):
+        for entry in json.loads(path.read_text(encoding="utf-8")):
+            scale = 100 if entry["unit"] == "%" else 1
+            read["github"][entry["name"].rpartition(" ")[2]].append(entry["value"] / scale)
+    with (folder / "otava.csv").open(newline="", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    for column, text in row.items():
+        found = re.search("(latency_p50|latency_p99|received_ratio)(_[0-9a-f]{8})?$", column)
+        if found and text:
+            read["otava"][found[1]].append(float(text))
+    for name, want in truth["measures"].items():
+        for kind, most in (("bencher", 0.0), ("github", 1e-15), ("otava", 1e-5)):
+            yield sorted(want), sorted(read[kind][name]), most
+
+
 METRICS = ("rtt", "intermediate", "latency", "response")
 
 
@@ -497,6 +519,7 @@ READERS = [
             ("rerun-sdk", by_rerun),
         )
     ),
+    Reader("`bencher.json`, `github-benchmark-*.json`, `otava.csv`", "python", histories),
     Reader("`timeline.pftrace`", "perfetto", perfetto),
     Reader("`openmetrics.txt`", "prometheus-client", openmetrics),
     Reader("`latency.hlog`", "hdrhistogram", hdr_python),
@@ -529,7 +552,7 @@ def compare(reader: Reader, folder: Path) -> tuple[int, int]:
 
 # The outputs and what is true of them; only here our own code is used.
 
-EXPORTS = ("csv", "arrow", "openmetrics", "hdr", "perfetto")
+EXPORTS = ("csv", "arrow", "openmetrics", "hdr", "perfetto", "bencher", "github-benchmark", "otava")
 
 
 def make_outputs(traces: Path, folder: Path) -> Path:
@@ -546,8 +569,18 @@ def make_outputs(traces: Path, folder: Path) -> Path:
         name: {column.name: (column.to_physical() if column.dtype.is_temporal() else column).to_list() for column in rows.cast({pl.Categorical: pl.String, pl.Enum: pl.String})}
         for name, rows in (("roundtrips", analysis.load_roundtrips()), ("summary", analysis.summary))
     }  # fmt: skip
+    intervals = analysis.details.intervals.filter(pl.col("estimate_ns").is_finite(), metric="latency")
+    measures = {
+        f"latency_{name}": intervals.filter(percentile=name)["estimate_ns"].to_list() for name in ("p50", "p99")
+    }
+    measures["received_ratio"] = analysis.summary["received_ratio"].drop_nulls().to_list()
     schema = json.loads((ROOT / "reports/report.schema.json").read_text(encoding="utf-8"))
-    truth = {**tables, "traces": [str(path) for path in sorted(traces.rglob("*.mcap"))], "schema": schema}
+    truth = {
+        **tables,
+        "measures": measures,
+        "traces": [str(path) for path in sorted(traces.rglob("*.mcap"))],
+        "schema": schema,
+    }
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return folder
 

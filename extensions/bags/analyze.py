@@ -15,7 +15,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.tracefile.reading.source import Condition
+from dds_trace.tracefile.reading.source import MOST_TOPICS, Condition
 
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth, Row, empty_health
 from .losses import NONE
@@ -76,6 +76,15 @@ def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[
             topic.columns["stamp_ns"] = array("q", stamp_ns.tobytes())
             topic.bound_ns = int(bound_ns.max())
     return notes
+
+
+def _refuse_topics(columns: list[TopicMessages], condition: Condition) -> str:
+    """Leave out a recording of more topics than any robot has, and return why."""
+    if len(columns) <= MOST_TOPICS:
+        return ""
+    condition.damages.append(f"it has {len(columns)} topics; at most {MOST_TOPICS} of a recording are analyzed")
+    columns.clear()
+    return condition.damages[-1]
 
 
 def analyze_topics(
@@ -196,6 +205,7 @@ def _read(part: Part) -> _Recording:
         recording.failure = err.what
         recording.condition.damages.append(err.what)
     topics = messages.by_topic()
+    recording.failure = _refuse_topics(topics, recording.condition) or recording.failure
     count_copies(topics, partial(read_batches, part.path, Condition()))
     names = ((one.topic.name, one.topic.message_type, one.topic.encoding) for one in topics)
     recording.columns = dict(zip(names, topics, strict=True))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager, nullcontext, suppress
 from difflib import get_close_matches
+from heapq import nsmallest
 from importlib.util import find_spec
 from itertools import pairwise
 from operator import itemgetter
@@ -31,6 +33,9 @@ _UNEVEN = 1.5
 _OTHER_CLOCK_NS = 30 * 86_400 * 10**9
 """An interval from which on two times are of two clocks, a simulation's before it began and the machine's."""
 NAMED_FIELD = 2
+_ABOUT_TOPIC = re.compile(r" says that (.*) has \d", re.DOTALL)
+_COMPARED_NAMES, _COMPARED_CHARACTERS = 100, 200
+"""Of names of topics that may be misspelled; comparing takes time with the square of their length."""
 
 
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
@@ -59,12 +64,9 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     if not messages:
         raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
     name = chosen.name
-    about_others = [other.name for other in condition.topics if other.name != name]
-    notes = [
-        note
-        for note in (*condition.damages, *condition.notes)
-        if not any(f" {other} has " in note for other in about_others)
-    ]
+    others = {other.name for other in condition.topics if other.name != name}
+    abouts = ((note, _ABOUT_TOPIC.search(note)) for note in (*condition.damages, *condition.notes))
+    notes = [note for note, about in abouts if about is None or about[1] not in others]
     notes += copied_messages(
         name, len(messages_read) - len({(time_ns, content_hash(data)) for time_ns, data in messages_read})
     )
@@ -139,8 +141,11 @@ def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> 
     matching = [other for other in topics if other.name.lstrip("/") == topic.lstrip("/")]
     if not matching:
         names = sorted({other.name for other in topics})
-        nearest = get_close_matches(topic, names, 1, 0) or ["nothing at all"]
-        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(names)} is {nearest[0]}")
+        similar = nsmallest(_COMPARED_NAMES, names, key=lambda name: abs(len(name) - len(topic)))
+        whole_names = {name[:_COMPARED_CHARACTERS]: name for name in similar}
+        nearest = get_close_matches(topic[:_COMPARED_CHARACTERS], whole_names, 1, 0)
+        known = whole_names[nearest[0]] if nearest else "nothing at all"
+        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(names)} is {known}")
     types = sorted({other.message_type for other in matching})
     if len(types) > 1:
         raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one")

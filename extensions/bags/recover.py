@@ -24,7 +24,7 @@ from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
-from dds_trace.tracefile.reading.source import LATEST_NS, Condition, Int64, MessageBatch, UnreadableError
+from dds_trace.tracefile.reading.source import LATEST_NS, MOST_TOPICS, Condition, Int64, MessageBatch, UnreadableError
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
 from dds_trace.tracefile.recovery.mcap_copy import McapCopy
 from dds_trace.tracefile.writing.event_chunks import LIBRARY
@@ -265,6 +265,8 @@ def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
     with bag:
         for message in bag1_messages(source, condition):
             topic = message.topic
+            if topic not in connections and len(connections) == MOST_TOPICS:  # rosbags compares each with all others
+                raise UnreadableError(f"it has more than {MOST_TOPICS} topics")
             if topic not in connections:
                 connections[topic] = bag.add_connection(
                     topic.name,

@@ -22,6 +22,7 @@ from dds_trace.tracefile.format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stag
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.reading.source import (
+    MOST_TOPICS,
     Batch,
     Budget,
     Condition,
@@ -53,7 +54,6 @@ INSERT INTO schema VALUES (4, 'unknown');
 _UNSUSPECTED_STEPS = 100_000_000
 _STEPS_A_BYTE = 4
 _STEPS_A_CHECK = 1_000_000
-_MOST_TOPICS = 10_000
 _MOST_TEXT_BYTES = 8 << 20
 
 # Every version of rosbag2's schema has these columns. Views, virtual tables and computed columns are not read.
@@ -65,7 +65,7 @@ _COMPUTED = (
 _TOPICS = "SELECT id, name, type, serialization_format, {}, {} FROM topics LIMIT {}"
 _MESSAGES = "SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END FROM messages ORDER BY id"
 _NO_TABLES = "it is no rosbag2 database: no tables 'topics' and 'messages' as it makes them"
-_MANY_TOPICS = f"it is no rosbag2 database: more than {_MOST_TOPICS} topics"
+_MANY_TOPICS = f"it has more than {MOST_TOPICS} topics"
 _MOST_COLUMNS = 7
 _LEAST_REACHED = 0.1
 """Share of a database's bytes below which its tables may not reach all rows."""
@@ -145,7 +145,7 @@ def _rows_by_page(joined: Image, topics: dict[int, RecordedTopic]) -> Iterator[S
     for name in ("topics", "message_definitions"):
         for row_id, values in tables.rows(name) if name in tables else ():
             _take_description(row_id, values, topics, definitions)
-            if len(topics) > _MOST_TOPICS:
+            if len(topics) > MOST_TOPICS:
                 raise UnreadableError(_MANY_TOPICS)
     _add_definitions(topics, definitions)
     for row_id, values in tables.rows("messages"):
@@ -195,8 +195,8 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
         raise UnreadableError(_NO_TABLES)
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
     later = [name if name in columns else "''" for name in ("offered_qos_profiles", "type_description_hash")]
-    rows = database.execute(_TOPICS.format(*later, _MOST_TOPICS + 1)).fetchall()
-    if len(rows) > _MOST_TOPICS:
+    rows = database.execute(_TOPICS.format(*later, MOST_TOPICS + 1)).fetchall()
+    if len(rows) > MOST_TOPICS:
         raise UnreadableError(_MANY_TOPICS)
     definitions: dict[str, tuple[str, str]] = {}
     with suppress(sqlite3.Error):  # before ROS 2 Iron there is no such table

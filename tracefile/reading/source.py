@@ -30,6 +30,10 @@ _UNSUSPECTED_MESSAGES, _LEAST_MESSAGE_BYTES = 2_000_000, 64
 """More messages than this, of fewer bytes each, are no recording but an attack."""
 
 
+MOST_TOPICS = 10_000
+"""A robot has some hundreds; each costs about a millisecond in an analysis."""
+
+
 class UnreadableError(Exception):
     """The reading of a file ends here, in words that follow the file's name."""
 

@@ -8,8 +8,11 @@ from bags import ROS1, ROS2, text, write_bag1, write_bag2
 from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from dds_trace.base.errors import OptionError, TraceFormatError
-from dds_trace.extensions.bags import bag1, read
+from dds_trace.base.errors import MissingEventsError, OptionError, TraceFormatError
+from dds_trace.extensions.bags import analyze as topics
+from dds_trace.extensions.bags import bag1, read, sqlite_rows
+from dds_trace.extensions.bags import payload as bag
+from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.payload import load_payload
 from dds_trace.extensions.bags.read import read_messages
 from dds_trace.recorder.payloads import STRING
@@ -123,3 +126,30 @@ def test_reading_on_after_damage_is_linear(tmp_path, seed, monkeypatch):
     assert costs[1][1] < 2.5 * costs[0][1] + 100 * KB
     assert costs[1][0] < 40 * KB
     assert costs[1][1] < 400 * 40 * KB  # a few pieces of 4 KB for each record
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_more_topics_than_any_robot_has_are_refused_in_one_line(tmp_path, kind, monkeypatch):
+    write, store = (write_bag1, ROS1) if kind == "bag" else (write_bag2, ROS2)
+    plugin = {"db3": {"plugin": StoragePlugin.SQLITE3}, "mcap": {"plugin": StoragePlugin.MCAP}}.get(kind, {})
+    path = write(tmp_path / f"x.{kind}", {f"/t{number}": [text("x", store)] for number in range(4)}, **plugin)
+    assert len(analyze_topics(path).topics) == 4
+    for module in (topics, sqlite_rows):
+        monkeypatch.setattr(module, "MOST_TOPICS", 3)
+    with pytest.raises(MissingEventsError, match="topics") as caught:
+        analyze_topics(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_misspelled_topic_among_many_long_ones_is_answered(tmp_path, monkeypatch):
+    """Comparing takes time with the square of a name's length: few names are compared, and of each the beginning."""
+    names = [f"/t{number}_{'x' * 2000}" for number in range(300)] + ["/chatter"]
+    path = write_bag2(tmp_path / "x", {name: [text("x")] for name in names})
+    compared = []
+    monkeypatch.setattr(
+        bag, "get_close_matches", lambda word, names, *_: compared.extend([word, *names]) or [*names][:1]
+    )
+    with pytest.raises(OptionError, match="/chatter"):
+        load_payload(f"{path}#/chater", {TYPE: STRING})
+    assert len(compared) <= 101
+    assert max(map(len, compared)) <= 200

@@ -141,7 +141,7 @@ def rows(count):
     [
         (source, "_UNSUSPECTED_MESSAGES", -(10**9)),
         (sqlite_rows, "_UNSUSPECTED_STEPS", -(10**9)),
-        (sqlite_rows, "_MOST_TOPICS", 0),
+        (sqlite_rows, "MOST_TOPICS", 0),
     ],
 )
 def test_work_on_a_database_is_bounded(database, monkeypatch, module, name, value):

@@ -32,6 +32,8 @@ class Target:
     def __init__(self, folder: Path) -> None:
         self._path = folder / "limits.toml"
         self._shapes = (self._text, self._changed, self._condition, self._result)
+        self._text(LIMITS.encode())
+        assert read_limits(self._path)  # imports count in no input's time
 
     def try_input(self, data: bytes) -> None:
         """Read the limits that the bytes stand for."""

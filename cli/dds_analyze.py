@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from dds_trace.base.shortage import ANALYSIS
 from dds_trace.base.threads import tune_gc
 
 from .analyze import app
@@ -20,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         dds_trace(words)
     tune_gc()
     avoid_slow_sorts()
-    run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]))
+    run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]), room=ANALYSIS)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
+from dds_trace.base.shortage import shortage
 from dds_trace.base.streams import plain_streams, say
 from dds_trace.base.version import __version__
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from typer.models import ArgumentInfo, OptionInfo
+
+    from dds_trace.base.shortage import Room
 
 SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
 SHORT_COLUMNS = 73  # of an option's name and what it means in a line of `-h`
@@ -151,18 +154,15 @@ _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""
 """As in `polars<3,>=1.30; extra == 'analyze'`."""
 
 
-_TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a part of the traces"
-
-
-def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> None:
-    """Call a command's app; end the process with one line at a user's error.
+def run_command(command: Callable[[], object], *, needs_stdout: bool = True, room: Room | None = None) -> None:
+    """Call a command's app; end the process with one line at a user's error, and where there is no `room` for it.
 
     Words that stderr or stdout does not take are lost; for stdout that is an error where `needs_stdout`.
     """
     ended: SystemExit | None = None
     with plain_streams() as stdout, _unwinding_at_sigterm() if needs_stdout else nullcontext():
         try:
-            _run(command)
+            _run(command, room)
         except SystemExit as end:
             ended = end
     failure = stdout.failure
@@ -194,12 +194,13 @@ def _unwinding_at_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _run(command: Callable[[], object]) -> None:
+def _run(command: Callable[[], object], room: Room | None) -> None:
     try:
+        if room is not None:
+            room.check()
         command()
-    except MemoryError:
-        print_error(f": {_TOO_LARGE}")
-        sys.exit(1)
+    except (SystemExit, KeyboardInterrupt):
+        raise
     except ModuleNotFoundError as error:
         extra = _extra_with(error.name or "")
         if extra is None:
@@ -210,6 +211,12 @@ def _run(command: Callable[[], object]) -> None:
     except TraceError as error:
         print_error(f": {error}")
         sys.exit(error.exit_code)
+    except BaseException as error:
+        short_of = shortage(error)
+        if not short_of:
+            raise
+        print_error(f": {short_of}")
+        sys.exit(TraceError.exit_code)
 
 
 def print_error(text: str) -> None:

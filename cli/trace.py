@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import offers
+from dds_trace.base.shortage import ANALYSIS, RECORDING
 from dds_trace.base.streams import say
 from dds_trace.base.threads import tune_gc
 
@@ -36,6 +37,8 @@ _COMMANDS = {
 _ORDER = ("record", "sweep", "capacity", "explain", "advise", "analyze", "choose", "compare", "watch", "bag", "recover")
 """First words of commands as `--help` lists them; others follow."""
 
+_WITHOUT_FRAMES = ("record", "recover", "bridge")
+_HELP = {"-h", "--help", "--version"}
 _GROUPS = {
     "record": "Record a ping, a relay, topics or clocks; list what records now.",
     "explain": "Explain why latency rises at slow rates, or around a size.",
@@ -149,4 +152,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         typed = import_module(".record.command", __package__).words_of_role(now) if now[:1] == ["record"] else now
         build(_words_to_complete() or now)(typed or ["--help"], prog_name=PROGRAM)
 
-    run_command(run, needs_stdout=not is_recording)
+    room = RECORDING if words[:1] and words[0] in _WITHOUT_FRAMES else ANALYSIS
+    run_command(run, needs_stdout=not is_recording, room=None if {*words} <= _HELP else room)

@@ -21,6 +21,13 @@ def watch_command(
             "--host ADDRESS", "Address to listen on; anybody who reaches it can read the report.", show_default=True
         ),
     ] = "127.0.0.1",
+    names: Annotated[
+        list[str] | None,
+        option(
+            "--name NAME",
+            "A further name of this machine that browsers may ask for; repeatable. Default: its host name",
+        ),
+    ] = None,
     port: Annotated[
         int, option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True)
     ] = 8765,
@@ -44,7 +51,7 @@ def watch_command(
     limits.check(limits.HOST, host, "--host")
     limits.check(limits.LOOK_S, every, "--every")
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
-    watcher = Watcher(WatchOptions(folder, out), host, port)
+    watcher = Watcher(WatchOptions(folder, out), host, port, names or ())
     stop = stop_at_signals()
     with watcher.serving():
         print(f"Serving {watcher.address}", flush=True)

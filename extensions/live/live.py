@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
@@ -19,7 +19,7 @@ from typing import TypeAlias
 from dds_trace.analyzer.loading.place import default_output
 from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.base.errors import OutputError, TraceError
+from dds_trace.base.errors import UNREADABLE, OutputError, TraceError
 from dds_trace.base.files import open_regular
 from dds_trace.base.streams import say
 from dds_trace.reports.book.book import Book
@@ -36,7 +36,8 @@ _STATE, _PARTS = "state.json", ".parts"
 """A sweep's state, and the folder of what it records."""
 
 _DONE = ("recorded", "complete")
-_MOST_LEFT_S = 1e9
+_MOST = 1e12
+"""Beyond it a count or a time in seconds is no sweep's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +73,16 @@ def sweep_status(folder: Path) -> SweepStatus:
                 state, changed_s = json.load(file), os.fstat(file.fileno()).st_mtime
             recorded = sum(cell["status"] in _DONE for cell in state["cells"].values())
             planned, left_s = int(state["planned"]), float(state["left_s"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+            if not (0 <= planned < _MOST and 0 <= left_s < _MOST):
+                continue
+        except UNREADABLE:
             continue
         age_s = max(0.0, time.time() - changed_s)
         total = SweepStatus(
             total.done + recorded,
             total.planned + planned,
             age_s if total.age_s is None else min(age_s, total.age_s),
-            total.left_s + (min(max(0.0, left_s - age_s), _MOST_LEFT_S) if recorded < planned else 0.0),
+            total.left_s + (max(0.0, left_s - age_s) if recorded < planned else 0.0),
         )
     return total
 
@@ -101,7 +104,9 @@ class Shown:
 
 
 class Watcher:
-    def __init__(self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0, names: Sequence[str] = ()
+    ) -> None:
         """Bind the address at once; nothing is analyzed before `refresh`.
 
         Raises:
@@ -119,7 +124,7 @@ class Watcher:
             "/update": lambda: ("text/html", without_plotly(self.shown.page.decode()).encode(), ""),
         }
         try:
-            self._server = LocalServer(host, port, answers)
+            self._server = LocalServer(host, port, answers, names)
         except (OSError, OverflowError) as err:
             raise OutputError(
                 f"{host}:{port}: cannot serve there ({getattr(err, 'strerror', None) or err}); choose another --port"

@@ -6,7 +6,7 @@ import ipaddress
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,11 +23,14 @@ Answer: TypeAlias = "tuple[str, bytes, str]"
 
 
 class LocalServer(ThreadingHTTPServer):
-    """Serves `answers` by path, to requests that name this machine."""
+    """Serves `answers` by path, to requests that name this machine, or it by one of further `names`."""
 
-    def __init__(self, host: str, port: int, answers: Mapping[str, Callable[[], Answer]]) -> None:
+    def __init__(
+        self, host: str, port: int, answers: Mapping[str, Callable[[], Answer]], names: Iterable[str] = ()
+    ) -> None:
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self.answers, self.host = answers, host
+        self.names = {name.lower().rstrip(".") for name in (host, *own_names(), *names)}
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), _Handler)
 
@@ -43,10 +46,14 @@ class LocalServer(ThreadingHTTPServer):
             self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
+        if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError:  # no further thread
+            self._free.release()
+            raise
 
     def handle_error(self, _request: object, client_address: object) -> None:
         error = sys.exc_info()[1]
@@ -60,19 +67,25 @@ class LocalServer(ThreadingHTTPServer):
 
         timer = threading.Timer(CONNECTION_S, end)
         timer.daemon = True
-        timer.start()
         try:
+            timer.start()
             super().process_request_thread(request, client_address)
         finally:
             timer.cancel()
             self._free.release()
 
 
-def is_own_name(host: str, bound: str) -> bool:
+def own_names() -> set[str]:
+    """Return the names of this machine, also as mDNS has it; whoever rebinds a name in the DNS has none of these."""
+    name = socket.gethostname()
+    return {"localhost", name, name.partition(".")[0], f"{name.partition('.')[0]}.local"}
+
+
+def is_own_name(host: str, bound: str, names: Collection[str] = ("localhost",)) -> bool:
     """Return whether a request's `Host` is this server's: any other name may come from DNS rebinding, and read the page."""
     name = host.strip().lower()
     name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
-    if name in {"localhost", bound.lower()}:
+    if name == bound.lower() or name.rstrip(".") in names:
         return True
     try:
         address = ipaddress.ip_address(name)
@@ -86,8 +99,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         answer = self.server.answers.get(self.path)
-        if not is_own_name(self.headers.get("Host", ""), self.server.host):
-            self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+        if not is_own_name(self.headers.get("Host", ""), self.server.host, self.server.names):
+            self.send_error(
+                HTTPStatus.MISDIRECTED_REQUEST, explain="watch --name NAME allows a further name of this machine"
+            )
         elif answer is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:

@@ -132,6 +132,11 @@ class TapRecording(BaseRecording):
             reasons = [f"{topic}: {why}" for topic, why in sorted(tap.refused.items())]
             more = [f"and {len(reasons) - MOST_REASONS} further topics"] if len(reasons) > MOST_REASONS else []
             return "; ".join([*reasons[:MOST_REASONS], *more])
+        if tap.unseen:
+            return (
+                f"no message of {', '.join(tap.unseen)} came, and no publisher is seen: of a key outside ROS the middleware shows none; "
+                "start one, or check the name, --domain and --peer"
+            )
         if tap.topics:
             return f"no message of {', '.join(tap.topics)} came: its publishers are there and silent, or the network drops what they send"
         return (

@@ -97,6 +97,10 @@ class _Topic:
     streams: dict[Hashable, Stream] = field(default_factory=dict)
     """By `source` of a message; None is the only publisher, or all of several."""
 
+    @property
+    def is_unseen(self) -> bool:
+        return not any(publication.is_seen for publication in self.publications)
+
 
 class Tap:
     """The tap of `patterns` on a node; its thread stamps arrivals; `look` joins topics and finds those that stopped.
@@ -147,6 +151,13 @@ class Tap:
     @property
     def topics(self) -> list[str]:
         return sorted({topic.name for topic in self._topics.values() if topic.subscription is not None})
+
+    @property
+    def unseen(self) -> list[str]:
+        """Topics of which no publisher is seen now."""
+        return sorted(
+            {topic.name for topic in self._topics.values() if topic.subscription is not None and topic.is_unseen}
+        )
 
     @property
     def traffic(self) -> Traffic:
@@ -221,7 +232,10 @@ class Tap:
         joined = (other for other in self._topics.values() if other.name == name and other.subscription is not None)
         other = next((other.type_name for other in joined if other is not topic), "")
         also = f"; the name is also announced as {other}" if other else ""
-        self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}{also}")
+        if topic.is_unseen:
+            self._note(f"joined {name}; the middleware does not show who publishes it")
+        else:
+            self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}{also}")
 
     def _payload_topic(self, name: str, type_name: str) -> RecordedTopic | None:
         if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:

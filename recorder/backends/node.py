@@ -221,6 +221,7 @@ class Publication:
         publisher: GUID in 32 hex digits; None if the middleware does not give it.
         node_name: with namespace; empty if unknown.
         is_local: whether it runs on this device.
+        is_seen: False for a name that was asked for and that may have no publisher.
     """
 
     topic: str
@@ -229,6 +230,7 @@ class Publication:
     node_name: str = ""
     qos: Qos | None = None
     is_local: bool | None = None
+    is_seen: bool = True
 
 
 @dataclass(frozen=True, slots=True)

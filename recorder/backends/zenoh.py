@@ -146,7 +146,9 @@ class ZenohNode(Node):
                 for publication in (*endpoints, *ros_endpoints)
                 if publication and matches(publication.topic)
             ),
-            *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS
+            *(
+                Publication(text, "", is_seen=False) for text in matches.texts if not text.startswith("/")
+            ),  # keys outside ROS
         ]
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:  # noqa: ARG002

@@ -29,12 +29,21 @@ LOOPBACK_MBIT_S = 10_000
 """Rate that few machines reach through a middleware in one direction."""
 
 
+MOST_CHECKED = 20_000
+"""Recordings of a dry run, a millisecond each."""
+
+
 def dry_run(
     plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, as_json: bool, rehearses: bool = False
 ) -> int:
     from ..rehearsal import check_plan, rehearse_plan
     from ..sweep import INCOMPLETE_EXIT_CODE
 
+    runs = len(plan.cells) * plan.run.repeats
+    if runs > MOST_CHECKED and not rehearses:
+        raise OptionError(
+            f"--dry-run checks each of at most {MOST_CHECKED:,} recordings, {plan.name} has {runs:,}; give axes fewer values"
+        )
     sides = [(plan, out / plan.name, None)] if other is None else side_folders(plan, other, out)
     refused: dict[str, str] = {}
     for side, folder, command in sides:

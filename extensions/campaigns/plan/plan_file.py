@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     AxisValue: TypeAlias = str | int | float | bool | None
     AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
-MAX_RUNS = 1_000_000
-"""Most runs of a sweep, six weeks of four seconds each."""
+MAX_RUNS = 200_000
+"""Most runs of a sweep, nine days of four seconds each."""
 
 MOST_NAME_BYTES = 200
 """Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` a file's name has at most 255 bytes."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.base.errors import UNREADABLE, OptionError, TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.records import from_json, to_json
@@ -124,7 +124,7 @@ class SweepState:
             }
             for name, state in self._cells.items():
                 _check_names(name, state)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as err:
+        except UNREADABLE as err:
             raise TraceFormatError(
                 self.path, f"not the state of a sweep ({err}); move the folder away to start over"
             ) from err

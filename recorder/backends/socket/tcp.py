@@ -212,8 +212,14 @@ class TcpLinks:
             if self._closing:
                 connection.close()
                 return
+            try:
+                peer.thread.start()
+            except RuntimeError:  # this process has no more threads
+                connection.close()
+                self._strangers.count(CROWD)
+                self._retry(address)
+                return
             self._connected += (peer,)
-            peer.thread.start()
 
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
         try:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+"""What the reading of JSON that anybody may have written raises."""
+
 
 class TraceError(Exception):
     """Error that a user can act on, in one line."""

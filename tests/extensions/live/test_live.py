@@ -14,7 +14,8 @@ from page_reader import violations
 from waiting import PATIENCE_S
 
 import dds_trace.analyzer.loading.traces
-from dds_trace.base.errors import OutputError
+from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
+from dds_trace.extensions.campaigns.run.state import SweepState
 from dds_trace.extensions.live import live
 from dds_trace.extensions.live.live import Watcher, WatchOptions
 from dds_trace.extensions.live.local_server import is_own_name
@@ -275,3 +276,42 @@ def test_the_live_page_of_a_tap_is_read_on_a_phone_and_in_the_dark(read_with, sc
         assert violations(one.tab, "document") == []
         assert one.complaints == []
     one.tab.wait_for_selector("text=does not answer")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"cells": {}, "planned": 1e400, "left_s": 9}',
+        '{"cells": {}, "planned": 2, "left_s": 1e400}',
+        '{"cells": {}, "planned": 2, "left_s": 1e308}',
+        '{"cells": {}, "planned": -2, "left_s": 1}',
+        '{"cells": {}, "planned": NaN, "left_s": 1}',
+        '{"cells": {}, "planned": 2, "left_s": NaN}',
+        '{"cells": ' + 100_000 * "[",
+        '{"cells": ' + 5000 * '{"a":' + "1" + 5000 * "}" + ', "planned": 2, "left_s": 1}',
+        '{"cells": {}, "planned": ' + 5000 * "9" + ', "left_s": 1}',
+        '{"cells": {"a": 1}, "planned": 2, "left_s": 1}',
+    ],
+)
+def test_a_state_that_no_sweep_wrote_has_an_answer(watcher, tmp_path, text):
+    (tmp_path / "strange").mkdir()
+    (tmp_path / "strange" / "state.json").write_text(text)
+    (tmp_path / "state.json").write_text(json.dumps({"cells": {}, "planned": 2, "left_s": 9}))
+    answer = json.loads(fetch(watcher.address + "status").read(), parse_constant=pytest.fail)
+    assert answer["planned"] == 2
+    with pytest.raises((TraceFormatError, OptionError)):
+        SweepState(tmp_path / "strange" / "state.json", "strange", "0")
+
+
+def test_a_watch_answers_to_the_names_of_its_machine(tmp_path, monkeypatch):
+    monkeypatch.setattr("socket.gethostname", lambda: "Robot7.lab.example")
+    one = Watcher(WatchOptions(tmp_path), "0.0.0.0", names=["desk.example"])
+    address = one.address.replace("0.0.0.0", "127.0.0.1")
+    with one.serving():
+        for name in ("robot7", "robot7.lab.example:80", "Robot7.local", "robot7.local.", "desk.example", "192.168.1.5"):
+            assert fetch(address + "version", Host=name).status == 200
+        for name in ("robot8", "robot7.evil.example", "lab.example", ""):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                fetch(address + "version", Host=name)
+            assert (refused.value.code, b"--name" in refused.value.read()) == (421, True)
+            refused.value.close()

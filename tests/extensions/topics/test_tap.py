@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import polars as pl
 import pytest
 from fake_clock import FakeClock
@@ -117,6 +119,23 @@ def test_patterns_choose_topics(pattern, topics):
         Publication("/camera/depth/points", "sensor_msgs/msg/PointCloud2"),
     ]
     assert Bench(pattern, graph=[CAMERA, *others]).tap.topics == topics
+
+
+@pytest.mark.parametrize(
+    ("graph", "unseen", "word"),
+    [
+        ([replace(CAMERA, is_seen=False)], [CAMERA.topic], "does not show"),
+        ([CAMERA], [], "1 publisher"),
+        ([replace(CAMERA, is_seen=False), CAMERA], [], "2 publishers"),
+    ],
+)
+def test_what_was_asked_for_is_not_said_to_be_there(graph, unseen, word):
+    bench = Bench(graph=graph)
+    assert bench.tap.unseen == unseen
+    assert any(word in note for note in bench.notes)
+    bench.node.graph = []  # all left
+    bench.look()
+    assert bench.tap.unseen == [CAMERA.topic]
 
 
 def test_a_topic_that_appears_later_is_joined():

@@ -11,11 +11,12 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dds_trace.base.errors import OptionError
+from dds_trace.extensions.campaigns.commands.dry_run import dry_run
 from dds_trace.extensions.campaigns.plan.cells import AXES
 from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
 from dds_trace.extensions.campaigns.plan.link import Link
 from dds_trace.extensions.campaigns.plan.plan import DeviceSettings, RunSettings, Search
-from dds_trace.extensions.campaigns.plan.plan_file import read_plan
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan, read_plan
 from dds_trace.extensions.campaigns.plan.schedule import plan_seconds, schedule
 from dds_trace.extensions.campaigns.plan.schema import PLAN_LIMITS, plan_schema
 
@@ -143,3 +144,14 @@ def test_what_is_no_plan_at_all_is_refused(tmp_path):
     assert "larger than any file of settings" in read_or_refuse(tmp_path / "large.toml")
     (tmp_path / "link.toml").symlink_to("/dev/zero")
     assert "not a regular file" in read_or_refuse(tmp_path / "link.toml")
+
+
+@pytest.mark.parametrize(
+    ("axes", "repeats", "word"),
+    [((1000, 1000), 1, "largest sweep"), ((10, 10), 2001, "largest sweep"), ((150, 150), 1, "at most")],
+)
+def test_a_plan_without_end_is_refused_before_it_is_listed(tmp_path, axes, repeats, word):
+    rates, sizes = ([*range(100, 100 + count)] for count in axes)
+    text = f"[run]\nrepeats = {repeats}\n[axes]\nbackend = 'socket'\nrate = {rates}\nsize = {sizes}\n"
+    with pytest.raises(OptionError, match=word):
+        dry_run(parse_plan(text, "large", "large.toml"), tmp_path, None, None, as_json=False)

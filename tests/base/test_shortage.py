@@ -1,0 +1,107 @@
+"""A process with little room ends with one line and a code, whatever library meets the limit first."""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dds_trace.base.shortage import MEMORY, RECORDING, Room, shortage
+
+SAMPLES = Path(__file__).parents[2] / "sample_traces"
+
+
+def chained(error, cause):
+    try:
+        raise error from cause
+    except type(error) as raised:
+        return raised
+
+
+@pytest.mark.parametrize(
+    ("error", "word"),
+    [
+        (MemoryError(), MEMORY),
+        (OSError(24, "Too many open files"), "ulimit -n"),
+        (OSError(12, "Cannot allocate memory"), MEMORY),
+        (RuntimeError("can't start new thread"), "ulimit -u"),
+        (ImportError("libx.so: failed to map segment from shared object"), MEMORY),
+        (
+            chained(RuntimeError("cannot join thread before it is started"), RuntimeError("can't start new thread")),
+            "thread",
+        ),
+        (type("PanicException", (BaseException,), {})("Os { code: 11, Resource temporarily unavailable }"), "thread"),
+        (OSError(2, "No such file"), ""),
+        (ValueError("can't start new thread"), ""),
+    ],
+)
+def test_what_a_process_was_short_of_is_named(error, word):
+    assert word in shortage(error)
+    assert bool(word) == bool(shortage(error))
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_threads_are_tried(fits, monkeypatch):
+    started = []
+
+    class Few:
+        def __init__(self, **_):
+            started.append(self)
+
+        def start(self):
+            if len(started) > 5 and not fits:
+                raise RuntimeError("can't start new thread")
+
+        def join(self): ...
+
+    monkeypatch.setattr("dds_trace.base.shortage.threading.Thread", Few)
+    if fits:
+        RECORDING.check()
+    else:
+        with pytest.raises(Exception, match="ulimit -u"):
+            RECORDING.check()
+    assert len(started) == (RECORDING.threads if fits else 6)
+
+
+COMMANDS = {
+    "analyze": ("analyze", SAMPLES / "same_domain", "--out", "out"),
+    "bag": ("bag", SAMPLES / "same_domain", "--out", "out"),
+    "compare": ("compare", SAMPLES / "same_domain", SAMPLES / "losses"),
+    "recover": ("recover", SAMPLES / "same_domain", "--out", "out"),
+    "relay": ("record", "relay", "--backend", "socket", "--duration", "1", "--out", "relay.mcap"),
+    "sweep": ("sweep", "plan.toml", "--dry-run"),
+    "doctor": ("doctor",),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("kind", "value"), [("RLIMIT_AS", 300 << 20), ("RLIMIT_AS", 700 << 20), ("RLIMIT_NOFILE", 12)])
+def test_a_command_without_room_ends_with_one_line_and_leaves_nothing(tmp_path, command, kind, value):
+    run = subprocess.run(
+        [sys.executable, "-m", "dds_trace", *map(str, COMMANDS[command])],
+        check=False,
+        cwd=tmp_path,
+        preexec_fn=lambda: resource.setrlimit(getattr(resource, kind), (value, value)),
+        capture_output=True,
+        text=True,
+    )
+    assert (run.returncode, run.stdout, len(run.stderr.splitlines())) == (1, "", 1), run.stderr
+    assert "ulimit" in run.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_descriptors_are_raised_where_they_may_be(tmp_path):
+    run = subprocess.run(
+        [sys.executable, "-m", "dds_trace", *map(str, COMMANDS["recover"])],
+        check=False,
+        cwd=tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (12, 100)),
+        capture_output=True,
+        text=True,
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_a_room_without_limits_is_there():
+    Room(address_bytes=1 << 20, threads=1).check()

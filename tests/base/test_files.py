@@ -1,8 +1,11 @@
+import contextlib
 import os
+import time
 from pathlib import Path
 
 import pytest
 
+from dds_trace.base import files
 from dds_trace.base.files import MOST_SETTINGS_BYTES, read_regular, remove_drafts, replacing
 
 
@@ -115,3 +118,31 @@ def test_a_device_and_a_pipe_are_not_replaced(tmp_path):
         with pytest.raises(OSError, match="device or a pipe"), replacing(path):
             pass
         assert path.lstat().st_mode == before
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="root")
+@pytest.mark.parametrize(("user", "expected"), [("64321", 64321), ("", 0), ("-1", 0), ("root", 0)])
+@pytest.mark.parametrize("raises", [False, True])
+def test_what_root_writes_belongs_to_the_user_who_called_sudo(tmp_path, monkeypatch, user, expected, raises):
+    monkeypatch.setenv("SUDO_UID", user)
+    monkeypatch.setenv("SUDO_GID", user)
+    (tmp_path / "old").write_text("root's")
+    os.utime(tmp_path / "old")
+    for name in ("link", "second"):
+        (tmp_path / f"{name}.target").write_text("root's")
+    time.sleep(0.2)
+    out = tmp_path / "made" / "runs"
+    with contextlib.suppress(KeyError), files.given_to_caller(out):
+        (out / "deep").mkdir(parents=True)
+        (out / "deep" / "trace.mcap").write_text("new")
+        (out / "link").symlink_to(tmp_path / "link.target")
+        (out / "second").hardlink_to(tmp_path / "second.target")
+        if raises:
+            raise KeyError
+    for path in (out.parent, out, out / "deep", out / "deep" / "trace.mcap"):
+        assert path.stat().st_uid == path.stat().st_gid == expected
+    for path in (tmp_path, tmp_path / "old", tmp_path / "link.target", tmp_path / "second.target"):
+        assert path.stat().st_uid == 0
+    with files.given_to_caller(tmp_path):  # one that was there
+        (tmp_path / "new").write_text("new")
+    assert [(tmp_path / name).stat().st_uid for name in ("new", "old", ".")] == [expected, 0, 0]

@@ -59,7 +59,7 @@ def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = Fa
     read_thresholds(requested, None, None, is_judged=False)
     if dry_run:
         raise typer.Exit(_dry_run(requested, out, as_json=as_json))
-    run_until_interrupted(lambda: advise(requested, out, as_json=as_json), analyzes=True)
+    run_until_interrupted(lambda: advise(requested, out, as_json=as_json), out, analyzes=True)
 
 
 def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:

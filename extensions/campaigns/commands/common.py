@@ -12,6 +12,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.files import given_to_caller
 from dds_trace.cli.program import argument, option
 
 if TYPE_CHECKING:
@@ -46,14 +47,15 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
     return read_plan(path, installed_middlewares, by_hand=by_hand)
 
 
-def run_until_interrupted(run: Callable[[], int], *, analyzes: bool = False) -> NoReturn:
+def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool = False) -> NoReturn:
     if analyzes:
         import_module("polars")  # before hours of recording
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, signal.default_int_handler)
     try:
-        code = run()
+        with given_to_caller(out):
+            code = run()
     except KeyboardInterrupt:
         print("Interrupted; the same command continues here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE

@@ -63,7 +63,7 @@ def _explain(explanation: Explanation, out: Path, *, dry_run: bool, as_json: boo
     if dry_run:
         print(_not_varied(explanation.left_out), end="", file=sys.stderr)
         raise typer.Exit(dry_run_of(explanation.plan, out, None, None, as_json=as_json))
-    run_until_interrupted(lambda: run_explanation(explanation, out, as_json=as_json), analyzes=True)
+    run_until_interrupted(lambda: run_explanation(explanation, out, as_json=as_json), out, analyzes=True)
 
 
 def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:

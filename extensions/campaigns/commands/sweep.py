@@ -139,8 +139,8 @@ def sweep_command(
     if dry_run or rehearse:
         raise typer.Exit(dry_run_of(requested, out, other, target, as_json=as_json, rehearses=rehearse))
     if other is not None:
-        run_until_interrupted(lambda: run_sides(requested, other, out, gates, as_json=as_json, strict=strict))
-    run_until_interrupted(lambda: _sweep(requested, out, as_json, target, gates))
+        run_until_interrupted(lambda: run_sides(requested, other, out, gates, as_json=as_json, strict=strict), out)
+    run_until_interrupted(lambda: _sweep(requested, out, as_json, target, gates), out)
 
 
 def _refuse_together(kinds: dict[str, object]) -> None:
@@ -175,7 +175,7 @@ def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = 
     read_thresholds(requested, None, None, is_judged=False)
     if dry_run:
         raise typer.Exit(dry_run_of(search_plan(requested), out, None, None, as_json=as_json))
-    run_until_interrupted(lambda: _search(requested, out, as_json))
+    run_until_interrupted(lambda: _search(requested, out, as_json), out)
 
 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Sequence[Gate]) -> int:

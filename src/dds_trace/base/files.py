@@ -21,6 +21,30 @@ if TYPE_CHECKING:
 
 
 @contextmanager
+def given_to_caller(out: Path) -> Iterator[None]:
+    """Let what root writes below `out` within the block, and the folders made for it, belong to the user who called sudo."""
+    owner = [os.environ.get(name, "") for name in ("SUDO_UID", "SUDO_GID")]
+    if os.geteuid() or not all(map(str.isdecimal, owner)):
+        yield
+        return
+    top = out.absolute()
+    was_there, began_s = top.exists(), time.time() - 0.05  # the clock of files has ticks
+    while not top.parent.exists():
+        top = top.parent
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for folder, _, names, descriptor in os.fwalk(top):
+                for name in names if was_there and folder == str(top) else (*names, "."):
+                    status = os.stat(name, dir_fd=descriptor, follow_symlinks=False)
+                    # A file with a second name is perhaps somebody else's.
+                    is_own = stat.S_ISDIR(status.st_mode) or status.st_nlink == 1
+                    if is_own and status.st_uid == 0 and status.st_ctime >= began_s:
+                        os.chown(name, int(owner[0]), int(owner[1]), dir_fd=descriptor, follow_symlinks=False)
+
+
+@contextmanager
 def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     """Yield a draft that replaces `path` once the block ends without an error; after an error it is removed.
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import secrets
+import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Callable
@@ -100,15 +102,37 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
     is_folder = path.is_dir()
     name = f"{path.name}-recovered" if is_folder else f"{path.stem}.recovered{path.suffix}"
     target = path.with_name(name) if destination is None else destination
+    _check_free(target)
+    draft = target.with_name(
+        f"{target.name}.{secrets.token_hex(4)}.part"
+    )  # killed, it is not in the way of the next one
+    try:
+        report = _recover_into(draft, path, target)
+        _check_free(target)
+        draft.rename(target)
+    except BaseException:
+        if is_folder:
+            shutil.rmtree(draft, ignore_errors=True)
+        else:
+            draft.unlink(missing_ok=True)
+        raise
+    return report
+
+
+def _check_free(target: Path) -> None:
     if os.path.lexists(target):
         raise OutputExistsError(f"{target} is there already; choose another name with --out")
+
+
+def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
+    is_folder = path.is_dir()
     report, written = RecordingRecovery(path, target), list[_NewFile]()
     with open_recording(path) as recording:
         report.damages += recording.damages
         try:
-            (target if is_folder else target.parent).mkdir(parents=True, exist_ok=True)
+            (draft if is_folder else draft.parent).mkdir(parents=True, exist_ok=True)
             for source, original in zip(recording.files, recording.names, strict=True):
-                new = _NewFile(target / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else target)
+                new = _NewFile(draft / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else draft)
                 try:
                     damages, doubtful = _RECOVERIES[storage_kind(source)](source, new)
                 except (TraceFormatError, UnreadableError) as err:
@@ -125,17 +149,12 @@ def recover_recording(path: Path, destination: Path | None = None) -> RecordingR
             if is_folder and written:
                 topics = [item for new in written for item in new.topics.items()]
                 storage = "sqlite3" if storage_kind(written[0].path) == ".db3" else "mcap"
-                write_bag_metadata(target, storage, [new.described for new in written], topics)
+                write_bag_metadata(draft, storage, [new.described for new in written], topics)
         except OSError as err:
             raise output_error(target, err, "the recording") from err
         except sqlite3.Error as err:
             raise output_error(target, OSError(0, str(err)), "the recording") from err
     if not report.messages:
-        for new in written:
-            new.path.unlink(missing_ok=True)
-        if is_folder:
-            (target / "metadata.yaml").unlink(missing_ok=True)
-            target.rmdir()
         raise TraceFormatError(path, f"holds no whole message: {'; '.join(report.damages[:3]) or 'it is empty'}")
     return report
 

@@ -7,16 +7,19 @@ Each test has three recordings of one role, which end in these three ways, and l
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import psutil
 import pytest
+from mcap.writer import CompressionType, Writer
 from middlewares import needs
 from namespaces import needs_namespaces
-from processes import running
+from processes import run, running
 from waiting import wait_until
 
 from dds_trace.base.errors import TraceError
+from dds_trace.extensions.campaigns.folder import PARTS as PARTS_FOLDER
 from dds_trace.extensions.campaigns.plan.cells import OutageBy
 from dds_trace.extensions.campaigns.station.namespaces import NamespacePair, Side
 from dds_trace.recorder.host.load import loaded
@@ -184,3 +187,90 @@ def test_it_ends(role, transport, fault, domains, tmp_path):
         sessions = read_trace(out).sessions
         assert {session.state for session in sessions} == {"closed"}
         assert code == 0 or "is lost" in str(sessions[-1].extra["error"])
+
+
+PLAN = "[run]\nmessages = 40\nrepeats = 2\ndiscovery = 'localhost'\nsettle_seconds = 0.1\nping_domain = {0}\ndomain = {0}\n"
+PLAN += "[axes]\nbackend = '{1}'\nrate = [20, 10]\nsize = [1000, 9000]\n"
+ADVISED = PLAN.replace("localhost", "subnet")
+WORDS = {
+    "sweep": ("sweep", "plan.toml"),
+    "advise": ("advise", "plan.toml"),
+    "capacity": ("capacity", "plan.toml"),
+    "explain rates": ("explain", "rates", "plan.toml"),
+    "explain size": ("explain", "size", "2KB", "plan.toml"),
+    "bag": ("bag", "large.mcap", "--report", "html"),
+    "recover": ("recover", "large.mcap"),
+}
+OF_FILES = ("bag", "recover")
+WAYS = {signal.SIGINT: 130, signal.SIGTERM: 130, signal.SIGKILL: -signal.SIGKILL}
+QUICK_WAYS = (
+    ("capacity", signal.SIGTERM),
+    ("explain rates", signal.SIGKILL),
+    ("recover", signal.SIGKILL),
+    ("bag", signal.SIGINT),
+)
+
+
+def write_large(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start("", "other")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channels = [writer.register_channel(f"/t{number}", "cdr", schema) for number in range(20)]
+        for n in range(60_000):
+            at_ns = 10**18 + n * 10**6
+            writer.add_message(channels[n % 20], at_ns, b"\0\1\0\0\x60\0\0\0" + 96 * b"x", at_ns, n)
+        writer.finish()
+
+
+def left_running(token: str) -> list[str]:
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.environ().get("ENDS_TOKEN") == token and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(" ".join(process.cmdline()))
+    return found
+
+
+@pytest.mark.parametrize("is_held_up", [False, True], ids=["", "stopped"])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        pytest.param(name, number, marks=[] if (name, number) in QUICK_WAYS else [pytest.mark.ends, pytest.mark.slow])
+        for name in WORDS
+        for number in WAYS
+    ],
+)
+def test_a_command_that_is_ended_leaves_no_process_and_nothing_half(
+    name, number, is_held_up, domains, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    plan = (ADVISED if name == "advise" else PLAN).format(domains.take(), "zenoh" if name == "advise" else "socket")
+    (tmp_path / "plan.toml").write_text(plan)
+    if name in OF_FILES:
+        write_large(tmp_path / "large.mcap")
+    out, token = tmp_path / "out", tmp_path.name
+    words = (*WORDS[name], "--out", out / "new" if name == "recover" else out)
+    environment = {"ENDS_TOKEN": token}
+
+    def is_under_way() -> bool:
+        if name in OF_FILES:
+            return any(file.path == str(tmp_path / "large.mcap") for file in psutil.Process(command.pid).open_files())
+        return any(path.stat().st_size for path in out.rglob("*.mcap"))
+
+    with running("dds-trace", *words, environment=environment) as command:
+        wait_until(lambda: not command.is_alive or is_under_way())
+        assert command.is_alive, command.finish()
+        for sent in (signal.SIGSTOP, number, signal.SIGCONT) if is_held_up else (number,):
+            if command.is_alive:
+                command.send_signal(sent)
+            time.sleep(HELD_UP_S if sent is signal.SIGSTOP else 0)
+        done = command.finish()
+    expected = -signal.SIGTERM if name in OF_FILES and number == signal.SIGTERM else WAYS[number]
+    assert done.status in (expected, 0), done  # it may have been through
+    assert "Traceback" not in done.stderr
+    wait_until(lambda: not left_running(token))
+    for trace in (path for path in out.rglob("*.mcap") if PARTS_FOLDER not in path.parts):
+        read_trace(trace)
+    if name == "recover" and done.status:  # the same command goes on
+        assert run("dds-trace", *words).status == 0

@@ -1,4 +1,4 @@
-"""Findings of severity info; functions here: what an analysis leaves out."""
+"""Findings of severity info, and of relays that an analysis leaves out; functions here: what else it leaves out."""
 
 from __future__ import annotations
 
@@ -88,6 +88,22 @@ def cases_not_compared(evidence: Evidence) -> Iterator[Observation]:
 
 
 NOTES: tuple[Check, ...] = (
+    runs.UNPLACED.error(
+        "too_many_relays",
+        "More relays replied than a run can have rows for",
+        pl.col("reason") == "too_many_relays",
+        "These runs have replies of more relays than their messages explain; those with the fewest events were left out. "
+        "{events:# event}, {runs}.",
+        "Look for a program that forges replies, or a recorder with a new relay_id for each message.",
+    ),
+    runs.UNPLACED.error(
+        "unnamed_relay",
+        "Replies name no relay",
+        pl.col("reason") == "names_no_relay",
+        "These runs have replies of the ids 0 and ffffffff, which only messages on their way out have; they were left out. "
+        "{events:# event}, {runs}.",
+        "Look for a program that forges replies, or give each relay an id of its own.",
+    ),
     runs.missing_schedule,
     shapes.two_modes,
     surroundings.slowed_results,

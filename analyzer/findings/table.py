@@ -58,22 +58,6 @@ CHECKS: tuple[Check, ...] = (
         "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out. {events:# event}, {runs}.",
         "Keep that topic when filtering bags.",
     ),
-    runs.UNPLACED.error(
-        "too_many_relays",
-        "More relays replied than a run can have rows for",
-        pl.col("reason") == "too_many_relays",
-        "These runs have replies of more relays than their messages explain; those with the fewest events were left out. "
-        "{events:# event}, {runs}.",
-        "Look for a program that forges replies, or a recorder with a new relay_id for each message.",
-    ),
-    runs.UNPLACED.error(
-        "unnamed_relay",
-        "Replies name no relay",
-        pl.col("reason") == "names_no_relay",
-        "These runs have replies of the ids 0 and ffffffff, which only messages on their way out have; they were left out. "
-        "{events:# event}, {runs}.",
-        "Look for a program that forges replies, or give each relay an id of its own.",
-    ),
     runs.RUNS_OF_RESULTS.error(
         "no_relay",
         "No relay took part in a run",

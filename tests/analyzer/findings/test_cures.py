@@ -73,7 +73,7 @@ NO_CURE = {
     # what to look for
     *(
         "forged_or_foreign",
-        "reply_size",
+        "other_sizes",
         "unnamed_relay",
         "doubtful_replies",
         "too_many_relays",

@@ -9,6 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from dds_trace.base.units import UNIT_NS
+
 from .bounds import FEW, FEWEST, LARGEST, LONG, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
 from .clocks import DAY_NS, of_one_clock
 from .periods import (
@@ -202,7 +204,7 @@ class TopicTimes:
         off = exact - steps
         wander = np.cumsum(off)
         noise = max(spread(off), spread(wander[FEWEST:] - wander[:-FEWEST]))
-        least = np.where(still_holes(wander, at, steps[at], noise, off[at]), 0, least)
+        least = np.where(still_holes(wander, at, steps[at], noise), 0, least)
         total, low = int(lacking.sum()), int(least.sum())
         selected_holes = lacking > 0
         at, lacking, least = at[selected_holes], lacking[selected_holes], least[selected_holes]
@@ -273,7 +275,7 @@ def resolution_ns(stamp_ns: Int64) -> int | None:
     unit_ns = int(np.gcd.reduce(steps_ns)) if len(steps_ns) >= FEWEST else 0
     if unit_ns % SECOND_NS == 0 and unit_ns and 2 * 2 * (steps_ns == 0).sum() > len(steps_ns):
         return SECOND_NS if not (stamp_ns % SECOND_NS).any() else None
-    millisecond_ns = SECOND_NS // 1000
+    millisecond_ns = UNIT_NS["ms"]
     return millisecond_ns if unit_ns == millisecond_ns and not (stamp_ns % millisecond_ns).any() else None
 
 

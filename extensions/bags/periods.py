@@ -382,26 +382,24 @@ def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -
     bound = np.maximum(FEW, 2 * jitter * np.sqrt(steps[at]))
     is_off: Bools = (np.abs(ratio - steps)[at] > bound) | (bound > NEAR)
     chance = float(np.prod(2 * bound[~is_off]))  # of intervals of any length
-    is_off |= bool(2 * 2 * (~is_multiple).sum() > is_multiple.sum()) or chance > FEW
+    is_off |= bool(2 * 2 * (~is_multiple).sum() > is_multiple.sum()) or chance > FEW / FEWEST
     return is_off
 
 
-def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float, first: Float64 | None = None) -> Bools:
+def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools:
     """Return after which holes a timer goes on in another phase: it stood still, or a clock was set, and nothing was lost.
 
-    One that lost its messages goes on in its phase. `wander` is the phase of each message in periods, `first` the deviation of the first
-    one after a hole: a timer that was held up fires at once. If most silences are of that kind, all of them may be.
+    One that lost its messages goes on in its phase, from the first on; one that was held up fires at once. `wander` is the phase of each
+    message in periods. Where one silence is of that kind, all of them may be.
     """
     if not len(at):
         return np.zeros(0, np.bool_)
     before, after = levels_around(wander, at)
-    shift = after - before
-    if first is not None:
-        shift = np.where(np.abs(first) > np.abs(shift), first, shift)
-    bound = np.maximum(FEW, 2 * 2 * noise * (1 + steps / len(wander) ** (1 / 2)))
-    is_still: Bools = (np.abs(shift) > bound) & (bound < NEAR)
-    is_silence = steps > FEWEST
-    if 2 * (is_still & is_silence).sum() > is_silence.sum():
+    bound = np.maximum(FEW, 2 * noise * (1 + steps / (len(wander) * WINDOW) ** (1 / 2)))
+    is_known, is_silence = bound < NEAR, steps > FEWEST
+    has_moved = is_known & (np.abs(after - before) > bound)
+    is_still: Bools = has_moved | is_known & (np.abs(wander[at] - before) > 2 * bound)
+    if (has_moved & is_silence).any() or 2 * (is_still & is_silence).sum() > is_silence.sum():
         is_still |= is_silence
     return is_still
 

@@ -237,7 +237,7 @@ def queues_overflow(rng, topic):
     """Stalls after which the last messages of a queue come at once; what did not fit is lost. Changes the arrivals."""
     kept = np.ones(len(topic.log_ns), bool)
     period_ns = float(np.median(np.diff(topic.log_ns)))
-    for first in rng.choice(np.arange(30, len(kept) - 80, 70), 4, replace=False):
+    for first in rng.choice(np.arange(30, len(kept) - 80, 70), 3, replace=False):
         stall, depth = int(rng.integers(15, 40)), int(rng.integers(3, 10))
         kept[first : first + stall - depth] = False
         end_ns = topic.log_ns[first + stall]
@@ -252,6 +252,7 @@ def lost_of_one_publisher(rng, topic):
     period_ns = float(np.median(np.diff(topic.log_ns)))
     count = len(topic.log_ns)
     kept = np.append(rng.random(count) > rng.uniform(0.05, 0.3), np.ones(count, bool))
+    kept[count - 1] = True
     topic.log_ns = np.append(topic.log_ns, topic.log_ns + 0.3 * period_ns)
     for name in ("stamp_ns", "numbers"):
         values = getattr(topic, name)

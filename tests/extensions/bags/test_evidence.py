@@ -1,0 +1,221 @@
+"""Recordings of known truth: harmless ones are not said to lack messages, losses are found, and no rule takes more than linear time."""
+
+import ast
+import importlib.util
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from card_bags import START_NS, S, card, timer, write, write_mcap
+from made_recordings import EVIDENCE, HARMLESS, LOSSES, MS, Made, Topic
+from made_recordings import timer as made_timer
+from typer.testing import CliRunner
+
+from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.clocks import Stamps
+from dds_trace.extensions.bags.command import app
+from dds_trace.extensions.bags.losses import TopicTimes
+from dds_trace.extensions.bags.weighing import Source, weigh
+
+ROOT = next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir())
+SPEC = importlib.util.spec_from_file_location("bench_evidence", ROOT / "benchmarks" / "bench_evidence.py")
+bench = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(bench)
+SEEDS = range(1000, 1012)
+
+
+@pytest.mark.parametrize("kind", HARMLESS)
+def test_harmless_recordings_lack_nothing_for_sure(kind):
+    assert bench.share_false(kind, SEEDS) == 0
+
+
+@pytest.mark.parametrize("evidence", EVIDENCE)
+@pytest.mark.parametrize("loss", LOSSES)
+def test_losses_are_found(loss, evidence):
+    found, within = bench.shares_found(loss, evidence, SEEDS)
+    assert within >= 0.5
+    if (loss, evidence) != ("every second", "arrival"):  # or the rate changes
+        assert found >= 0.9
+
+
+def test_the_page_has_the_tables_of_the_benchmark():
+    page = (ROOT / "docs" / "explanation" / "evidence.md").read_text()
+    for kind in HARMLESS:
+        assert f"| {kind} |" in page
+    for loss in LOSSES:
+        for evidence in EVIDENCE:
+            assert f"| {loss} | {evidence} |" in page
+
+
+def grow(kind, count, rng):
+    """Return a recording of some kind with about `count` messages."""
+    hz = 100.0
+    due, log_ns = made_timer(rng, seconds=count / hz, hz=hz, jitter=0.3 if "jitter" in kind else 0.01)
+    number = np.arange(len(due))
+    topic = Topic(log_ns, due)
+    if kind in {"jitter without a header", "losses by arrival"}:
+        topic.stamp_ns = None
+    if kind.startswith("losses"):
+        topic.numbers = number if kind == "losses by numbers" else None
+        topic = topic.only(rng.random(len(due)) > 0.2)
+    if kind == "events":
+        topic = Topic(np.cumsum(rng.exponential(10 * MS, count)))
+    if kind == "bursts":
+        topic = Topic((number // 20 * 200 + number % 20 * 0.1) * MS, due)
+    if kind == "stamps that go back":
+        topic.stamp_ns = due - (number % 10 == 7) * 200 * MS
+    if kind == "two publishers":
+        topic.publisher = number % 2
+    if kind == "clocks that are set":
+        topic.log_ns = log_ns + number // 5000 * 3.1 * S
+    if kind == "pauses":
+        topic.log_ns = log_ns + number // 500 * 1.7 * S
+    if kind == "late by turns":
+        topic.log_ns = log_ns + number % 3 * 250 * MS
+    if kind == "many topics":
+        return Made({f"/t{n}": topic.only(number % (count // 100) == n) for n in range(count // 100)})
+    return Made({"/topic": topic, "/other": Topic(log_ns + MS)})
+
+
+KINDS = (
+    "steady", "jitter without a header", "jitter", "losses by stamps", "losses by numbers", "losses by arrival", "events", "bursts",
+    "stamps that go back", "two publishers", "clocks that are set", "pauses", "late by turns", "many topics",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_rule_takes_more_than_linear_time(kind):
+    taken_s = []
+    for count in (5_000, 10_000, 20_000, 40_000):
+        columns = [*grow(kind, count, np.random.default_rng(5)).columns()]
+        sources = [Source(name) for name, _, _ in columns]
+        tries = []
+        for _ in range(2):
+            times = [TopicTimes(*arrays) for _, _, arrays in columns]
+            logged = np.sort(np.concatenate([one.log_ns for one in times]))
+            began_s = time.process_time()
+            weigh(times, sources, logged)
+            tries.append(time.process_time() - began_s)
+        taken_s.append(min(tries))
+    assert taken_s[-1] < 3 * 8 * max(taken_s[0], 1e-3), taken_s  # of square time 64
+
+
+def test_the_part_has_few_bounds_and_its_rules_have_none_of_their_own():
+    bounds, bare = [], []
+    for file in [*(ROOT / "analyzer/recordings").glob("*.py"), *(ROOT / "reports/topics").glob("*.py")]:
+        for node in ast.parse(file.read_text()).body:
+            numbers = [
+                one.value for one in ast.walk(node) if isinstance(one, ast.Constant) and type(one.value) in (int, float)
+            ]
+            if isinstance(node, ast.Assign) and numbers:
+                bounds += [getattr(target, "id", "") for target in node.targets]
+            elif isinstance(node, ast.FunctionDef | ast.ClassDef) and file.stem not in ("messages", "report"):
+                bare += [(file.stem, node.name, one) for one in numbers if one not in (-1, 0, 1, 2)]
+    assert bare == []
+    assert len(bounds) <= 35, bounds
+
+
+def numbered(path, numbers, hz=20, seconds=5, since=0):
+    for n in numbers:
+        at = START_NS + (n - since) * seconds * S
+        write(path(n), {"/chatter": timer(hz, seconds, since_ns=at), "/odd": [(at + S, at)]})
+
+
+NAMINGS = {
+    "NAME_N": lambda n: f"drive_{n}.mcap",
+    "N_NAME_TIME": lambda n: f"{n}_drive_2026_11_28-03_{10 + n // 12:02}_{n * 5 % 60:02}.mcap",
+}
+
+
+@pytest.mark.parametrize("naming", NAMINGS)
+@pytest.mark.parametrize("gone", [(), (3,), (3, 4, 5)])
+def test_splits_that_count_on_are_one_recording(tmp_path, naming, gone):
+    numbered(lambda n: tmp_path / NAMINGS[naming](n), [n for n in range(12) if n not in gone])
+    report = analyze_topics(tmp_path)
+    (health,) = report.recordings
+    row = report.topics.filter(topic="/chatter").row(0, named=True)
+    assert (health.path, health.messages) == (str(tmp_path), (12 - len(gone)) * 101)
+    assert (row["missing"], row["missing_low"]) == (100 * len(gone), 100 * len(gone))
+    assert health.verdict == ("damaged" if gone else "whole")
+    assert len(health.damages) == bool(gone)
+
+
+def test_recordings_that_only_are_named_alike_stay_apart(tmp_path):
+    for n in (1, 2, 3):
+        write(tmp_path / f"run_{n}.mcap", {"/a": timer(20, 5, since_ns=START_NS + n * 600 * S)})
+    write(tmp_path / "other.mcap", {"/a": timer(20, 5)})
+    report = analyze_topics(tmp_path)
+    assert [health.path.rsplit("/", 1)[1] for health in report.recordings] == [
+        "other.mcap",
+        "run_1.mcap",
+        "run_2.mcap",
+        "run_3.mcap",
+    ]
+    assert report.verdict == "whole"
+
+
+def test_a_recording_without_a_message_is_not_whole(tmp_path):
+    write_mcap(tmp_path / "two.mcap", [])
+    write(tmp_path / "one.mcap", {"/a": timer(20, 5)})
+    result = CliRunner().invoke(app, [str(tmp_path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 31, result.output
+    assert "No message was recorded." in result.output
+    assert [health.verdict for health in analyze_topics(tmp_path).recordings] == ["whole", "empty"]
+
+
+def test_the_exit_code_is_made_from_the_observations(tmp_path):
+    report, health, rows = card(
+        write(tmp_path / "x.mcap", {"/a": timer(20, 30, without=[(10, 12)]), "/b": timer(10, 30)})
+    )
+    counted = report.observations.filter(kind="counted", topic="/a")
+    assert dict(counted.select("reading", "low").rows()) == {"stamps": 40, "period": 40, "all": 40}
+    assert counted.filter(reading="all").select("low", "high").row(0) == (
+        rows["/a"]["missing_low"],
+        rows["/a"]["missing_high"],
+    )
+    seen = report.observations.filter(kind="seen")
+    assert seen.select("topic", "start_s", "low", "high").rows() == [("/a", pytest.approx(10), 40, 40)]
+    assert health.verdict == "holes"
+
+
+AGES = {
+    "copies": (lambda at: at, "-"),
+    "a replay three hours later": (lambda at: at - 10_758 * S, "other clock"),
+    "days behind": (lambda at: at - 6 * 86_400 * S, "other clock"),
+    "a simulation at half speed": (lambda at: 10 * S + (at - START_NS) // 2, "other clock"),
+}
+
+
+@pytest.mark.parametrize("name", AGES)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_no_age_is_named_and_none_is_printed(tmp_path, name, seed):
+    stamp, word = AGES[name]
+    rng = np.random.default_rng(seed)
+    topics = {}
+    for topic in ("/a", "/b"):
+        at = START_NS + (np.arange(300) * 50 * MS + rng.normal(0, 0.1 * MS, 300)).astype(np.int64)
+        topics[topic] = [(int(t), int(stamp(int(t)))) for t in at]
+    _, health, rows = card(write(tmp_path / "x.mcap", topics))
+    assert [row["no_age"] for row in rows.values()] == [word, word]
+    assert sum("stamps" in note for note in health.notes) == 1
+
+
+def test_history_is_out_of_rate_and_age(tmp_path):
+    history = [(START_NS + n * MS // 10, START_NS - (9 - n) * S) for n in range(8)]
+    live = [(START_NS + S // 2 + n * S, START_NS + n * S + S // 5) for n in range(40)]
+    _, health, rows = card(write(tmp_path / "x.mcap", {"/map": history + live, "/imu": timer(100, 40)}))
+    row = rows["/map"]
+    assert (row["latched"], row["messages"], row["missing"]) == (8, 48, 0)
+    assert row["rate_hz"] == pytest.approx(1, rel=0.01)
+    assert row["age_max_ns"] == pytest.approx(300 * MS, rel=0.01)
+    assert "history" in health.notes[0]
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_the_speed_of_stamps_is_that_of_each_frame(frames):
+    log_ns = START_NS + np.arange(600) * 20 * MS
+    frame = np.arange(600) % frames
+    stamps = Stamps(log_ns, 400 * S + (log_ns - START_NS) // 2 + frame * 30 * S, frame)
+    assert stamps.speed == pytest.approx(0.5)
+    assert Stamps(log_ns, np.random.default_rng(1).integers(0, 10**18, 600), frame).speed is None

@@ -6,7 +6,7 @@ import os
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
@@ -17,7 +17,7 @@ from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.reading.source import MOST_TOPICS, Condition
 
-from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth, Row, empty_health
+from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth
 from .losses import NONE
 from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
 from .observations import OBSERVATION_SCHEMA
@@ -108,25 +108,34 @@ def analyze_topics(
     parts = [path] if isinstance(path, str | os.PathLike) else path
     found = sorted({file for part in parts for file in find_recordings(part, skip=skip)})
     folders = Counter(file.parent for file in found)
-    report = _Report()
-    for group in parts_of(found):
-        for recording in _recordings(group, progress):
-            report.add(recording, shown_path(recording.parts, folders), clock)
-    if not any(source.status != "skipped" for source in report.sources):
-        sources = report.sources[: 2 + 1]
-        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources]
+    cards, sources = list[Card](), list[Source]()
+    for recording in (one for group in parts_of(found) for one in _recordings(group, progress)):
+        shown, condition = shown_path(recording.parts, folders), recording.condition
+        if clock is not None:
+            condition.notes += _correct(recording.columns.values(), clock)
+        is_read, text = bool(recording.columns or not recording.failure), condition.damages
+        if is_read:
+            cards.append(Card(shown, [recording.columns[key] for key in sorted(recording.columns)], condition))
+            text = [*cards[-1].health.damages, *cards[-1].health.notes]
+        more = [f"and {len(text) - _MOST_NOTES} more"] if len(text) > _MOST_NOTES else []
+        status = "read" if not condition.damages else "truncated" if is_read else "skipped"
+        messages = sum(map(len, recording.columns.values()))
+        sources.append(Source(shown, status, "; ".join([*text[:_MOST_NOTES], *more]), messages))
+    if not cards:
+        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[: 2 + 1]]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "
             ".db3 file, or a rosbag2 folder"
         )
+    observed = [{"recording": card.health.path} | asdict(one) for card in cards for one in card.observed]
     return TopicReport(
-        pl.DataFrame(report.rows, schema=TOPIC_SCHEMA),
-        tuple(sorted(report.sources, key=lambda source: source.path)),
-        pl.DataFrame(report.holes, schema=HOLE_SCHEMA),
-        tuple(report.health),
-        tuple(report.strips),
-        pl.DataFrame(report.observations, schema=OBSERVATION_SCHEMA),
+        pl.DataFrame([row for card in cards for row in card.rows], schema=TOPIC_SCHEMA),
+        tuple(sorted(sources, key=lambda source: source.path)),
+        pl.DataFrame([hole for card in cards for hole in card.holes], schema=HOLE_SCHEMA),
+        tuple(card.health for card in cards),
+        tuple(strip for card in cards for strip in card.strips),
+        pl.DataFrame(observed, schema=OBSERVATION_SCHEMA),
     )
 
 
@@ -140,7 +149,7 @@ class _Recording:
 
     parts: list[Part]
     condition: Condition
-    columns: _Columns
+    columns: dict[tuple[str, str, str], TopicMessages]
     failure: str = ""
     following: list[_Columns] = field(default_factory=list)
     """Of its further files, until `join`."""
@@ -210,37 +219,3 @@ def _read(part: Part) -> _Recording:
     names = ((one.topic.name, one.topic.message_type, one.topic.encoding) for one in topics)
     recording.columns = dict(zip(names, topics, strict=True))
     return recording
-
-
-@dataclass(slots=True)
-class _Report:
-    """The parts of a report, recording by recording."""
-
-    rows: list[Row] = field(default_factory=list)
-    holes: list[dict[str, object]] = field(default_factory=list)
-    sources: list[Source] = field(default_factory=list)
-    health: list[RecordingHealth] = field(default_factory=list)
-    strips: list[tuple[float, ...]] = field(default_factory=list)
-    observations: list[dict[str, object]] = field(default_factory=list)
-
-    def add(self, recording: _Recording, path: str, clock: StampCorrector | None) -> None:
-        condition, columns = recording.condition, recording.columns
-        if clock is not None:
-            condition.notes += _correct(columns.values(), clock)
-        text = condition.damages
-        if columns:
-            card = Card(path, [columns[key] for key in sorted(columns)], condition)
-            self.rows += card.rows
-            self.holes += card.holes
-            self.strips += card.strips
-            self.observations += card.observations
-            self.health.append(card.health)
-        elif not recording.failure:
-            self.health.append(empty_health(path, condition))
-        if columns or not recording.failure:
-            text = [*self.health[-1].damages, *self.health[-1].notes]
-        status = "read" if not condition.damages else "truncated" if columns or not recording.failure else "skipped"
-        detail = "; ".join(text[:_MOST_NOTES])
-        if len(text) > _MOST_NOTES:
-            detail += f"; and {len(text) - _MOST_NOTES} more"
-        self.sources.append(Source(path, status, detail, sum(map(len, columns.values()))))

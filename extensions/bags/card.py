@@ -178,13 +178,6 @@ class RecordingHealth:
     doubtful: tuple[bool, ...] = ()
 
 
-def empty_health(path: str, condition: Condition) -> RecordingHealth:
-    """Return the health of a recording without a message."""
-    notes = (*condition.notes, *_silent_topics(condition, ()))
-    verdict = DAMAGED if condition.damages else EMPTY
-    return RecordingHealth(path, verdict, 0, 0, 0, len(condition.chunks), 0.0, tuple(condition.damages), notes)
-
-
 def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> Iterator[str]:
     silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
     if silent:
@@ -198,49 +191,23 @@ class Card:
 
     def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
         self._path, self._notes = path, [Note(note) for note in condition.notes]
-        resets = [] if condition.damages else list(run_on_after_resets(columns))  # single pages come last
-        logged = np.sort(np.concatenate([topic.column("log_ns") for topic in columns]))
-        logged = self._of_one_clock(logged)
-        self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
-        self._notes += [Note(reset_note(back_ns, at_ns - self._start_ns, n)) for at_ns, back_ns, n in resets]
-        leave_out_shared_numbers(columns)
-        for topic in columns:
-            for note in copied_messages(topic.topic.name, topic.copies):
-                self._note(note)
-        for note in set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns}):
-            self._note(note)
-        lost, counter = counts_of_recorder(columns)
-        evidence = weigh(
-            [topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name), counter) for topic in columns],
-            [Source(topic.topic.name, "volatile" in qos_words(topic.topic.qos)) for topic in columns],
-            logged,
-        )
-        times, losses, clocks = evidence.times, evidence.losses, evidence.clocks
-        self._notes += clocks.notes
-        pauses, stalls = find_silences(logged, losses)
-        if stalls:
-            longest_ns, start, _ = max(stalls)
-            self._note(
-                f"the recorder stalled {'once' if len(stalls) == 1 else f'{len(stalls)} times'}, for up to {format_duration(longest_ns)} at "
-                f"{clock_words((start - self._start_ns) / SECOND_NS)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
-                "once, none of them is lost by it"
-            )
-        for note in _silent_topics(condition, columns):
-            self._note(note)
+        self._start_ns, self._end_ns = 0, 0
         self.rows: list[Row] = []
         self.holes: list[dict[str, object]] = []
         self.strips: list[tuple[float, ...]] = []
-        self._observed: list[Observation] = [*explained(self._notes)]
-        for topic, topic_times, loss, early in zip(columns, times, losses, evidence.history, strict=True):
-            self._add(topic, topic_times, loss, pauses, early, clocks)
-        duration_ns = self._end_ns - self._start_ns
-        paused_ns = int(pauses.duration_ns.sum())
+        self.observed: list[Observation] = []
+        losses, pauses, readable = self._weigh(columns, condition) if columns else ([], Holes(), 0)
+        for words in _silent_topics(condition, columns):
+            self._note(words)
+        self.observed += explained(self._notes)
+        duration_ns, paused_ns = self._end_ns - self._start_ns, int(pauses.duration_ns.sum())
         is_doubtful = np.ones(len(pauses), np.bool_)
         for loss in losses:
             is_doubtful &= ~pauses.meet(loss.holes.at(loss.holes.low > 0))
+        sound = HOLES if has_losses(self.observed) else WHOLE if columns else EMPTY
         self.health = RecordingHealth(
             path,
-            DAMAGED if condition.damages else HOLES if has_losses(self._observed) else WHOLE,
+            DAMAGED if condition.damages else sound,
             self._start_ns,
             duration_ns,
             sum(len(topic) for topic in columns),
@@ -248,18 +215,46 @@ class Card:
             1 - paused_ns / duration_ns if duration_ns else 1.0,
             tuple(condition.damages),
             (*(note.words for note in self._notes), *_overlaps(condition.chunks)),
-            tuple(self._place(pauses)),
-            evidence.readable,
+            tuple(
+                zip(
+                    *((part / SECOND_NS).tolist() for part in (pauses.start_ns - self._start_ns, pauses.duration_ns)),
+                    strict=True,
+                )
+            ),
+            readable,
             tuple(is_doubtful.tolist()),
         )
-        self.observations = [one.row(path, self._start_ns) for one in self._observed]
+
+    def _weigh(self, columns: Sequence[TopicMessages], condition: Condition) -> tuple[list[Losses], Holes, int]:
+        """Fill rows and observations; return the losses, the pauses of all topics, and how many topics could have shown a loss."""
+        resets = [] if condition.damages else list(run_on_after_resets(columns))  # single pages come last
+        logged = self._of_one_clock(np.sort(np.concatenate([topic.column("log_ns") for topic in columns])))
+        self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
+        words = [reset_note(back_ns, at_ns - self._start_ns, stamped) for at_ns, back_ns, stamped in resets]
+        leave_out_shared_numbers(columns)
+        words += [note for topic in columns for note in copied_messages(topic.topic.name, topic.copies)]
+        words += set_back({topic.topic.name: backwards_ns(topic.column("log_ns")) for topic in columns})
+        lost, counter = counts_of_recorder(columns)
+        evidence = weigh(
+            [topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name), counter) for topic in columns],
+            [Source(topic.topic.name, "volatile" in qos_words(topic.topic.qos)) for topic in columns],
+            logged,
+        )
+        self._notes += [*map(Note, words), *evidence.clocks.notes]
+        pauses, stalls = find_silences(logged, evidence.losses)
+        if stalls:
+            longest_ns, start, _ = max(stalls)
+            self._note(
+                f"the recorder stalled {'once' if len(stalls) == 1 else f'{len(stalls)} times'}, for up to {format_duration(longest_ns)} at "
+                f"{clock_words((start - self._start_ns) / SECOND_NS)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
+                "once, none of them is lost by it"
+            )
+        for topic, times, loss, early in zip(columns, evidence.times, evidence.losses, evidence.history, strict=True):
+            self._add(topic, times, loss, pauses, early, evidence.clocks)
+        return evidence.losses, pauses, evidence.readable
 
     def _note(self, words: str) -> None:
         self._notes.append(Note(words))
-
-    def _place(self, holes: Holes) -> Iterator[tuple[float, float]]:
-        starts, lengths = ((part / SECOND_NS).tolist() for part in (holes.start_ns - self._start_ns, holes.duration_ns))
-        return zip(starts, lengths, strict=True)
 
     def _of_one_clock(self, logged: Int64) -> Int64:
         is_of_clock = of_one_clock(logged)
@@ -282,7 +277,8 @@ class Card:
     ) -> None:
         regularity, about, holes = losses.regularity, topic.topic, losses.holes
         lag = regularity.in_pattern if regularity else 1
-        inside = holes.meet(pauses)
+        is_inside = holes.meet(pauses)
+        inside = {*holes.start_ns[is_inside].tolist()}
         transport, recorder = times.lost or (None, None)
         no_age = clocks.no_age.get(about.name)
         row: Row = {
@@ -304,7 +300,7 @@ class Card:
             "missing": losses.missing,
             "missing_low": losses.low,
             "missing_high": losses.high,
-            "missing_inside": None if losses.missing is None else max(int(holes.low[inside].sum()), recorder or 0),
+            "missing_inside": None if losses.missing is None else max(int(holes.low[is_inside].sum()), recorder or 0),
             "lost_in_transport": transport,
             "lost_in_recorder": recorder,
             "copies": topic.copies,
@@ -312,25 +308,20 @@ class Card:
         }
         self.rows.append(row)
         self.strips.append(self._strip(times.log_ns, losses))
-        observed = list(observe(about.name, losses))
-        self._observed += observed
-        listed = [one for one in observed if one.kind == "seen"]
-        places = Holes.between(
-            [one.start_ns or 0 for one in listed], [(one.start_ns or 0) + (one.duration_ns or 0) for one in listed]
-        )
+        observed = list(observe(about.name, losses, self._start_ns))
+        self.observed += observed
         self.holes += [
             {
                 "recording": self._path,
                 "topic": about.name,
-                "start_s": start_s,
-                "duration_s": duration_s,
+                "start_s": one.start_s,
+                "duration_s": one.duration_s,
                 "missing": one.high,
                 "missing_low": one.low,
-                "inside": is_in,
+                "inside": self._start_ns + round(one.start_s * SECOND_NS) in inside,
             }
-            for one, (start_s, duration_s), is_in in zip(
-                listed, self._place(places), places.meet(pauses).tolist(), strict=True
-            )
+            for one in observed
+            if one.start_s is not None
         ]
 
     def _strip(self, log_ns: Int64, losses: Losses) -> tuple[float, ...]:

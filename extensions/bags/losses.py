@@ -110,9 +110,9 @@ class TopicTimes:
     def readings(self, recording_ns: int, silent: Stretches) -> list[Reading]:
         """Return what each kind of evidence shows, the finest first; `silent` are stretches without a message of any topic."""
         if self.lost is not None and self.counter == "tap":
-            arrival = self.by_arrival()
-            holes = Holes() if arrival is None else _filled(arrival.holes, sum(self.lost))
-            return [Reading.exact("tap", sum(self.lost), holes, arrival.rhythm if arrival else None)]
+            rhythm = self._rhythm()
+            holes = _filled(rhythm.holes, sum(self.lost)) if rhythm else Holes()
+            return [Reading.exact("tap", sum(self.lost), holes, rhythm)]
         found = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
             found += [self.by_stamps(), self.by_arrival()]
@@ -205,7 +205,10 @@ class TopicTimes:
         wander = np.cumsum(off)
         noise = max(spread(off), spread(wander[FEWEST:] - wander[:-FEWEST]))
         least = np.where(still_holes(wander, at, steps[at], noise), 0, least)
-        total, low = int(lacking.sum()), int(least.sum())
+        net = max(int((steps[steps_ns > 0] - 1).sum()), 0)  # a stamp that is off by periods is extra elsewhere
+        total = min(int(lacking.sum()), net)
+        low = max(int(least.sum()) - int(lacking.sum()) + total, 0)
+        lacking = lacking if total else lacking * 0
         selected_holes = lacking > 0
         at, lacking, least = at[selected_holes], lacking[selected_holes], least[selected_holes]
         duration_ns = np.maximum(log_steps_ns[at] - period_ns, lacking * period_ns)
@@ -220,19 +223,22 @@ class TopicTimes:
         It assumes a timer. Commands, and what comes all at once, have none: no number of missing messages follows. Across a hole in which
         stamps stand still nothing is missing.
         """
-        span_ns = int(np.ptp(self.log_ns))
-        best = find_regularity(self.log_ns)
-        for keys in (self.publisher, self.frame, self.payload_bytes):
-            parts = _by_key(keys, lambda selected: find_regularity(self.log_ns[selected]))
-            if parts and (best is None or min(part.share for part in parts) > best.share + FEW):
-                best = joined(parts)
+        best = self._rhythm()
         if best is None or best.period_ns * PHASES < NOTICED_NS:
             return None
         best = best.without(self.is_still(best.holes))
         if self.is_command:
             best = best.unsure(np.ones(len(best.holes), np.bool_))
             best = replace(best, low=0)
-        return Reading.of("period", best.unsure(2 * best.holes.duration_ns > span_ns))
+        return Reading.of("period", best.unsure(2 * best.holes.duration_ns > np.ptp(self.log_ns)))
+
+    def _rhythm(self) -> Regularity | None:
+        best = find_regularity(self.log_ns)
+        for keys in (self.publisher, self.frame, self.payload_bytes):
+            parts = _by_key(keys, lambda selected: find_regularity(self.log_ns[selected]))
+            if parts and (best is None or min(part.share for part in parts) > best.share + FEW):
+                best = joined(parts)
+        return best
 
     def _is_in_episodes(self, reading: Reading, silent: Stretches) -> bool:
         """Return whether the topic is silent for more than half of its time, more than once: it is sent while something happens."""

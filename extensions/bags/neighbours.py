@@ -9,9 +9,9 @@ import numpy as np
 
 from dds_trace.base.units import clock_words, counted, format_duration
 
-from .bounds import FEW, FEWEST, LONG, MOST, NEAR, NOTICED_NS, SECOND_NS
+from .bounds import FEW, FEWEST, LONG, NEAR, NOTICED_NS, SECOND_NS
 from .clocks import Note
-from .losses import NONE, Losses, Reading, TopicTimes
+from .losses import Losses, Reading, TopicTimes
 from .periods import Holes, Int64
 
 
@@ -107,35 +107,6 @@ def _doubted(reading: Reading, witness: Holes) -> Reading:
     length_ns = witness.duration_ns[np.minimum(first, len(witness) - 1)]
     is_alike = (holes.duration_ns < 2 * length_ns) & (length_ns < 2 * holes.duration_ns)
     return Reading.of(reading.name, reading.rhythm.unsure(is_met & is_alike))
-
-
-def passed_on(times: Sequence[TopicTimes], names: Sequence[str], wanted: Sequence[int]) -> dict[int, int]:
-    """Return of which topics the stamps are those of another one's messages, logged earlier: results of it, of which a node may leave some out.
-
-    Topics of one namespace are of one driver, which stamps them alike.
-    """
-    stamped = [(number, one.stamp_ns) for number, one in enumerate(times) if NONE not in one.stamp_ns]
-    if not wanted or len(stamped) < 2:
-        return {}
-    stamps_ns = np.concatenate([stamps for _, stamps in stamped])
-    order = np.argsort(stamps_ns, kind="stable")
-    stamps_ns, owners = stamps_ns[order], np.repeat([n for n, _ in stamped], [len(s) for _, s in stamped])[order]
-    sources = {}
-    for number in wanted:
-        own, log_ns = times[number].stamp_ns, times[number].log_ns
-        probes = own[:: max(len(own) // FEWEST, 1)]
-        first, last = (np.searchsorted(stamps_ns, probes, side) for side in ("left", "right"))
-        found = [np.unique(owners[a:b]) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-        candidates, counts = np.unique(np.concatenate(found), return_counts=True)
-        for source in candidates[2 * counts > len(probes)].tolist():
-            other = times[source]
-            if len(other.log_ns) <= len(own) or names[source].split("/")[:2] == names[number].split("/")[:2]:
-                continue
-            by_stamp = np.argsort(other.stamp_ns, kind="stable")
-            at = by_stamp[np.minimum(np.searchsorted(other.stamp_ns, own, sorter=by_stamp), len(by_stamp) - 1)]
-            if ((other.stamp_ns[at] == own) & (other.log_ns[at] < log_ns)).sum() >= MOST * len(own):
-                sources[number] = source
-    return sources
 
 
 def find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[Holes, list[tuple[int, int, int]]]:

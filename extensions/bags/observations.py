@@ -35,42 +35,30 @@ _MOST_HOLES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One row: a hole (`start_ns`), a count, or an explanation; `topic` is empty for what all topics show."""
+    """One row: a hole (`start_s`), a count, or an explanation; `topic` is empty for what all topics show."""
 
     topic: str
     kind: str
     reading: str = ""
     low: int | None = None
     high: int | None = None
-    start_ns: int | None = None
-    duration_ns: int | None = None
+    start_s: float | None = None
+    duration_s: float | None = None
     words: str = ""
 
-    def row(self, recording: str, first_ns: int) -> dict[str, object]:
-        return {
-            "recording": recording,
-            "topic": self.topic,
-            "kind": self.kind,
-            "reading": self.reading,
-            "low": self.low,
-            "high": self.high,
-            "start_s": None if self.start_ns is None else (self.start_ns - first_ns) / SECOND_NS,
-            "duration_s": None if self.duration_ns is None else self.duration_ns / SECOND_NS,
-            "words": self.words,
-        }
 
-
-def observe(topic: str, losses: Losses) -> Iterator[Observation]:
-    """Yield what is counted and seen of one topic."""
-    for reading in losses.readings:
-        yield Observation(topic, "counted", reading.name, reading.low, reading.high, words=_BY[reading.name])
-    if losses.readings:
-        yield Observation(topic, "counted", ALL_READINGS, losses.low, losses.high, words=_BY[ALL_READINGS])
-    holes = losses.holes
-    largest = np.sort(np.argsort(-holes.duration_ns, kind="stable")[:_MOST_HOLES])
-    columns = (holes.low, holes.missing, holes.start_ns, holes.duration_ns)
-    for low, missing, start_ns, duration_ns in zip(*(column[largest].tolist() for column in columns), strict=True):
-        yield Observation(topic, "seen", losses.evidence, low, missing, start_ns, duration_ns, "nothing came")
+def observe(topic: str, losses: Losses, start_ns: int) -> Iterator[Observation]:
+    """Yield what is counted and seen of one topic of a recording that began at `start_ns`."""
+    for name, low, high in [
+        *((one.name, one.low, one.high) for one in losses.readings),
+        (ALL_READINGS, losses.low, losses.high),
+    ]:
+        if losses.readings:
+            yield Observation(topic, "counted", name, low, high, words=_BY[name])
+    holes = losses.holes.at(np.sort(np.argsort(-losses.holes.duration_ns, kind="stable")[:_MOST_HOLES]))
+    seconds = ((times_ns / SECOND_NS).tolist() for times_ns in (holes.start_ns - start_ns, holes.duration_ns))
+    for low, missing, start_s, duration_s in zip(holes.low.tolist(), holes.missing.tolist(), *seconds, strict=True):
+        yield Observation(topic, "seen", losses.evidence, low, missing, start_s, duration_s, "nothing came")
 
 
 def explained(notes: Sequence[Note]) -> Iterator[Observation]:

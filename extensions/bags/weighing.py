@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from .bounds import FEWEST, MOST
 from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, read_clocks
 from .losses import NONE, Losses, TopicTimes, agreed
-from .neighbours import doubted, find_silent, passed_on, set_clocks, stood_still, without_stretches
+from .neighbours import doubted, find_silent, set_clocks, stood_still, without_stretches
 from .periods import Int64
 
 
@@ -65,12 +65,6 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     for stretches in (clocks.set_over, stood_still(evidence.times, silent), set_over):
         found = [without_stretches(readings, stretches) for readings in found]
     found = doubted(found)
-    names = [source.name for source in sources]
-    lossy = [number for number, readings in enumerate(found) if readings and all(one.low for one in readings)]
-    for number, origin in passed_on(evidence.times, names, lossy).items():
-        found[number] = [replace(one, low=0) for one in found[number]]
-        words = f"{names[number]} passes the stamps of {names[origin]} on: a node may leave messages out"
-        clocks.notes.append(Note(words, names[number]))
     pairs = [*zip(found, evidence.times, strict=True)]
     evidence.losses = [agreed(readings, start_ns, end_ns, one.log_ns) for readings, one in pairs]
     evidence.readable = sum(bool(readings) or _has_numbers(one) for readings, one in pairs)

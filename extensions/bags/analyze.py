@@ -8,6 +8,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
@@ -106,10 +107,10 @@ def analyze_topics(
         MissingEventsError: there is no recording, or none of them can be read at all.
     """
     parts = [path] if isinstance(path, str | os.PathLike) else path
-    found = sorted({file for part in parts for file in find_recordings(part, skip=skip)})
-    folders = Counter(file.parent for file in found)
+    files = sorted({file for part in parts for file in find_recordings(part, skip=skip)})
+    folders = Counter(file.parent for file in files)
     cards, sources = list[Card](), list[Source]()
-    for recording in (one for group in parts_of(found) for one in _recordings(group, progress)):
+    for recording in chain.from_iterable(_recordings(group, progress) for group in parts_of(files)):
         shown, condition = shown_path(recording.parts, folders), recording.condition
         if clock is not None:
             condition.notes += _correct(recording.columns.values(), clock)
@@ -128,7 +129,7 @@ def analyze_topics(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "
             ".db3 file, or a rosbag2 folder"
         )
-    observed = [{"recording": card.health.path} | asdict(one) for card in cards for one in card.observed]
+    observed = [{"recording": card.health.path} | asdict(row) for card in cards for row in card.observed]
     return TopicReport(
         pl.DataFrame([row for card in cards for row in card.rows], schema=TOPIC_SCHEMA),
         tuple(sorted(sources, key=lambda source: source.path)),
@@ -163,8 +164,8 @@ class _Recording:
 
     def append(self, other: _Recording) -> None:
         for kind in ("damages", "notes"):
-            found = [f"{other.parts[0].path.name}: {text}" for text in getattr(other.condition, kind)]
-            getattr(self.condition, kind).extend(found)
+            texts = [f"{other.parts[0].path.name}: {text}" for text in getattr(other.condition, kind)]
+            getattr(self.condition, kind).extend(texts)
         self.condition.chunks += other.condition.chunks
         self.condition.topics |= other.condition.topics
         self.following.append(other.columns)
@@ -183,7 +184,7 @@ class _Recording:
 
 
 def _recordings(group: Sequence[Part], progress: Callable[[Path], None] | None) -> Iterator[_Recording]:
-    """Read files whose names count on; yield those whose times go on as one recording."""
+    """Yield files with times that go on as one recording."""
     whole, spans = None, list[Span]()
     for part in group:
         if progress is not None:

@@ -25,11 +25,12 @@ from .clocks import (
     reset_note,
     set_back,
 )
+from .holes import Holes
 from .losses import NONE, Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .neighbours import find_silences
 from .observations import Observation, explained, has_losses, observe
-from .periods import Holes, Int64, spread
+from .periods import Int64, spread
 from .read import copied_messages
 from .weighing import Source, weigh
 
@@ -314,14 +315,14 @@ class Card:
             {
                 "recording": self._path,
                 "topic": about.name,
-                "start_s": one.start_s,
-                "duration_s": one.duration_s,
-                "missing": one.high,
-                "missing_low": one.low,
-                "inside": self._start_ns + round(one.start_s * SECOND_NS) in inside,
+                "start_s": hole.start_s,
+                "duration_s": hole.duration_s,
+                "missing": hole.high,
+                "missing_low": hole.low,
+                "inside": self._start_ns + round(hole.start_s * SECOND_NS) in inside,
             }
-            for one in observed
-            if one.start_s is not None
+            for hole in observed
+            if hole.start_s is not None
         ]
 
     def _strip(self, log_ns: Int64, losses: Losses) -> tuple[float, ...]:

@@ -11,7 +11,8 @@ import numpy as np
 from dds_trace.base.units import UNIT_NS, clock_words, counted, format_duration
 
 from .bounds import FEW, FEWEST, LONG, MOST, NOTICED_NS, OFF, SECOND_NS, STEADY, WINDOW
-from .periods import Bools, Holes, Int64, spread
+from .holes import Holes
+from .periods import Bools, Int64, spread
 
 DAY_NS = 86_400 * SECOND_NS
 """Ages below may be of a queue; stamps farther away are of another clock."""
@@ -127,7 +128,7 @@ class Stamps:
 
 
 def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
-    """Return how many messages at the start of the recording were sent earlier (transient local): they come at once, and are older than those that follow.
+    """Return how many messages at the start were sent earlier (transient local): they come at once, and are older than what follows.
 
     `usual_ns` is the age of other topics, for one without a message that follows.
     """
@@ -245,7 +246,7 @@ def _of_offset(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
     ages_ns = {name: float(np.median(topics[name].age_ns)) for name in names}
     ordered = sorted(names, key=lambda name: -abs(ages_ns[name]))
     age_ns = ages_ns[ordered[0]]
-    way = "behind" if age_ns > 0 else "ahead of"
+    way = "older than" if age_ns > 0 else "ahead of"
     who = f"all {len(topics)} topics" if 1 < len(names) == len(topics) else and_more(ordered)
     return (
         f"stamps of {who} are {apart(abs(age_ns))} {way} the log times: of another clock (a replay, or a clock that is not set), "

@@ -13,9 +13,9 @@ from dds_trace.base.units import UNIT_NS
 
 from .bounds import FEW, FEWEST, LARGEST, LONG, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
 from .clocks import DAY_NS, of_one_clock
+from .holes import Holes
 from .periods import (
     Bools,
-    Holes,
     Int64,
     Regularity,
     find_grid,
@@ -113,20 +113,19 @@ class TopicTimes:
             rhythm = self._rhythm()
             holes = _filled(rhythm.holes, sum(self.lost)) if rhythm else Holes()
             return [Reading.exact("tap", sum(self.lost), holes, rhythm)]
-        found = [self.by_numbers()]
+        readings = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
-            found += [self.by_stamps(), self.by_arrival()]
-        readings = [one for one in found if one is not None and not self._is_in_episodes(one, silent)]
-        if self.lost is not None and (any(self.lost) or not readings):
-            readings.insert(0, Reading.exact("recorder", sum(self.lost), Holes()))
-        return readings
+            readings += [self.by_stamps(), self.by_arrival()]
+        counted = [reading for reading in readings if reading and not self._is_in_episodes(reading, silent)]
+        if self.lost is not None and (any(self.lost) or not counted):
+            counted.insert(0, Reading.exact("recorder", sum(self.lost), Holes()))
+        return counted
 
     def by_numbers(self) -> Reading | None:
         """Count the numbers that a publisher's counter passes over.
 
-        It assumes that each publisher numbers its messages one by one; a number that repeats in a pattern is of a topic that was thinned.
-        A late number fills its hole; one that came before the previous one is of another counter on the channel. Without a jump only a
-        publisher's own counter (ROS 1) says that nothing is missing: others count what they received.
+        It assumes that a publisher numbers its messages one by one; jumps that repeat are of a thinned topic. A late number fills its hole.
+        Without a jump only a publisher's own counter (ROS 1) shows that nothing is missing: others count what they received.
         """
         jumps = []
         for publisher in _few(self.publisher):
@@ -151,10 +150,10 @@ class TopicTimes:
         return Reading("sequence", high, low, high, holes if high else Holes())
 
     def by_stamps(self) -> Reading | None:
-        """Count the multiples of a grid that no header stamp is on, or publish time if a message has no stamp; of several publishers, of each.
+        """Count the places of a grid without a header stamp (or publish time, if a message has no stamp), for each publisher.
 
-        It assumes that a publisher stamps at a fixed rate. A pattern that repeats, a changed rate, and a silence after which stamps are off
-        the grid (it slept, or a clock was set) lower `low`. Stamps that are log times, and commands, show nothing.
+        It assumes a fixed rate. A pattern, a changed rate, and stamps off the grid after a silence (a sleep, a clock that was set) lower
+        `low`. Stamps that are log times, and commands, show nothing.
         """
         grid = None
         for keys in (self.publisher, self.frame):
@@ -184,11 +183,11 @@ class TopicTimes:
         )
         period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns
         at = np.flatnonzero(steps > 1)
-        taken = np.searchsorted(np.sort(self.left_out_ns), stamps_ns)
+        left_out = np.searchsorted(np.sort(self.left_out_ns), stamps_ns)
         repeated = (steps == 0) & (log_steps_ns > period_ns / 2)  # a stamp that was not new yet
         before = np.append(0, np.cumsum(repeated))
         last = np.maximum.accumulate(np.where(steps > 0, np.arange(len(steps)), -1))
-        filled = before[at] - before[np.where(at > 0, last[np.maximum(at - 1, 0)] + 1, 0)] + np.diff(taken)[at]
+        filled = before[at] - before[np.where(at > 0, last[np.maximum(at - 1, 0)] + 1, 0)] + np.diff(left_out)[at]
         lacking = np.maximum(steps[at] - 1 - filled, 0)
         if is_same_clock:
             older, newer = levels_around(log_ns - stamps_ns, at + 1)
@@ -218,10 +217,9 @@ class TopicTimes:
         return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), total, low, total, holes=Holes.of([holes]))
 
     def by_arrival(self) -> Reading | None:
-        """Count what the rhythm of the log times lacks; of several publishers (or sizes), where each is more regular than all.
+        """Count what the rhythm of the log times lacks.
 
-        It assumes a timer. Commands, and what comes all at once, have none: no number of missing messages follows. Across a hole in which
-        stamps stand still nothing is missing.
+        It assumes a timer. Commands, and what comes all at once, have none. Where stamps stand still across a hole nothing is missing.
         """
         best = self._rhythm()
         if best is None or best.period_ns * PHASES < NOTICED_NS:
@@ -286,22 +284,24 @@ def resolution_ns(stamp_ns: Int64) -> int | None:
 
 
 def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: Int64) -> Losses:
-    """Return what all readings of a topic agree on: the union of their intervals, of which `missing` is of the finest.
+    """Return the union of the intervals of all readings, `missing` by the finest.
 
-    A coarser reading whose interval contains that of a finer one adds nothing. A late start and an early end are holes without a count.
+    A coarser interval that contains a finer reading adds nothing. A late start and an early end are holes without a count.
     """
     if not readings:
         return Losses()
-    sharp = [one for number, one in enumerate(readings) if not any(one.contains(finer) for finer in readings[:number])]
-    low, high = min(one.low for one in sharp), max(one.high for one in sharp)
-    first = next((one for one in sharp if one.holes.low.any()), sharp[0])
-    rhythms = [one.rhythm for one in readings if one.rhythm is not None]
+    sharp = [
+        reading
+        for number, reading in enumerate(readings)
+        if not any(reading.contains(finer) for finer in readings[:number])
+    ]
+    low, high = min(reading.low for reading in sharp), max(reading.high for reading in sharp)
+    first = next((reading for reading in sharp if reading.holes.low.any()), sharp[0])
+    rhythms = [reading.rhythm for reading in readings if reading.rhythm is not None]
     rhythm = first.rhythm or (rhythms[0] if rhythms else None)
     holes = first.holes
     if not len(holes) and first.missing and rhythm is not None:
         holes = _filled(rhythm.holes, first.missing)
-    if rhythm is not None and first.rhythm is None and len(rhythm.holes) and len(first.holes):
-        holes = first.holes
     if rhythm is not None:
         first_ns, last_ns, period_ns = int(times_ns[0]), int(times_ns[-1]), round(rhythm.period_ns)
         quiet_ns = max((2 + 1) * period_ns, SECOND_NS)
@@ -319,8 +319,8 @@ def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: In
 def _filled(holes: Holes, count: int) -> Holes:
     """Return the holes, the longest first filled with a known number of messages."""
     order = np.argsort(-holes.duration_ns, kind="stable")
-    rest = count - np.append(0, np.cumsum(holes.missing[order]))[:-1]
-    missing = np.clip(rest, 0, holes.missing[order])
+    remaining = count - np.append(0, np.cumsum(holes.missing[order]))[:-1]
+    missing = np.clip(remaining, 0, holes.missing[order])
     ordered = replace(holes.at(order), missing=missing, low=missing)
     return Holes.of([ordered.at((missing > 0) | (holes.missing[order] == 0))])
 

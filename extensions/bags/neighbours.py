@@ -11,8 +11,9 @@ from dds_trace.base.units import clock_words, counted, format_duration
 
 from .bounds import FEW, FEWEST, LONG, NEAR, NOTICED_NS, SECOND_NS
 from .clocks import Note
+from .holes import Holes
 from .losses import Losses, Reading, TopicTimes
-from .periods import Holes, Int64
+from .periods import Bools, Int64
 
 
 def find_silent(logged: Int64, topics: int) -> Holes:
@@ -24,41 +25,50 @@ def find_silent(logged: Int64, topics: int) -> Holes:
     return Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
 
 
+def moved_on(times: Sequence[TopicTimes], silent: Holes) -> tuple[Bools, Bools]:
+    """Return across which stretches some topic has stamps, and across which such stamps move on by half of the time at least."""
+    inner = replace(silent, start_ns=silent.start_ns + 1)
+    is_stamped, has_moved = np.zeros(len(silent), np.bool_), np.zeros(len(silent), np.bool_)
+    for topic in times if len(silent) else ():
+        around, still = topic.has_stamps_around(silent), topic.is_still(inner)
+        is_stamped |= around
+        has_moved |= around & ~still
+    return is_stamped, has_moved
+
+
 def stood_still(times: Sequence[TopicTimes], silent: Holes) -> Holes:
     """Return the stretches over which the stamps of every topic that has some stand still: a simulation that is paused or reset sends nothing."""
-    inner = replace(silent, start_ns=silent.start_ns + 1)
-    seen, moved = np.zeros(len(silent), np.bool_), np.zeros(len(silent), np.bool_)
-    for one in times if len(silent) else ():
-        around, still = one.has_stamps_around(silent), one.is_still(inner)
-        seen |= around
-        moved |= around & ~still
-    return silent.at(seen & ~moved)
+    is_stamped, has_moved = moved_on(times, silent)
+    return silent.at(is_stamped & ~has_moved)
 
 
 def set_clocks(readings: Sequence[Sequence[Reading]], silent: Holes, start_ns: int) -> tuple[Holes, list[Note]]:
     """Return stretches over which the recorder's clock was set: the silences of three timers at least are equal to within their jitter.
 
-    Of what a recorder lost, each would lack whole periods of its own.
+    Of what a recorder lost, each would lack whole periods of its own; the silence has to be no multiple of one of them.
     """
     moved = []
     for topic in readings if len(silent) else ():
-        for one in topic:
-            holes = one.holes
-            if one.name != "period" or one.rhythm is None or not len(holes):
+        for reading in topic:
+            holes = reading.holes
+            if reading.name != "period" or reading.rhythm is None or not len(holes):
                 continue
-            within_ns = max(2 * 2 * one.rhythm.jitter_ns, FEW * one.rhythm.period_ns)
+            within_ns = max(2 * 2 * reading.rhythm.jitter_ns, FEW * reading.rhythm.period_ns)
             at = np.minimum(np.searchsorted(holes.end_ns, silent.start_ns, "right"), len(holes) - 1)
             is_met = holes.start_ns[at] < silent.end_ns
-            if within_ns < NEAR * one.rhythm.period_ns:
-                moved.append(np.where(is_met, [holes.duration_ns[at], np.full(len(at), within_ns)], np.nan))
+            if within_ns < NEAR * reading.rhythm.period_ns:
+                lacking = holes.duration_ns[at] / reading.rhythm.period_ns
+                off_ns = np.abs(lacking - np.rint(lacking)) * reading.rhythm.period_ns
+                moved.append(np.where(is_met, [holes.duration_ns[at], np.full(len(at), within_ns), off_ns], np.nan))
     if len(moved) <= 2:
         return Holes(), []
-    by_ns, within_ns = np.array(moved).transpose(1, 0, 2)
+    by_ns, within_ns, off_ns = np.array(moved).transpose(1, 0, 2)
     is_met = ~np.isnan(by_ns)
     with np.errstate(all="ignore"):
         least = np.where(is_met, by_ns, np.inf).min(axis=0)
         most = np.where(is_met, by_ns, -np.inf).max(axis=0)
         is_set = (is_met.sum(axis=0) > 2) & (most - least <= np.where(is_met, within_ns, 0).max(axis=0))
+        is_set &= (off_ns > within_ns).any(axis=0)
     notes = [
         Note(
             f"the recorder's clock was set forward by {format_duration(by)} at {clock_words((at - start_ns) / SECOND_NS)}: "
@@ -74,27 +84,29 @@ def set_clocks(readings: Sequence[Sequence[Reading]], silent: Holes, start_ns: i
 def without_stretches(readings: Sequence[Reading], stretches: Holes) -> list[Reading]:
     """Take the holes of arrival within stretches out in which nothing was sent, or a clock was set."""
     return [
-        Reading.of(one.name, one.rhythm.without(one.holes.meet(stretches)))
-        if one.rhythm is not None and one.name == "period" and len(stretches)
-        else one
-        for one in readings
+        Reading.of(reading.name, reading.rhythm.without(reading.holes.meet(stretches)))
+        if reading.rhythm is not None and reading.name == "period" and len(stretches)
+        else reading
+        for reading in readings
     ]
 
 
 def doubted(readings: Sequence[Sequence[Reading]]) -> list[list[Reading]]:
-    """Lower the counts of silences in which the stamps of another topic show that its publisher stood still: of one program, or computer."""
+    """Lower the counts of silences in which the stamps of another topic show that its publisher stood still: of reading program, or computer."""
     still = [
-        one.holes.at(
-            (one.holes.low == 0) & (one.holes.missing > 0) & (one.holes.duration_ns > FEWEST * one.rhythm.period_ns)
+        reading.holes.at(
+            (reading.holes.low == 0)
+            & (reading.holes.missing > 0)
+            & (reading.holes.duration_ns > FEWEST * reading.rhythm.period_ns)
         )
         for topic in readings
-        for one in topic
-        if one.rhythm is not None and one.name == "stamps"
+        for reading in topic
+        if reading.rhythm is not None and reading.name == "stamps"
     ]
     witness = Holes.of([part for part in still if len(part)]) if any(map(len, still)) else Holes()
     if not len(witness):
         return [list(topic) for topic in readings]
-    return [[_doubted(one, witness) for one in topic] for topic in readings]
+    return [[_doubted(reading, witness) for reading in topic] for topic in readings]
 
 
 def _doubted(reading: Reading, witness: Holes) -> Reading:
@@ -127,7 +139,5 @@ def find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[Holes, list[
     late = np.searchsorted(logged, silent.end_ns + window_ns, "right") - gaps - 1 - np.rint(per_ns * window_ns)
     is_long = silent.duration_ns > (2 + 1 / 2) * SECOND_NS / max(rates_hz)
     stalls = (lacking < 2) & is_long & (late > per_ns * silent.duration_ns / 2) & ~late_starts
-    found = zip(
-        silent.duration_ns[stalls].tolist(), silent.start_ns[stalls].tolist(), late[stalls].tolist(), strict=True
-    )
-    return silent.at(lacking >= 2), [(length, start, round(count)) for length, start, count in found]
+    columns = (part[stalls].tolist() for part in (silent.duration_ns, silent.start_ns, np.rint(late).astype(np.int64)))
+    return silent.at(lacking >= 2), list(zip(*columns, strict=True))

@@ -21,7 +21,7 @@ ALL_READINGS = "all"
 OBSERVATION_SCHEMA = frame_schema(
     "recording:str topic:str kind:str reading:str low:u64 high:u64 start_s:f64 duration_s:f64 words:str"
 )
-_BY = {
+READ_BY = {
     "stamps": "by the header stamps",
     "sequence": "by sequence numbers",
     "period": "by the rate of arrival",
@@ -50,11 +50,11 @@ class Observation:
 def observe(topic: str, losses: Losses, start_ns: int) -> Iterator[Observation]:
     """Yield what is counted and seen of one topic of a recording that began at `start_ns`."""
     for name, low, high in [
-        *((one.name, one.low, one.high) for one in losses.readings),
+        *((reading.name, reading.low, reading.high) for reading in losses.readings),
         (ALL_READINGS, losses.low, losses.high),
     ]:
         if losses.readings:
-            yield Observation(topic, "counted", name, low, high, words=_BY[name])
+            yield Observation(topic, "counted", name, low, high, words=READ_BY[name])
     holes = losses.holes.at(np.sort(np.argsort(-losses.holes.duration_ns, kind="stable")[:_MOST_HOLES]))
     seconds = ((times_ns / SECOND_NS).tolist() for times_ns in (holes.start_ns - start_ns, holes.duration_ns))
     for low, missing, start_s, duration_s in zip(holes.low.tolist(), holes.missing.tolist(), *seconds, strict=True):
@@ -68,4 +68,4 @@ def explained(notes: Sequence[Note]) -> Iterator[Observation]:
 
 def has_losses(observations: Sequence[Observation]) -> bool:
     """Return whether messages are missing by all readings of some topic."""
-    return any(one.kind == "counted" and one.reading == ALL_READINGS and one.low for one in observations)
+    return any(row.kind == "counted" and row.reading == ALL_READINGS and row.low for row in observations)

@@ -15,51 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bounds import FEW, FEWEST, LARGEST, LONG, MOST, NEAR, NORMAL, OFF, PATTERN, PHASES, REGULAR, SECOND_NS, WINDOW
+from .holes import Holes
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-
-def _none() -> Int64:
-    return np.empty(0, np.int64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Holes:
-    """Times without messages that were due, ascending: the first of them, its duration, how many messages, and at least how many."""
-
-    start_ns: Int64 = field(default_factory=_none)
-    duration_ns: Int64 = field(default_factory=_none)
-    missing: Int64 = field(default_factory=_none)
-    low: Int64 = field(default_factory=_none)
-
-    def __len__(self) -> int:
-        return len(self.start_ns)
-
-    @property
-    def end_ns(self) -> Int64:
-        return self.start_ns + self.duration_ns
-
-    def at(self, selected: Bools | Int64) -> Holes:
-        return Holes(*(column[selected] for column in (self.start_ns, self.duration_ns, self.missing, self.low)))
-
-    def meet(self, others: Holes) -> Bools:
-        """Return which of these overlap any of the others, which do not overlap each other."""
-        at = np.searchsorted(others.end_ns, self.start_ns, "right")
-        return np.append(others.start_ns, np.iinfo(np.int64).max)[at] < self.end_ns
-
-    @staticmethod
-    def of(parts: Sequence[Holes]) -> Holes:
-        columns = (("start_ns", "duration_ns", "missing", "low"), parts or [Holes()])
-        start, *others = (np.concatenate([getattr(part, name) for part in columns[1]]) for name in columns[0])
-        order = np.argsort(start, kind="stable")
-        return Holes(start[order], *(column[order] for column in others))
-
-    @staticmethod
-    def between(starts_ns: Sequence[int], ends_ns: Sequence[int]) -> Holes:
-        start, zeros = np.array(starts_ns, np.int64), np.zeros(len(starts_ns), np.int64)
-        return Holes(start, np.array(ends_ns, np.int64) - start, zeros, zeros)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,17 +187,17 @@ def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
     is_short = (steps > 0) & (steps <= LONG)
     lengths, off = steps[is_short], (ratio - steps)[is_short]
     counts = np.bincount(lengths, minlength=1)
-    each = np.maximum(counts, 1)
-    means = np.bincount(lengths, off) / each
-    squares = np.bincount(lengths, np.abs(off - means[lengths]) ** 2) / each
-    largest = FEW / FEWEST + 2 * 2 * np.sqrt(squares / each)
+    at_least_one = np.maximum(counts, 1)
+    means = np.bincount(lengths, off) / at_least_one
+    squares = np.bincount(lengths, np.abs(off - means[lengths]) ** 2) / at_least_one
+    largest = FEW / FEWEST + 2 * 2 * np.sqrt(squares / at_least_one)
     return not bool((np.abs(means)[counts >= FEWEST] > largest[counts >= FEWEST]).any())
 
 
 def usual_steps(steps: Int64) -> Int64 | None:
     """Return the step that is usual at each place, where a topic is thinned or the rate changes once or twice; None where 1 is.
 
-    Two of three, three of five, or a throttle's messages: never ahead or behind by more than one. Losses at random are soon.
+    Two of three, three of five, or a throttle's messages: never off by more than one. Losses at random are soon.
     """
     changes = _rate_changes(steps / max(float(np.median(steps)), 1.0))
     parts = np.split(steps, changes)
@@ -313,11 +273,11 @@ def _is_single_with_stalls(ratio: Float64) -> bool:
 
 
 def _rate_changes(ratio: Float64) -> list[int]:
-    """Return where stretches of another rate begin and end: their intervals are equal, those of losses at random are not."""
+    """Return where stretches of another rate begin and end: losses at random leave unequal intervals."""
     if len(ratio) <= LONG:
         return []
     blocks = np.median(np.lib.stride_tricks.sliding_window_view(ratio, LONG)[::LONG], axis=1)
-    if not (np.abs(blocks - 1) > NEAR / 2).any() and np.abs(np.median(ratio[-LONG:]) - 1) <= NEAR / 2:
+    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(np.median(ratio[-LONG:]) - 1) <= NEAR:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, LONG, mode="reflect"), 2 * LONG + 1)
     typical = np.concatenate([np.median(windows[at : at + PHASES], axis=1) for at in range(0, len(windows), PHASES)])
@@ -396,9 +356,9 @@ def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools
         return np.zeros(0, np.bool_)
     before, after = levels_around(wander, at)
     bound = np.maximum(FEW, 2 * noise * (1 + steps / (len(wander) * WINDOW) ** (1 / 2)))
-    is_known, is_silence = bound < NEAR, steps > FEWEST
-    has_moved = is_known & (np.abs(after - before) > bound)
-    is_still: Bools = has_moved | is_known & (np.abs(wander[at] - before) > 2 * bound)
+    is_fine, is_silence = bound < NEAR, steps > FEWEST
+    has_moved = is_fine & (np.abs(after - before) > bound)
+    is_still: Bools = has_moved | is_fine & (np.abs(wander[at] - before) > 2 * bound)
     if (has_moved & is_silence).any() or 2 * (is_still & is_silence).sum() > is_silence.sum():
         is_still |= is_silence
     return is_still
@@ -413,7 +373,7 @@ def _extremes(regular: Float64) -> tuple[float, float]:
 
 
 def _settled(ratio: Float64) -> Int64:
-    """Return intervals in periods; those of late messages are corrected: what follows them is in phase again."""
+    """Return intervals in periods; corrected after late messages: what follows is in phase again."""
     steps = np.rint(ratio).astype(np.int64)
     doubtful = np.flatnonzero((np.abs(ratio - steps) > NEAR) & (ratio < PATTERN))
     before, after = levels_around(np.cumsum(ratio - steps), doubtful)

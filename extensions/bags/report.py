@@ -37,6 +37,7 @@ from dds_trace.reports.blocks import (
 from .analyze import TopicReport
 from .bounds import NOTICED_NS, SECOND_NS
 from .card import RecordingHealth
+from .observations import READ_BY
 
 if TYPE_CHECKING:
     from .limits import JudgedTopic
@@ -58,14 +59,6 @@ _LEAST_HOLE = 1.5
 
 _MOST_UNITS = 10
 """Ages of fewer units of the stamps are rounded visibly."""
-
-_EVIDENCE = {
-    "stamps": "by the header stamps",
-    "sequence": "by sequence numbers",
-    "recorder": "by the recorder's counts",
-    "tap": "by the tap's counts",
-    "period": "",
-}
 
 
 def seconds_words(seconds: float) -> str:
@@ -146,8 +139,8 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
     if elsewhere > 0 and not is_unsure and (shown or row["missing_from"] not in {"tap", "recorder"}):
-        rest = [hole["duration_s"] for hole in holes if hole not in shown]
-        where = f", in holes of up to {seconds_words(max(rest))}" if rest else ""
+        lengths_s = [hole["duration_s"] for hole in holes if hole not in shown]
+        where = f", in holes of up to {seconds_words(max(lengths_s))}" if lengths_s else ""
         yield f"{elsewhere:,} {'more ' if shown else ''}{'message is' if elsewhere == 1 else 'messages are'} missing{where}"
 
 
@@ -196,8 +189,8 @@ def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tup
 
 
 def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
-    if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
-        yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
+    if row["missing_low"] and row["missing_from"] != "period":
+        yield f"{counted(row['missing'], 'message')} missing {READ_BY[row['missing_from']]}"
     if row["missing_inside"] and row["missing_low"]:
         yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
     if row["lost_in_transport"] or row["lost_in_recorder"]:

@@ -18,19 +18,19 @@ _NAMES = (re.compile(rf"{_NUMBER}_(?P<name>.+)_{_TIME}"), re.compile(rf"(?P<name
 
 
 class Part(NamedTuple):
-    """One file; `place` is where and how the files of its recording are named, `number` None for a file by itself."""
+    """One file; `series` is how the files of its recording are named, `number` None for a file by itself."""
 
     path: Path
-    place: tuple[str, ...]
+    series: tuple[str, ...]
     number: int | None = None
 
 
 def parts_of(paths: Iterable[Path]) -> list[list[Part]]:
-    """Group the files whose names count on, in the order of their numbers; others, and folders, by themselves."""
+    """Group files with names that count on, by number; others, and folders, by themselves."""
     groups: dict[tuple[str, ...], list[Part]] = {}
     for path in paths:
         part = _part(path)
-        groups.setdefault(part.place, []).append(part)
+        groups.setdefault(part.series, []).append(part)
     return [sorted(group, key=lambda part: part.number or 0) for group in groups.values()]
 
 
@@ -70,12 +70,12 @@ def lost_files(parts: Sequence[Part]) -> Iterator[str]:
         yield f"{which} of this recording {'is' if first == last else 'are'} not here (between {part.path.name} and {following.path.name})"
 
 
-def shown_path(parts: Sequence[Part], found: Counter[Path]) -> str:
-    """Return the path that stands for the files: the folder where there is nothing else."""
+def shown_path(parts: Sequence[Part], files: Counter[Path]) -> str:
+    """Return the path of the files: their folder if there is nothing else."""
     first = parts[0].path
     if len(parts) == 1:
         return str(first)
-    if found[first.parent] == len(parts):
+    if files[first.parent] == len(parts):
         return str(first.parent)
-    _, name, suffix, kind = parts[0].place
+    _, name, suffix, kind = parts[0].series
     return str(first.parent / (f"*_{name}_*{suffix}" if kind == "0" else f"{name}_*{suffix}"))

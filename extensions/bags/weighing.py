@@ -13,13 +13,13 @@ from dds_trace.tracefile.format.events import TOPIC_PREFIX
 from .bounds import FEWEST, MOST
 from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, read_clocks
 from .losses import NONE, Losses, TopicTimes, agreed
-from .neighbours import doubted, find_silent, set_clocks, stood_still, without_stretches
+from .neighbours import doubted, find_silent, moved_on, set_clocks, stood_still, without_stretches
 from .periods import Int64
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The topic of some messages; a volatile one keeps no history for those who join later."""
+    """The topic of some messages; a volatile topic keeps no history for those who join later."""
 
     name: str
     is_volatile: bool = False
@@ -42,51 +42,53 @@ class Evidence:
 
 
 def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64) -> Evidence:
-    """Read the evidence of the topics of one recording, of which `logged` are all log times of one clock, ascending."""
+    """Read the evidence of the topics of one recording; `logged` are its log times, ascending, of one clock."""
     evidence = Evidence([*times], [0] * len(times), Clocks())
     start_ns, end_ns = int(logged[0]), int(logged[-1])
     stamped = _take_history(evidence, sources, start_ns)
     earlier_notes = evidence.clocks.notes
-    unstamped = [one.log_ns for number, one in enumerate(times) if number not in stamped]
-    named = {sources[n].name: one for n, one in stamped.items() if evidence.history[n] < len(times[n].log_ns)}
-    clocks = read_clocks(named, unstamped, start_ns, _tick_ns(logged))
+    unstamped = [topic.log_ns for number, topic in enumerate(times) if number not in stamped]
+    live = {sources[n].name: topic for n, topic in stamped.items() if evidence.history[n] < len(times[n].log_ns)}
+    clocks = read_clocks(live, unstamped, start_ns, _tick_ns(logged))
     clocks.notes = earlier_notes + clocks.notes
     evidence.clocks = clocks
     _name_writers(evidence, sources, stamped)
     if start_ns < SIMULATED_BEFORE_NS and "zero" not in clocks.reasons:
         clocks.notes.append(Note("the log times are of a simulation's clock, or count from the start of a machine"))
     silent = find_silent(logged, len(times))
-    found = [
-        [] if source.is_of_tap else one.readings(end_ns - start_ns, silent)
-        for source, one in zip(sources, evidence.times, strict=True)
+    by_topic = [
+        [] if source.is_of_tap else topic.readings(end_ns - start_ns, silent)
+        for source, topic in zip(sources, evidence.times, strict=True)
     ]
-    set_over, notes = set_clocks(found, silent, start_ns)
+    unmoved = silent.at(~moved_on(evidence.times, silent)[1])
+    set_over, notes = set_clocks(by_topic, unmoved, start_ns)
     clocks.notes += notes
     for stretches in (clocks.set_over, stood_still(evidence.times, silent), set_over):
-        found = [without_stretches(readings, stretches) for readings in found]
-    found = doubted(found)
-    pairs = [*zip(found, evidence.times, strict=True)]
-    evidence.losses = [agreed(readings, start_ns, end_ns, one.log_ns) for readings, one in pairs]
-    evidence.readable = sum(bool(readings) or _has_numbers(one) for readings, one in pairs)
+        by_topic = [without_stretches(readings, stretches) for readings in by_topic]
+    by_topic = doubted(by_topic)
+    pairs = [*zip(by_topic, evidence.times, strict=True)]
+    evidence.losses = [agreed(readings, start_ns, end_ns, topic.log_ns) for readings, topic in pairs]
+    evidence.readable = sum(bool(readings) or _has_numbers(topic) for readings, topic in pairs)
     return evidence
 
 
 def _take_history(evidence: Evidence, sources: Sequence[Source], start_ns: int) -> dict[int, Stamps]:
     """Take messages that were sent before the recording out of the times; return the stamps of the others."""
     stamped: dict[int, Stamps] = {}
-    for number, one in enumerate(evidence.times):
-        has_stamp = one.stamp_ns != NONE
+    for number, topic in enumerate(evidence.times):
+        has_stamp = topic.stamp_ns != NONE
         if has_stamp.any():
-            keys = one.frame ^ one.publisher
-            stamped[number] = Stamps(one.log_ns[has_stamp], one.stamp_ns[has_stamp], keys[has_stamp])
-    ages_ns = [float(np.median(one.age_ns)) for one in stamped.values() if len(one.log_ns) >= FEWEST]
+            keys = topic.frame ^ topic.publisher
+            stamped[number] = Stamps(topic.log_ns[has_stamp], topic.stamp_ns[has_stamp], keys[has_stamp])
+    ages_ns = [float(np.median(topic.age_ns)) for topic in stamped.values() if len(topic.log_ns) >= FEWEST]
     usual_ns = float(np.median(ages_ns)) if ages_ns else 0.0
     for number, stamps in stamped.items():
         count = 0 if sources[number].is_volatile else count_history(stamps, start_ns, usual_ns)
         if not count:
             continue
         evidence.history[number] = count
-        oldest, was = format_duration(float(stamps.age_ns.max())), "was" if count == 1 else "were"
+        live_ns = float(np.median(stamps.age_ns[count:])) if count < len(stamps.log_ns) else usual_ns
+        oldest, was = format_duration(float(stamps.age_ns[:count].max()) - live_ns), "was" if count == 1 else "were"
         words = (
             f"{counted(count, 'message')} of {sources[number].name} {was} sent up to {oldest} earlier: history of transient-local topics "
             "of nodes that started earlier, not an age"
@@ -100,14 +102,14 @@ def _take_history(evidence: Evidence, sources: Sequence[Source], start_ns: int) 
 
 
 def _name_writers(evidence: Evidence, sources: Sequence[Source], stamped: Collection[int]) -> None:
-    """Name topics whose publish times are a writer's, and those that have nothing but history."""
+    """Name publish times that are a writer's, and topics with nothing but history."""
     clocks = evidence.clocks
-    for number, (source, one) in enumerate(zip(sources, evidence.times, strict=True)):
-        if number not in stamped and _is_of_writer(one):
+    for number, (source, topic) in enumerate(zip(sources, evidence.times, strict=True)):
+        if number not in stamped and _is_of_writer(topic):
             clocks.no_age[source.name] = ""
             words = f"publish times of {source.name} are at or after its log times: the writer's, not an age"
             clocks.notes.append(Note(words, source.name))
-        elif evidence.history[number] >= len(one.log_ns):
+        elif evidence.history[number] >= len(topic.log_ns):
             clocks.no_age[source.name] = "latched"
 
 

@@ -269,12 +269,32 @@ LOSSES = {
     "every second": every_second_lost,
     "queues": queues_overflow,
     "of one publisher": lost_of_one_publisher,
+    "of all topics": lost_by_recorder,
 }
 EVIDENCE = ("numbers", "stamps", "arrival")
 
 
+def lost_by_recorder(rng, evidence):
+    """Three topics that all lack the same stretches: the recorder stood, or a file of it is gone."""
+    topics, lost = {}, 0
+    stretches = [
+        (at, at + rng.choice([rng.uniform(0.7, 4), 0.7, 2.0]))
+        for at in np.sort(rng.choice(np.arange(5, 50, 8), 3, replace=False))
+    ]
+    for number, hz in enumerate(rng.choice([10, 20, 25, 50, 100], 3, replace=False)):
+        due, log_ns = timer(rng, seconds=60, hz=float(hz), jitter=rng.choice([0.002, 0.01]))
+        topic = Topic(
+            log_ns, due if evidence == "stamps" else None, np.arange(len(due)) if evidence == "numbers" else None
+        )
+        kept = ~np.any([(log_ns >= first * S) & (log_ns < last * S) for first, last in stretches], axis=0)
+        topics[f"/topic{number}"], lost = topic.only(kept), lost + int((~kept).sum())
+    return Made(topics, lost)
+
+
 def lossy(rng, loss, evidence):
     """Return a recording with losses of a kind, which numbers, stamps or arrival alone can show."""
+    if loss == "of all topics":
+        return lost_by_recorder(rng, evidence)
     due, log_ns = timer(rng, seconds=rng.uniform(30, 90), jitter=rng.choice([0.002, 0.01, 0.05]))
     topic = Topic(log_ns, due if evidence == "stamps" else None)
     if evidence == "numbers":

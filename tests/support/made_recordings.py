@@ -263,17 +263,6 @@ def lost_of_one_publisher(rng, topic):
     return kept
 
 
-LOSSES = {
-    "random": lost_at_random,
-    "bursts": lost_in_bursts,
-    "every second": every_second_lost,
-    "queues": queues_overflow,
-    "of one publisher": lost_of_one_publisher,
-    "of all topics": lost_by_recorder,
-}
-EVIDENCE = ("numbers", "stamps", "arrival")
-
-
 def lost_by_recorder(rng, evidence):
     """Three topics that all lack the same stretches: the recorder stood, or a file of it is gone."""
     topics, lost = {}, 0
@@ -289,6 +278,17 @@ def lost_by_recorder(rng, evidence):
         kept = ~np.any([(log_ns >= first * S) & (log_ns < last * S) for first, last in stretches], axis=0)
         topics[f"/topic{number}"], lost = topic.only(kept), lost + int((~kept).sum())
     return Made(topics, lost)
+
+
+LOSSES = {
+    "random": lost_at_random,
+    "bursts": lost_in_bursts,
+    "every second": every_second_lost,
+    "queues": queues_overflow,
+    "of one publisher": lost_of_one_publisher,
+    "of all topics": lost_by_recorder,
+}
+EVIDENCE = ("numbers", "stamps", "arrival")
 
 
 def lossy(rng, loss, evidence):

@@ -39,7 +39,7 @@ MOST = 0.95
 FEW = 0.02
 """The share of exceptions, and the difference of speeds, that chance explains."""
 
-STEADY = 1e-6
+STEADY = 1e-5
 """The spread of an age, in ages, that no late stream has: a constant offset is of another clock."""
 
 NORMAL = 1.4826

@@ -212,11 +212,15 @@ def read_clocks(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
 def _shared_offset(topics: Mapping[str, Stamps]) -> float | None:
     """Return the age that all topics have to within a hundredth of it and jitter: of another clock."""
     ages_ns = [float(np.median(stamps.age_ns)) for stamps in topics.values() if len(stamps.log_ns) >= FEWEST]
-    if len(ages_ns) < 2:
+    if len(ages_ns) < 2 or any(_width_ns(stamps.age_ns) > NOTICED_NS for stamps in topics.values()):
         return None
     shared_ns = float(np.median(ages_ns))
     is_shared = abs(shared_ns) > SECOND_NS and np.ptp(ages_ns) < min(NOTICED_NS, FEW / 2 * abs(shared_ns))
     return shared_ns if is_shared else None
+
+
+def _width_ns(ages_ns: Int64) -> float:
+    return float(np.ptp(np.quantile(ages_ns, [1 - MOST, MOST])))
 
 
 def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None) -> str:
@@ -232,7 +236,7 @@ def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None
     is_far = abs(age_ns) > DAY_NS
     if is_far and speed is not None and speed > 0 and abs(speed - 1) > FEW:
         return "speed"
-    is_constant = len(ages_ns) >= FEWEST and np.ptp(np.quantile(ages_ns, [1 - MOST, MOST])) < STEADY * abs(age_ns)
+    is_constant = len(ages_ns) >= FEWEST and _width_ns(ages_ns) < STEADY * abs(age_ns)
     if (
         is_far
         or (is_constant and abs(age_ns) > WINDOW * SECOND_NS)

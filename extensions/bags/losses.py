@@ -11,7 +11,7 @@ import numpy as np
 
 from dds_trace.base.units import UNIT_NS
 
-from .bounds import FEW, FEWEST, LARGEST, LONG, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
+from .bounds import FEW, FEWEST, LARGEST, LONG, NEAR, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
 from .clocks import DAY_NS, of_one_clock
 from .holes import Holes
 from .periods import (
@@ -61,6 +61,10 @@ class Reading:
     @staticmethod
     def exact(name: str, count: int, holes: Holes, rhythm: Regularity | None = None) -> Reading:
         return Reading(name, count, count, count, holes, rhythm)
+
+    @property
+    def rate_hz(self) -> float:
+        return self.rhythm.rate_hz if self.rhythm else 0.0
 
     def contains(self, other: Reading) -> bool:
         return self.low <= other.low and other.high <= self.high
@@ -115,7 +119,11 @@ class TopicTimes:
             return [Reading.exact("tap", sum(self.lost), holes, rhythm)]
         readings = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
-            readings += [self.by_stamps(), self.by_arrival()]
+            stamps, arrival = self.by_stamps(), self.by_arrival()
+            is_faster = (
+                stamps and arrival and arrival.rate_hz > (1 + NEAR) * stamps.rate_hz
+            )  # of a queue, not of the publisher
+            readings += [stamps, None if is_faster else arrival]
         counted = [reading for reading in readings if reading and not self._is_in_episodes(reading, silent)]
         if self.lost is not None and (any(self.lost) or not counted):
             counted.insert(0, Reading.exact("recorder", sum(self.lost), Holes()))
@@ -296,7 +304,7 @@ def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: In
         if not any(reading.contains(finer) for finer in readings[:number])
     ]
     low, high = min(reading.low for reading in sharp), max(reading.high for reading in sharp)
-    first = next((reading for reading in sharp if reading.holes.low.any()), sharp[0])
+    first = sharp[0]
     rhythms = [reading.rhythm for reading in readings if reading.rhythm is not None]
     rhythm = first.rhythm or (rhythms[0] if rhythms else None)
     holes = first.holes

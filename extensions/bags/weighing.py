@@ -68,7 +68,10 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     by_topic = doubted(by_topic)
     pairs = [*zip(by_topic, evidence.times, strict=True)]
     evidence.losses = [agreed(readings, start_ns, end_ns, topic.log_ns) for readings, topic in pairs]
-    evidence.readable = sum(bool(readings) or _has_numbers(topic) for readings, topic in pairs)
+    evidence.readable = sum(
+        bool(readings) or source.is_of_tap or _has_numbers(topic)
+        for (readings, topic), source in zip(pairs, sources, strict=True)
+    )
     return evidence
 
 

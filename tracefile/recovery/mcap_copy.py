@@ -15,7 +15,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -36,8 +35,15 @@ from ..writing.event_chunks import encode_record
 
 _CHUNK_BYTES = 1 << 20
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
+_CHUNK_BYTES_BEFORE = 40
+"""Fields of a chunk before its content, without the name of the compression."""
+
 _HEADER_BYTES = RECORD_HEADER.size + MESSAGE_HEADER.size
 _LOG_TIME_AT = RECORD_HEADER.size + 6
+
+
+def _unpacked(content: bytearray) -> bytearray:
+    return content
 
 
 class McapCopy:
@@ -45,7 +51,9 @@ class McapCopy:
 
     def __init__(self, stream: IO[bytes], profile: str, library: str, *, is_packed: bool) -> None:
         self._stream = stream
-        self._pack: Callable[[bytes], bytes] = zstandard.ZstdCompressor().compress if is_packed else bytes
+        self._pack: Callable[[bytearray], bytes | bytearray] = _unpacked
+        if is_packed:
+            self._pack = zstandard.ZstdCompressor().compress
         self._compression = "zstd" if is_packed else ""
         self.schemas: list[Schema] = []
         self.channels: list[Channel] = []
@@ -150,17 +158,16 @@ class McapCopy:
 
     def _finish_chunk(self) -> None:
         channel_ids, log_ns, offsets = (np.concatenate(column) for column in zip(*self._rows, strict=True))
-        content, first_ns, last_ns = bytes(self._content), int(log_ns.min()), int(log_ns.max())
+        content, first_ns, last_ns, compression = self._content, int(log_ns.min()), int(log_ns.max()), self._compression
         packed = self._pack(content)
-        chunk = Chunk(
-            compression=self._compression,
-            data=packed,
-            message_end_time=last_ns,
-            message_start_time=first_ns,
-            uncompressed_crc=crc32(content),
-            uncompressed_size=len(content),
+        about = (first_ns, last_ns, len(content), crc32(content), len(compression), compression.encode(), len(packed))
+        chunk_at, chunk_length = (
+            self._stream.tell(),
+            RECORD_HEADER.size + _CHUNK_BYTES_BEFORE + len(compression) + len(packed),
         )
-        chunk_at, chunk_length = self._write(chunk)
+        self._stream.write(RECORD_HEADER.pack(Opcode.CHUNK, chunk_length - RECORD_HEADER.size))
+        self._stream.write(struct.pack(f"<QQQII{len(compression)}sQ", *about))
+        self._stream.write(packed)
         index_at, index_offsets = self._stream.tell(), dict[int, int]()
         order = np.argsort(channel_ids, kind="stable")
         ids, firsts = np.unique(channel_ids[order], return_index=True)
@@ -174,7 +181,7 @@ class McapCopy:
             ChunkIndex(
                 chunk_length=chunk_length,
                 chunk_start_offset=chunk_at,
-                compression=self._compression,
+                compression=compression,
                 compressed_size=len(packed),
                 message_end_time=last_ns,
                 message_index_length=self._stream.tell() - index_at,

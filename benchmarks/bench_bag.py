@@ -1,0 +1,156 @@
+"""Reading and recovering recordings of others, against the loop over messages of python `mcap`, and against unpacking alone.
+
+    python benchmarks/bench_bag.py                  at a tenth of the size: a quick look, held against no bar
+    python benchmarks/bench_bag.py --full           at full size, which the bars are for
+    python benchmarks/bench_bag.py --full --against DIR    in turn with the checkout in DIR
+
+Every figure is processor time of a process from its start to its end, less that of the same command for a recording of a few
+messages. The loop is `for _ in make_reader(stream).iter_messages(): pass`. A ratio is the median over the rounds.
+
+- *topics*: 1 kHz, 200 Hz and 100 Hz with stamps on a grid that arrive late by up to half a period.
+- *camera*: the same with images of 300 KB at 30 Hz, not packed.
+- *many*: 4,000 topics of 100 messages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import struct
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from commands import Ran, run_command
+from mcap.writer import CompressionType, Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HERE = Path(__file__).parents[1]
+START_NS = 1_790_000_000_000_123_457
+SECONDS, CAMERA_SECONDS, MANY_TOPICS, MANY_SECONDS, FEW_SECONDS = 770.0, 100.0, 4000, 10.0, 0.2
+QUICK_PART = 0.1
+TOPICS = ((5_000_000, 300), (1_000_000, 120), (10_000_000, 1_000))
+CAMERA = (33_333_333, 300_000)
+MANY = (100_000_000, 100)
+BARS = {"bag topics": 0.2, "bag camera": 0.5, "recover topics": 0.6, "recover cut": 0.6}
+MOST_BYTES_A_MESSAGE, MOST_BYTES_BESIDES = 100, 150e6
+LOOP = "import sys; from mcap.reader import make_reader; [None for _ in make_reader(open(sys.argv[1], 'rb')).iter_messages()]"
+RULE = "=" * 80
+DEFINITION = (
+    f"std_msgs/Header header\nuint8[] data\n{RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording; the loop reads one that is not closed only as a `part` of the `whole`."""
+
+    path: Path
+    messages: int
+    whole: Path | None = None
+    part: float = 1.0
+
+
+def write_recording(
+    path: Path, seconds: float, topics: Sequence[tuple[int, int]] = TOPICS, *, is_packed: bool = True
+) -> Recording:
+    """Write topics, each with a period (ns) and a payload (bytes)."""
+    rng = np.random.default_rng(7)
+    blob = rng.integers(0, 64, 400_000, dtype=np.uint8).tobytes()
+    times, stamps, of_topic = [], [], []
+    for number, (period_ns, _) in enumerate(topics):
+        stamps.append(START_NS + number * 1000 + np.arange(max(int(seconds * 1e9 / period_ns), 1)) * period_ns)
+        times.append(stamps[-1] + 2_000_000 + rng.integers(0, period_ns // 2, len(stamps[-1])))
+        of_topic.append(np.full(len(stamps[-1]), number))
+    time_ns, stamp_ns, topic = (np.concatenate(column) for column in (times, stamps, of_topic))
+    order = np.argsort(time_ns, kind="stable")
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD if is_packed else CompressionType.NONE)
+        writer.start("ros2", "made")
+        schema = writer.register_schema("my_msgs/msg/Blob", "ros2msg", DEFINITION.encode())
+        channels = [writer.register_channel(f"/t{number}", "cdr", schema) for number in range(len(topics))]
+        for number, row in enumerate(order.tolist()):
+            size, stamp = topics[topic[row]][1], divmod(int(stamp_ns[row]), 10**9)
+            head = b"\0\1\0\0" + struct.pack("<iII4sI", *stamp, 4, b"cam\0", size)
+            data = head + blob[number % 1000 : number % 1000 + size]
+            writer.add_message(channels[topic[row]], int(time_ns[row]), data, int(stamp_ns[row]), number)
+        writer.finish()
+    return Recording(path, len(order))
+
+
+def run_of(checkout: Path, command: str, recording: Path, out: Path) -> Ran:
+    """Run a command of a checkout; the recordings are whole, and those that are not are recovered."""
+    if command == "recover":
+        out.unlink(missing_ok=True)
+    arguments = [sys.executable, "-m", "dds_trace", command, os.fspath(recording), "--out", os.fspath(out)]
+    return run_command(arguments, {"PYTHONPATH": os.fspath(checkout / "src")})
+
+
+def main() -> int:
+    """Print the table; return 1 if a bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--full", action="store_true", help="recordings of full size")
+    parser.add_argument("--against", type=Path, metavar="DIR", help="a checkout to measure in turn with this one")
+    parser.add_argument("--only", default="", help="rows with this in their name")
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    part = 1.0 if options.full else QUICK_PART
+    missed = 0
+    with tempfile.TemporaryDirectory(prefix="bench-bag-") as name:
+        folder = Path(name)
+        few = write_recording(folder / "few.mcap", FEW_SECONDS)
+        topics = write_recording(folder / "topics.mcap", SECONDS * part)
+        cut = Recording(folder / "cut.mcap", topics.messages // 2, topics.path, 0.5)
+        cut.path.write_bytes(topics.path.read_bytes()[: topics.path.stat().st_size // 2])
+        camera = write_recording(folder / "camera.mcap", CAMERA_SECONDS * part, (*TOPICS, CAMERA), is_packed=False)
+        many = write_recording(folder / "many.mcap", MANY_SECONDS, (MANY,) * int(MANY_TOPICS * part))
+        rows = {
+            "bag topics": topics,
+            "bag camera": camera,
+            "bag many": many,
+            "recover topics": topics,
+            "recover cut": cut,
+        }
+        for row, recording in rows.items():
+            if options.only in row:
+                missed += measure(row, recording, few, options.rounds, options.against, is_full=options.full)
+    return min(missed, 1)
+
+
+def measure(row: str, recording: Recording, few: Recording, rounds: int, against: Path | None, *, is_full: bool) -> int:
+    """Print a row; return how many bars it misses."""
+    command, out = row.split(maxsplit=1)[0], few.path.with_name("out.mcap" if row.startswith("recover") else "out")
+    over_loop, over_before, ran_last, of_before = [], [], None, ""
+    for _ in range(rounds):
+        loops = [
+            run_command([sys.executable, "-c", LOOP, os.fspath(one.whole or one.path)], {}) for one in (few, recording)
+        ]
+        runs = [run_of(HERE, command, one.path, out) for one in (few, recording)]
+        cpu_s, loop_s = (after.cpu_s - before.cpu_s for before, after in (runs, loops))
+        over_loop.append(cpu_s / (loop_s * recording.part))
+        ran_last = runs[1]
+        if against is not None:
+            before = [run_of(against, command, one.path, out) for one in (few, recording)]
+            before_s = before[1].cpu_s - before[0].cpu_s
+            over_before.append(cpu_s / before_s)
+            of_before = f"; {statistics.median(over_before):.3f} of the {before_s:.2f} s, {before[1].peak_bytes / 1e6:.0f} MB before"
+    assert ran_last is not None
+    ratio, bar = statistics.median(over_loop), BARS.get(row)
+    most_bytes = MOST_BYTES_BESIDES + MOST_BYTES_A_MESSAGE * recording.messages
+    print(
+        f"{row}: {recording.messages:,} messages, {ran_last.cpu_s:.2f} s of a core with its start, {ran_last.peak_bytes / 1e6:.0f} MB; "
+        f"{ratio:.2f} of the loop{f' (at most {bar})' if bar else ''}{of_before}",
+        flush=True,
+    )
+    return is_full * ((bar is not None and ratio > bar) + (ran_last.peak_bytes > most_bytes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

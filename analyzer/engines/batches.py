@@ -13,6 +13,7 @@ from dds_trace.base.threads import InlineExecutor
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
 from ..groups.frames import CAMPAIGN_MAKERS, DETAIL_MAKERS, MAKERS, Frames, concatenate_frames
+from ..groups.intervals import measure_whole
 from ..groups.summary import Statistics, measure_batch, metric_values
 from ..loading.event_index import Copies, EventKey, EventPart, merge_parts
 from ..model.metrics import METRICS
@@ -140,16 +141,26 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
     events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: copied for key, (_, copied) in merged.items() if copied}
     rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
-    measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
+    del merged, events  # gigabytes of a long run
     makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
+    measures_whole = options.details and batch.whole
+    if measures_whole:
+        whole = pool.submit(measure_whole, batch, rows)
+        makers = {name: make for name, make in makers.items() if name not in ("intervals", "one_way")}
+    else:
+        measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
     begun = {name: pool.submit(make, batch, rows).result for name, make in makers.items()}
     values = None
     if options.rows and not batch.whole:
         values = {metric: metric_values(rows, metric, 0, len(batch.exchanges)) for metric in METRICS}
 
     def result() -> BatchResult:
-        frames = concatenate_frames([{name: wait() for name, wait in begun.items()}])
-        return BatchResult(frames, rows.counts, measuring.result(), copies, values)
+        frames = {name: wait() for name, wait in begun.items()}
+        if measures_whole:
+            statistics, frames["intervals"], frames["one_way"] = whole.result()
+        else:
+            statistics = measuring.result()
+        return BatchResult(concatenate_frames([frames]), rows.counts, statistics, copies, values)
 
     return BatchOutput(rows if options.rows else None, result)
 

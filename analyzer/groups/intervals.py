@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import Batch, columns_by_group, is_present, present
+from .summary import Measured, Statistics
 
 INTERVAL_SCHEMA = frame_schema(
     "group:u32 metric:str percentile:str quantile:f64 estimate_ns:f64 low_ns:f64 high_ns:f64 method:str "
@@ -44,31 +45,57 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     (`student_t_of_runs` or `order_statistics`) without both ends; `typical_ns` is of a typical run. Others as in
     `statistics.intervals.Interval` and `run_statistics.spread.Spread`.
     """
+    return measure_whole(batch, roundtrips)[1]
+
+
+def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.DataFrame, pl.DataFrame]:
+    """Return `measure_batch`, `interval_frame` and `one_way_frame` of whole groups; each value is sorted once for all."""
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
+    measured: dict[tuple[int, str], Measured] = {}
+
+    def take(group: int, metric: str, ordered: NDArray[np.int64]) -> None:
+        measured[group, metric] = Measured.of(ordered)
+
     groups = ((group, column, run_of_row[part]) for group, column, part in columns_by_group(batch, roundtrips))
-    return pl.DataFrame(list(rows_of_groups(groups)), schema=INTERVAL_SCHEMA)
+    rows = list(rows_of_groups(groups, take))
+    nothing = Measured.of(np.empty(0, np.int64))
+    statistics = Statistics.of(
+        (group, metric, measured.get((group, metric), nothing))
+        for group in np.unique(batch.group_of_exchange).tolist()
+        for metric in METRICS
+    )
+    one_way = [
+        row
+        for group, column, _ in columns_by_group(batch, roundtrips)
+        for row in one_way_rows(group, column, lambda metric, group=group: measured[group, metric].statistics)
+    ]
+    return statistics, pl.DataFrame(rows, schema=INTERVAL_SCHEMA), pl.DataFrame(one_way, schema=ONE_WAY_SCHEMA)
 
 
-_Measured = tuple[int, str, Runs, "list[Spread]", float]
+_MetricOfGroup = tuple[int, str, Runs, "list[Spread]", float]
 """Group, metric, its runs, their spreads, and by how much a quantile may be off, ns."""
 
 
 def rows_of_groups(
     groups: Iterable[tuple[int, Callable[[str], pl.Series], NDArray[np.int64]]],
+    take: Callable[[int, str, NDArray[np.int64]], object] = lambda *_: None,
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of groups, each with its columns and the run of each row; small groups are measured together."""
-    together: list[_Measured] = []
+    """Yield the rows of groups, each with its columns and the run of each row; small groups are measured together.
+
+    `take` gets the ascending values of each group and metric that has any.
+    """
+    together: list[_MetricOfGroup] = []
     messages = 0
     for group, column, run_of_row in groups:
         for metric in _measured(group, column, run_of_row):
             together.append(metric)
             messages += len(run_of_row)
             if messages > len(_METRICS) * SMALL_GROUP:
-                yield from _rows_of(together)
+                yield from _rows_of(together, take)
                 together, messages = [], 0
-    yield from _rows_of(together)
+    yield from _rows_of(together, take)
 
 
 def interval_rows(
@@ -77,7 +104,9 @@ def interval_rows(
     return rows_of_groups([(group, column, run_of_row)])
 
 
-def _measured(group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]) -> Iterator[_Measured]:
+def _measured(
+    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
+) -> Iterator[_MetricOfGroup]:
     sent_ns = column("publish_ns").to_numpy()
     all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
@@ -103,10 +132,13 @@ def _measured(group: int, column: Callable[[str], pl.Series], run_of_row: NDArra
             yield group, metric, runs.pop(metric), spreads_of_metric, bound_ns if metric in ONE_WAY_METRICS else 0.0
 
 
-def _rows_of(together: Sequence[_Measured]) -> Iterator[dict[str, object]]:
+def _rows_of(
+    together: Sequence[_MetricOfGroup], take: Callable[[int, str, NDArray[np.int64]], object]
+) -> Iterator[dict[str, object]]:
     estimates_of_all = estimates_of_groups([runs for _, _, runs, _, _ in together], _STATISTICS)
     for (group, metric, runs, spreads, off_ns), estimates in zip(together, estimates_of_all, strict=True):
         ordered = runs.ordered
+        take(group, metric, ordered)
         for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):
             interval = estimate.interval
             supported = len(ordered) >= percentile.needs
@@ -163,15 +195,21 @@ class _Sending:
 
 
 def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    rows = [row for group, column, _ in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
-    return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
+    return measure_whole(batch, roundtrips)[2]
 
 
-def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, object]]:
+def one_way_rows(
+    group: int, column: Callable[[str], pl.Series], measured: Callable[[str], Mapping[str, float | None]] | None = None
+) -> Iterator[dict[str, object]]:
+    """Yield the rows of a group; `measured` has the statistics of each metric, if they are known."""
     bounds = column("clock_bound_ns")
     bounds_ns, has_bound = present(bounds), bounds.is_not_null()
     for metric in ONE_WAY_METRICS if len(bounds_ns) else ():
-        statistics = summarize_values(np.sort(present(column(f"{metric}_ns").filter(has_bound))))
+        statistics = (
+            measured(metric)
+            if measured
+            else summarize_values(np.sort(present(column(f"{metric}_ns").filter(has_bound))))
+        )
         yield (
             {"group": group, "metric": metric, "messages": len(bounds_ns)}
             | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,11 +30,32 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What is kept of the ascending values of a metric of a group."""
+
+    samples: int
+    statistics: Mapping[str, float | None]
+    histogram: Histogram
+
+    @classmethod
+    def of(cls, ordered_ns: NDArray[np.int64]) -> Measured:
+        return cls(len(ordered_ns), summarize_values(ordered_ns), histogram_of(ordered_ns))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
     """Statistics (`samples` and `columns.STATISTICS`, ns) and histograms of each metric of some groups."""
 
     frame: pl.DataFrame
     distributions: pl.DataFrame
+
+    @classmethod
+    def of(cls, metrics: Iterable[tuple[int, str, Measured]]) -> Statistics:
+        """Take metrics of groups, one group after the other."""
+        all_metrics = list(metrics)
+        rows = [{"group": g, "metric": metric, "samples": m.samples, **m.statistics} for g, metric, m in all_metrics]
+        histograms = [(group, metric, measured.histogram) for group, metric, measured in all_metrics]
+        return cls(pl.DataFrame(rows, schema=_STATISTICS_SCHEMA), _distributions(histograms))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Statistics]) -> Statistics:
@@ -57,11 +78,7 @@ def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
 
 
 def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Statistics:
-    rows, histograms = [], []
-    for group, metric, ordered_ns in values:
-        rows.append({"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)})
-        histograms.append((group, metric, histogram_of(ordered_ns)))
-    return Statistics(pl.DataFrame(rows, schema=_STATISTICS_SCHEMA), _distributions(histograms))
+    return Statistics.of((group, metric, Measured.of(ordered_ns)) for group, metric, ordered_ns in values)
 
 
 def _distributions(histograms: list[tuple[int, str, Histogram]]) -> pl.DataFrame:

@@ -40,8 +40,8 @@ LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
 """Yields each trace, or why a file is not one."""
 
 
-MOST_EVENTS_IN_MEMORY = 1_000_000
-"""Events that are not written and read again: 56 MB."""
+MOST_EVENTS_IN_MEMORY = 500_000
+"""Events that are not written and read again: 28 MB."""
 
 
 class TraceSpool:

@@ -103,12 +103,12 @@ def test_a_large_batch_measured_side_by_side_says_the_same(tmp_path, monkeypatch
     whole = analyze(runs)
     threads = set()
 
-    def measure_batch(*of_batch):
+    def measure_whole(*of_batch):
         threads.add(threading.current_thread().name.partition("_")[0])
         return measure(*of_batch)
 
-    measure = dds_trace.analyzer.engines.batches.measure_batch
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_batch", measure_batch)
+    measure = dds_trace.analyzer.engines.batches.measure_whole
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_whole", measure_whole)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)
     found = analyze(runs)
     assert threads == {"measure"}

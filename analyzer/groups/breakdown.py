@@ -56,7 +56,7 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     if not batch.whole:
         return pl.DataFrame(schema=BREAKDOWN_SCHEMA)
-    messages = _messages(batch, roundtrips)
+    messages, is_stamped = _messages(batch, roundtrips), roundtrips.stamp_names >= RECEPTION_STAMPS
     deliveries = pl.when("is_sound").then(pl.col(_ANCHORED[:2]))
     is_sound, clock_ns = pl.col("is_sound").first(), pl.col("clock_bound_ns").mean()
     anchor_ns, with_clock_ns = pl.col("anchor_ns").first(), pl.col("with_clock_ns").first()
@@ -81,10 +81,10 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         .agg(
             part(0, "waiting_ns", pl.col("waiting_ns"), pl.lit(0.0)),
             part(1, "outbound_ns", pl.col("outbound_ns") - there.fill_null(0), way_ns),
-            part(2, "", there, anchor_ns),
+            *([part(2, "", there, anchor_ns)] if is_stamped else []),
             part(3, "relay_ns", pl.col("intermediate_ns"), pl.lit(0.0)),
             part(4, "return_ns", pl.col("return_ns") - back.fill_null(0), way_ns),
-            part(5, "", back, anchor_ns),
+            *([part(5, "", back, anchor_ns)] if is_stamped else []),
         )
         .unpivot(index="group")
         .unnest("value")

@@ -69,7 +69,9 @@ def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.
     one_way = [
         row
         for group, column, _ in columns_by_group(batch, roundtrips)
-        for row in one_way_rows(group, column, lambda metric, group=group: measured[group, metric].statistics)
+        for row in one_way_rows(
+            group, column, {m: measured[group, m] for m in ONE_WAY_METRICS if (group, m) in measured}
+        )
     ]
     return statistics, pl.DataFrame(rows, schema=INTERVAL_SCHEMA), pl.DataFrame(one_way, schema=ONE_WAY_SCHEMA)
 
@@ -199,14 +201,14 @@ def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def one_way_rows(
-    group: int, column: Callable[[str], pl.Series], measured: Callable[[str], Mapping[str, float | None]] | None = None
+    group: int, column: Callable[[str], pl.Series], measured: Mapping[str, Measured] | None = None
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of a group; `measured` has the statistics of each metric, if they are known."""
+    """Yield the rows of a group; `measured` is by metric, if it is known."""
     bounds = column("clock_bound_ns")
     bounds_ns, has_bound = present(bounds), bounds.is_not_null()
     for metric in ONE_WAY_METRICS if len(bounds_ns) else ():
         statistics = (
-            measured(metric)
+            measured[metric].statistics
             if measured
             else summarize_values(np.sort(present(column(f"{metric}_ns").filter(has_bound))))
         )

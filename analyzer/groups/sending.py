@@ -54,23 +54,26 @@ def _late(rows: pl.LazyFrame) -> pl.LazyFrame:
     due_ns, sent_ns, delayed = pl.col("scheduled_ns"), pl.col("publish_ns"), pl.col("delayed")
     waited_ns, still_ns = pl.col("waited_ns"), pl.col("still_ns")
     stood = still_ns >= STILL_NS
-    return (
-        rows.drop_nulls("scheduled_ns")
-        .with_columns(
-            waited_ns=sent_ns - due_ns, still_ns=sent_ns - pl.max_horizontal(due_ns, sent_ns.shift().over("exchange"))
-        )
+    scheduled = rows.drop_nulls("scheduled_ns").with_columns(waited_ns=sent_ns - due_ns)
+    waits = scheduled.group_by("exchange").agg(most_ns=waited_ns.max(), late_p99_ns=waited_ns.quantile(0.99, "linear"))
+    waits = waits.with_columns(is_late=pl.col("most_ns") > LATE_NS).collect().lazy()
+    # A ping that stood still was late, too.
+    of_late = (
+        scheduled.join(waits.filter("is_late"), on="exchange", how="semi", maintain_order="left")
+        .with_columns(still_ns=sent_ns - pl.max_horizontal(due_ns, sent_ns.shift().over("exchange")))
         .with_columns(delayed=pl.when(stood).then(pl.lit(1)).when(waited_ns <= LATE_NS).then(pl.lit(0)))
         .with_columns(delayed.forward_fill().over("exchange").fill_null(0) == 1)
         .group_by("exchange")
         .agg(
             late=(~delayed & (waited_ns > LATE_NS)).sum(),
             late_max_ns=waited_ns.filter(~delayed).max(),
-            late_p99_ns=waited_ns.quantile(0.99, "linear"),
             still=stood.sum(),
             still_end_ns=sent_ns.filter(stood & (still_ns == still_ns.max())).first(),
             still_ns=still_ns.filter(stood).max(),
         )
     )
+    late_max_ns = pl.when("is_late").then("late_max_ns").otherwise("most_ns").alias("late_max_ns")
+    return waits.join(of_late, on="exchange", how="left").with_columns(late_max_ns)
 
 
 def _schedule_lag(rows: pl.LazyFrame, batch: Batch) -> pl.LazyFrame:

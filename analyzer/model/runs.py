@@ -77,13 +77,16 @@ class RunRows:
         A reply without the relay's stamps counts with half of its round trip: leaving it out would favour losses.
         """
         at_most = self._floats(f"{metric}_ns")
-        if self.received.all() and not self.rows[f"{metric}_ns"].null_count():
+        if self.is_whole(metric):
             return Run(at_most, self.rows["publish_ns"].to_numpy())
         if metric in _TWICE_AT_MOST:
             at_most = np.where(np.isnan(at_most), self._floats(_TWICE_AT_MOST[metric]) / 2, at_most)
         value = np.where(self.received, at_most, math.inf)
         has_value = ~np.isnan(value)
         return Run(value[has_value], self.rows["publish_ns"].to_numpy()[has_value])
+
+    def is_whole(self, metric: str) -> bool:
+        return bool(self.received.all()) and not self.rows[f"{metric}_ns"].null_count()
 
     def survivors(self, metric: str) -> Run:
         value, sent_ns = self.rows[f"{metric}_ns"], self.rows["publish_ns"]

@@ -34,6 +34,8 @@ LEAST_GAP = 1.5
 
 _MOST_CELLS = 1024  # of neighbours; the shortest cosine has 170 of them in a period
 
+_MOST_CACHED = 1 << 16  # messages of series whose cells are kept
+
 _MANY = 20
 """Messages a cell from which on a search is quicker."""
 
@@ -105,9 +107,15 @@ class Cells:
 
 
 def cells_of(lengths: Sequence[int]) -> Cells:
+    make = _cells_of if sum(lengths) <= _MOST_CACHED else _cells_of.__wrapped__
+    return make(tuple(lengths))
+
+
+@lru_cache(maxsize=16)
+def _cells_of(lengths: tuple[int, ...]) -> Cells:
     cells = [min(messages, _MOST_CELLS) for messages in lengths]
     widths = np.concatenate(list(map(_widths, lengths, cells)))
-    return Cells(tuple(lengths), widths, np.cumsum([0, *cells]))
+    return Cells(lengths, widths, np.cumsum([0, *cells]))
 
 
 def share_inflations(cells: Cells, counts: Indices, offsets: Indices) -> list[list[float]]:
@@ -115,11 +123,11 @@ def share_inflations(cells: Cells, counts: Indices, offsets: Indices) -> list[li
 
     `counts`: of each subset its `Cells.counts`; `offsets`: the first of its messages in each series, and the number of all.
     """
-    counts = counts.astype(np.float64)
+    in_cells: Float64 = counts.astype(np.float64)
     shares = (offsets[:, 1:] - offsets[:, :-1])[..., None] / cells.messages
     variances = np.empty_like(shares)
     for (series, in_series), projections in zip(cells.blocks, cells.projections, strict=True):
-        in_block = counts[:, in_series].reshape(len(counts), len(projections), -1)
+        in_block = in_cells[:, in_series].reshape(len(counts), len(projections), -1)
         centred = _projections(in_block) - shares[:, series] * projections
         variances[:, series] = _variances(centred, cells.messages[series])
     independent = shares * (1 - shares)
@@ -210,7 +218,7 @@ def sizes_between(ends: Indices) -> Int64:
 def gaps_of(events: Indices, messages: Indices, share: float) -> Float64:
     gaps = np.full(len(events), np.inf)
     np.divide(share * messages, events, out=gaps, where=events > 0)
-    return np.maximum(gaps, LEAST_GAP)
+    return np.asarray(np.maximum(gaps, LEAST_GAP))
 
 
 @lru_cache(maxsize=4096)

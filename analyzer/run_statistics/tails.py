@@ -158,10 +158,9 @@ def _beyond_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Be
     starts = np.arange(len(groups) + 1) * len(first.values)
     bounds = np.append((starts[:-1, None] + first.offsets[:-1]).ravel(), starts[-1])
     thresholds = [thresholds_of(runs.ordered_relative, quantiles) for runs in groups]
-    values, positions_of_all = first.relative, first.positions
-    if len(groups) > 1:
-        values = np.concatenate([runs.relative for runs in groups])
-        positions_of_all = _positions([runs.times for runs in groups], bounds)
+    is_single = len(groups) == 1
+    values = first.relative if is_single else np.concatenate([runs.relative for runs in groups])
+    positions_of_all = first.positions if is_single else _positions([runs.times for runs in groups], bounds)
     beyond = []
     for indices in indices_beyond(values, starts, thresholds, quantiles):
         offsets = indices.searchsorted(bounds)

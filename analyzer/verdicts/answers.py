@@ -129,7 +129,9 @@ def find_answers(
         starts_ns = [
             wall_offsets_ns[run.run_id] + first
             for run in setup.runs
-            if wall_offsets_ns and run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
+            if wall_offsets_ns
+            and run.run_id in wall_offsets_ns
+            and isinstance(first := run.rows["publish_ns"].min(), int)
         ]
         return names[tuple(setting.values())], replace(
             setup,

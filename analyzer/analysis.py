@@ -192,8 +192,8 @@ class Analysis:
             OutputExistsError: the folder has something else than a saved analysis.
             OutputError: the folder cannot be written.
         """
-        from .saving.folder import write_folder  # noqa: PLC0415 - most analyses are not saved
-        from .saving.records import Content  # noqa: PLC0415 - most analyses are not saved
+        from .saving.folder import write_folder
+        from .saving.records import Content
 
         content = Content(
             title=self.title,
@@ -266,8 +266,8 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
     Raises:
         TraceFormatError: there is no saved analysis of this version, or a file of it was changed.
     """
-    from .saving.folder import read_folder  # noqa: PLC0415 - most analyses are not saved
-    from .saving.records import Content, from_json  # noqa: PLC0415 - most analyses are not saved
+    from .saving.folder import read_folder
+    from .saving.records import Content, from_json
 
     files = read_folder(Path(folder))
     try:

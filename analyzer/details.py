@@ -65,7 +65,7 @@ def collect_details(
     recoveries = recovery_frame(campaign.traces, grouping, rows)
     recommendation = None
     if options.job is not None:
-        from .verdicts.recommend import recommend_settings  # noqa: PLC0415 - few analyses are of a job
+        from .verdicts.recommend import recommend_settings
 
         messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
         recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values())

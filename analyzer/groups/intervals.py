@@ -49,7 +49,7 @@ def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.DataFrame, pl.DataFrame]:
-    """Return `measure_batch`, `interval_frame` and `one_way_frame` of whole groups; each value is sorted once for all."""
+    """Return `measure_batch`, `interval_frame` and `one_way_frame`; each value is sorted once."""
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
@@ -77,17 +77,14 @@ def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.
 
 
 _MetricOfGroup = tuple[int, str, Runs, "list[Spread]", float]
-"""Group, metric, its runs, their spreads, and by how much a quantile may be off, ns."""
+"""Group, metric, its runs, their spreads, and the error of a quantile, ns."""
 
 
 def rows_of_groups(
     groups: Iterable[tuple[int, Callable[[str], pl.Series], NDArray[np.int64]]],
     take: Callable[[int, str, NDArray[np.int64]], object] = lambda *_: None,
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of groups, each with its columns and the run of each row; small groups are measured together.
-
-    `take` gets the ascending values of each group and metric that has any.
-    """
+    """Yield the rows of groups, small ones measured together; `take` gets the ascending values of each group and metric."""
     together: list[_MetricOfGroup] = []
     messages = 0
     for group, column, run_of_row in groups:
@@ -203,7 +200,6 @@ def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 def one_way_rows(
     group: int, column: Callable[[str], pl.Series], measured: Mapping[str, Measured] | None = None
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of a group; `measured` is by metric, if it is known."""
     bounds = column("clock_bound_ns")
     bounds_ns, has_bound = present(bounds), bounds.is_not_null()
     for metric in ONE_WAY_METRICS if len(bounds_ns) else ():

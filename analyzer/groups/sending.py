@@ -57,8 +57,7 @@ def _late(rows: pl.LazyFrame) -> pl.LazyFrame:
     scheduled = rows.drop_nulls("scheduled_ns").with_columns(waited_ns=sent_ns - due_ns)
     waits = scheduled.group_by("exchange").agg(most_ns=waited_ns.max(), late_p99_ns=waited_ns.quantile(0.99, "linear"))
     waits = waits.with_columns(is_late=pl.col("most_ns") > LATE_NS).collect().lazy()
-    # A ping that stood still was late, too.
-    of_late = (
+    lates = (
         scheduled.join(waits.filter("is_late"), on="exchange", how="semi", maintain_order="left")
         .with_columns(still_ns=sent_ns - pl.max_horizontal(due_ns, sent_ns.shift().over("exchange")))
         .with_columns(delayed=pl.when(stood).then(pl.lit(1)).when(waited_ns <= LATE_NS).then(pl.lit(0)))
@@ -73,7 +72,7 @@ def _late(rows: pl.LazyFrame) -> pl.LazyFrame:
         )
     )
     late_max_ns = pl.when("is_late").then("late_max_ns").otherwise("most_ns").alias("late_max_ns")
-    return waits.join(of_late, on="exchange", how="left").with_columns(late_max_ns)
+    return waits.join(lates, on="exchange", how="left").with_columns(late_max_ns)
 
 
 def _schedule_lag(rows: pl.LazyFrame, batch: Batch) -> pl.LazyFrame:

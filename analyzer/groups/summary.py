@@ -31,7 +31,7 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What is kept of the ascending values of a metric of a group."""
+    """What is kept of a metric of a group."""
 
     samples: int
     statistics: Mapping[str, float | None]
@@ -51,7 +51,6 @@ class Statistics:
 
     @classmethod
     def of(cls, metrics: Iterable[tuple[int, str, Measured]]) -> Statistics:
-        """Take metrics of groups, one group after the other."""
         all_metrics = list(metrics)
         rows = [{"group": g, "metric": metric, "samples": m.samples, **m.statistics} for g, metric, m in all_metrics]
         histograms = [(group, metric, measured.histogram) for group, metric, measured in all_metrics]

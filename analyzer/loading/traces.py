@@ -6,6 +6,7 @@ import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 from dds_trace.base.errors import OutputError, TraceFormatError
@@ -77,30 +78,27 @@ class TraceSpool:
 
 
 def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatError:
-    """Load one trace, its events into a file of `folder`, which other processes can read, too; up to `room` stay in memory.
+    """Load one trace, its events into a file of `folder`, which other processes can read; one piece with `room` stays in memory.
 
     Raises:
         OutputError: the events cannot be written.
     """
     file = folder / f"{secrets.token_hex(8)}.events"
-    in_memory: dict[EventKey, list[EventPart]] = {}
+    in_memory: list[Mapping[Stage, EventColumns]] = []
     written: dict[EventKey, list[tuple[int, int, SpooledPiece]]] = {}
     try:
         with file.open("wb") as stream:
 
             def take(piece: Mapping[Stage, EventColumns]) -> None:
-                nonlocal room
-                room -= sum(map(len, piece.values()))
-                for key, part in split_trace(piece, 0).items():
-                    in_memory.setdefault(key, []).append(part)
-                if room >= 0:
+                in_memory.append(piece)
+                if not written and len(in_memory) == 1 and sum(map(len, piece.values())) <= room:
                     return
-                for key, parts in in_memory.items():
+                for key, part in chain.from_iterable(split_trace(each, 0).items() for each in in_memory):
                     try:
-                        pieces = [(part.first_ns, part.last_ns, write_events(stream, part.load())) for part in parts]
+                        spooled = write_events(stream, part.load())
                     except OSError as err:  # not of reading the trace
                         raise _full(path, err) from err
-                    written.setdefault(key, []).extend(pieces)
+                    written.setdefault(key, []).append((part.first_ns, part.last_ns, spooled))
                 in_memory.clear()
 
             trace = _read(path, take)
@@ -109,31 +107,12 @@ def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatEr
         return err
     except OSError as err:
         raise _full(path, err) from err
-    return LoadedTrace(trace, {**_joined(in_memory), **_spooled(file, written)}, file)
-
-
-def _joined(pieces: Mapping[EventKey, Sequence[EventPart]]) -> dict[EventKey, EventPart]:
-    return {
-        key: parts[0]
-        if len(parts) == 1
-        else EventPart(
-            0,
-            sum(part.count for part in parts),
-            min(part.first_ns for part in parts),
-            max(part.last_ns for part in parts),
-            EventColumns.concatenate(part.load() for part in parts),
-        )
-        for key, parts in pieces.items()
-    }
-
-
-def _spooled(file: Path, written: Mapping[EventKey, list[tuple[int, int, SpooledPiece]]]) -> dict[EventKey, EventPart]:
-    parts = {}
+    parts = split_trace(in_memory[0], 0) if in_memory else {}
     for key, pieces in written.items():
         firsts_ns, lasts_ns, spooled = zip(*pieces, strict=True)
         events = SpooledEvents(file, spooled)
         parts[key] = EventPart(0, events.count, min(firsts_ns), max(lasts_ns), events)
-    return parts
+    return LoadedTrace(trace, parts, file)
 
 
 def load_some(paths: Sequence[Path], folder: Path) -> list[LoadedTrace | TraceFormatError]:

@@ -103,10 +103,10 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
         for name, text in texts.items():
-            numbers, found = text
-            is_same = len(found) == 1 and not numbers.null_count()
+            numbers, words = text
+            is_same = len(words) == 1 and not numbers.null_count()
             indices = zeros if is_same else _repeated(numbers, rows_of_exchange)
-            columns[name] = pa.DictionaryArray.from_arrays(indices, found)
+            columns[name] = pa.DictionaryArray.from_arrays(indices, words)
         yield pa.Table.from_arrays([columns[name] for name in _WRITTEN_SCHEMA.names], schema=_WRITTEN_SCHEMA)
 
 
@@ -124,7 +124,7 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
 
 
 def _texts(values: pl.Series) -> pa.Array:
-    # `cast` and `dictionary_encode` of pyarrow take longer to import than all texts of a small campaign to write.
+    # `cast` and `dictionary_encode` would import `pyarrow.compute`.
     large = values.rechunk().to_arrow()
     bitmap, offsets, data = large.buffers()
     ends = np.frombuffer(offsets, np.int64)[large.offset : large.offset + len(large) + 1].astype(np.int32)
@@ -132,9 +132,9 @@ def _texts(values: pl.Series) -> pa.Array:
 
 
 def _encoded(values: pl.Series) -> tuple[pl.Series, pa.Array]:
-    found = values.drop_nulls().unique(maintain_order=True)
-    number = {text: index for index, text in enumerate(found)}
-    return pl.Series(list(map(number.get, values)), dtype=pl.Int32), _texts(found)
+    texts = values.drop_nulls().unique(maintain_order=True)
+    number = {text: index for index, text in enumerate(texts)}
+    return pl.Series(list(map(number.get, values)), dtype=pl.Int32), _texts(texts)
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:

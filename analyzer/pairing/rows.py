@@ -188,6 +188,6 @@ def _series(name: str, column: pa.ChunkedArray) -> pl.Series:
 
 
 def _of_arrow(values: pa.Array | pa.ChunkedArray) -> pl.Series:
-    # By the C interface: to look at a pyarrow object, polars imports `pyarrow.compute`.
+    # Of a pyarrow object itself, polars imports `pyarrow.compute`.
     stream = values if isinstance(values, pa.ChunkedArray) else pa.chunked_array([values])
     return pl.Series(SimpleNamespace(__arrow_c_stream__=stream.__arrow_c_stream__))

@@ -63,7 +63,6 @@ def estimates_of_runs(
 def estimates_of_groups(
     groups: Sequence[Runs], statistics: Sequence[Statistic], confidence: float = 0.95
 ) -> list[list[Estimate]]:
-    """Return `estimates_of_runs` of each group; those with equal lengths of runs share the work."""
     units = _units_of_groups(groups, statistics)
     joined = [
         [
@@ -233,7 +232,6 @@ def student_ends(values: Float64, confidence: float) -> tuple[float, float, floa
 def _intervals_within(
     groups: Sequence[Runs], statistics: Sequence[Sequence[Statistic]], confidence: float
 ) -> list[dict[Statistic, Interval]]:
-    """Return the intervals of some statistics of each group as if it were one run."""
     asked: list[tuple[Runs, list[float]]] = []
     for group, of_group in zip(groups, statistics, strict=True):
         samples = sum(group.lengths)

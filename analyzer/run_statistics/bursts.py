@@ -34,7 +34,7 @@ LEAST_GAP = 1.5
 
 _MOST_CELLS = 1024  # of neighbours; the shortest cosine has 170 of them in a period
 
-_MOST_CACHED = 1 << 16  # messages of series whose cells are kept
+_MOST_CACHED = 1 << 16  # messages
 
 _MANY = 20
 """Messages a cell from which on a search is quicker."""
@@ -70,7 +70,7 @@ class Cells:
     offsets: Indices
 
     def counts(self, indices: Indices, groups: int = 1) -> Indices:
-        """Return how many of the messages are in each cell, shape (groups, cells); `indices` are of one group after the other."""
+        """Return the messages in each cell, shape (groups, cells); `indices` are of one group after the other."""
         cells, messages = len(self.widths), sum(self.lengths)
         if groups == 1 and len(indices) > _MANY * cells:
             return np.diff(indices.searchsorted(self._bounds))[None, :]

@@ -46,7 +46,7 @@ class SendTimes:
         self._joined: dict[tuple[int, ...], SendTimes] = {}
 
     def joined(self, ends: tuple[int, ...], *, is_timed: bool) -> SendTimes:
-        """Return the times of neighbours together, up to the runs at `ends`; evenly spaced unless every run `is_timed`."""
+        """Return the times of neighbours together, up to the runs at `ends`; evenly spaced unless all are timed."""
         if ends not in self._joined:
             offsets = self.offsets[[0, *ends]]
             spans = pairwise(offsets.tolist())

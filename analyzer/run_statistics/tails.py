@@ -153,7 +153,6 @@ def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
 
 
 def _beyond_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Beyond]:
-    """Return the messages of all groups beyond each quantile of their group; the groups have equal lengths of runs."""
     first = groups[0]
     starts = np.arange(len(groups) + 1) * len(first.values)
     bounds = np.append((starts[:-1, None] + first.offsets[:-1]).ravel(), starts[-1])
@@ -169,35 +168,25 @@ def _beyond_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Be
 
 
 def _positions(times: Sequence[SendTimes], bounds: Indices) -> Callable[[Indices, Indices], Float64]:
-    sent_ns, first_ns, distances_ns = (
-        np.concatenate([getattr(one, name) for one in times]) for name in ("sent_ns", "first_ns", "distances_ns")
-    )
-    together = SendTimes(sent_ns, bounds)
-    together.__dict__.update(first_ns=first_ns, distances_ns=distances_ns)
+    together = SendTimes(np.concatenate([sending.sent_ns for sending in times]), bounds)
+    for name in ("first_ns", "distances_ns"):
+        together.__dict__[name] = np.concatenate([getattr(sending, name) for sending in times])
     return lambda indices, offsets: together.positions(indices, np.diff(offsets))
 
 
-MESSAGES_TOGETHER = 1 << 17
-"""Messages of groups whose tails are found together, unless one has more."""
-
-
-def tails_of_all(asked: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[list[Tail]]]:
-    """Return `tails_of` each group and its quantiles; groups with equal quantiles and lengths of runs share the work."""
+def tails_of_all(groups: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[list[Tail]]]:
+    """Return `tails_of` each group; those with equal quantiles and lengths of runs share the work."""
     alike: dict[tuple[object, ...], list[int]] = {}
-    for number, (runs, quantiles) in enumerate(asked):
+    for number, (runs, quantiles) in enumerate(groups):
         alike.setdefault((*quantiles, runs.lengths), []).append(number)
-    found: dict[int, list[list[Tail]]] = {}
+    tails: dict[int, list[list[Tail]]] = {}
     for numbers in alike.values():
-        runs, quantiles = asked[numbers[0]]
-        at_once = max(1, MESSAGES_TOGETHER // max(1, len(runs.values)))
-        for first in range(0, len(numbers), at_once):
-            part = numbers[first : first + at_once]
-            found.update(zip(part, _tails_of_alike([asked[n][0] for n in part], quantiles), strict=True))
-    return [found[number] for number in range(len(asked))]
+        runs_of_all = [groups[number][0] for number in numbers]
+        tails.update(zip(numbers, _tails_of_alike(runs_of_all, groups[numbers[0]][1]), strict=True))
+    return [tails[number] for number in range(len(groups))]
 
 
 def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    """Return the tails of each run beyond each quantile."""
     return _tails_of_alike([runs], quantiles)[0]
 
 
@@ -220,51 +209,46 @@ def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[
     sizes, episodes = sizes_between(ends), ends.searchsorted(offsets)
     squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes]).tolist()
     spans = pairwise(episodes.tolist())
-    # Of each group, as its matrices are multiplied by themselves: with more rows a product may be rounded differently.
+    # By group: a product with more rows may be rounded differently.
     bounds = np.arange(count)[:, None] * len(first) + np.arange(len(first) + 1)
     inflations = share_inflations(
         first.cells,
         np.concatenate([first.cells.counts(beyond.indices, count) for beyond in tails]),
         np.concatenate([beyond.offsets[bounds] for beyond in tails]),
     )
-    bursts = [
-        burst
+    bursts = chain.from_iterable(
+        [None] * count if level is None else _bursts(at[level], beyond, first)
         for level, beyond in zip(levels, tails, strict=True)
-        for burst in ([None] * count if level is None else _bursts(at[level], beyond, first, count))
-    ]
+    )
+    bursts_of_row = [burst for burst in bursts for _ in range(len(first))]
     inflated = chain.from_iterable(inflations)
-    columns = zip(events.tolist(), lengths, gaps.tolist(), spans, inflated, squared, streaks, strict=True)
+    columns = zip(
+        events.tolist(), lengths, gaps.tolist(), spans, inflated, squared, streaks, bursts_of_row, strict=True
+    )
     rows = [
-        Tail(
-            messages=messages,
-            sizes=sizes[start:end],
-            inflation=inflation,
-            squared=square,
-            squares=independent_squares(messages, length, gap),
-            streaks=streak,
-            bursts=bursts[row // len(first)],
-        )
-        for row, (messages, length, gap, (start, end), inflation, square, streak) in enumerate(columns)
+        Tail(messages, sizes[start:end], inflation, square, independent_squares(messages, length, gap), streak, burst)
+        for messages, length, gap, (start, end), inflation, square, streak, burst in columns
     ]
     runs = len(first)
     return [[rows[at : at + runs] for at in range(group * runs, len(rows), count * runs)] for group in range(count)]
 
 
-def _bursts(below: Beyond, beyond: Beyond, first: Runs, groups: int) -> list[int | None]:
-    """Return for each group the bursts that limit its tail; short ones are seen only beyond the quantile."""
+def _bursts(below: Beyond, beyond: Beyond, first: Runs) -> list[int | None]:
+    """Return the bursts of each group; short ones are seen only beyond the quantile."""
     runs, messages = len(first), len(first.values)
-    at_level, at_quantile = _may_be_bursts(below, runs, messages), _may_be_bursts(beyond, runs, messages)
-    found: list[int | None] = []
-    for group in range(groups):
-        span = slice(group * runs, (group + 1) * runs)
-        wide, deep = at_level[group], at_quantile[group]
-        burst = bursts_to_count(below.by_run[span], beyond.by_run[span], messages) if wide else None
-        found.append(burst or (bursts_to_count(beyond.by_run[span], beyond.by_run[span], messages) if deep else None))
-    return found
+    may_be = _may_be_bursts(below, runs, messages), _may_be_bursts(beyond, runs, messages)
+    sides = (below.by_run, beyond.by_run) if any(map(any, may_be)) else ((), ())
+    bursts: list[int | None] = [None] * len(may_be[0])
+    for group in range(len(bursts)):
+        wide, deep = (side[group * runs : (group + 1) * runs] for side in sides)
+        for positions, is_likely in zip((wide, deep), may_be, strict=True):
+            if is_likely[group] and not bursts[group]:
+                bursts[group] = bursts_to_count(positions, deep, messages)
+    return bursts
 
 
 def _may_be_bursts(beyond: Beyond, runs: int, messages: int) -> list[bool]:
-    """Return of each group whether a streak is longer than by chance, without which `bursts_to_count` finds none."""
+    """Return whether a streak of each group is longer than by chance; else `bursts_to_count` is None."""
     events = np.diff(beyond.offsets[::runs])
     gaps = gaps_of(events, np.full(len(events), messages), EPISODE_GAP_SHARE)
     ends = episode_ends(beyond.positions, gaps.repeat(events), beyond.offsets)
@@ -273,11 +257,10 @@ def _may_be_bursts(beyond: Beyond, runs: int, messages: int) -> list[bool]:
     has_any = streaks > 0
     if has_any.any():
         longest[has_any] = np.maximum.reduceat(sizes, (np.cumsum(streaks) - streaks)[has_any])
+    columns = zip(events.tolist(), gaps.tolist(), streaks.tolist(), longest.tolist(), strict=True)
     return [
-        size > _longest_streak(count, _by_chance(event, messages, gap)) if count else False
-        for event, gap, count, size in zip(
-            events.tolist(), gaps.tolist(), streaks.tolist(), longest.tolist(), strict=True
-        )
+        count > 0 and size > _longest_streak(count, _by_chance(event, messages, gap))
+        for event, gap, count, size in columns
     ]
 
 

@@ -17,11 +17,11 @@ _loading = Lock()
 
 
 def special() -> Any:
-    """Return the compiled functions of `scipy.special`; the package around them imports numpy's Fortran reader and tests."""
+    """Return the compiled functions; their package would import much of numpy."""
     name = "scipy.special._ufuncs"
     with _loading:
         if name not in sys.modules and (spec := find_spec("scipy.special")):
-            sys.modules[spec.name] = module_from_spec(spec)  # empty, so that the import of its part does not fill it
+            sys.modules[spec.name] = module_from_spec(spec)  # empty
             try:
                 import_module(name)
             finally:

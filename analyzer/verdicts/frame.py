@@ -108,7 +108,7 @@ def _cost(change: Judgement) -> Judgement:
 
 def judged_candidates(recommendation: Recommendation) -> Iterator[Judgement]:
     """Return which settings meet or miss a deadline as rows of the frame."""
-    from .recommend import Fit  # noqa: PLC0415 - few analyses are of a job
+    from .recommend import Fit
 
     job, settings = recommendation.job, [one.setting for one in recommendation.candidates]
     names = [name for name in SETTING_COLUMNS if name == "vendor" or len({setting[name] for setting in settings}) > 1]

@@ -121,7 +121,7 @@ def time_shape(
     """Yield the figures of one campaign; bars hold at full size only."""
     traces = write_campaign(folder / "runs", shape)
     write_campaign(folder / "tiny", TINY)
-    floors, over_before, peaks = [], [], []
+    floors, over_before, cpu_over_before, peaks = [], [], [], []
     job: Callable[[], None] | None = None
     for _ in range(rounds):
         start_up_s = min(analyze(folder / "tiny", folder / "tiny_out").wall_s for _ in range(2))
@@ -135,6 +135,7 @@ def time_shape(
         of_before = ""
         if before is not None:
             over_before.append(ran.wall_s / before.wall_s)
+            cpu_over_before.append(ran.cpu_s / before.cpu_s)
             of_before = (
                 f"before {before.wall_s:.2f} s, {before.cpu_s:.2f} s of a core, {before.peak_bytes / 1e9:.2f} GB; "
             )
@@ -150,6 +151,7 @@ def time_shape(
     yield Bar(f"{shape.name}: times the floor", median(floors), bar(MOST_TIMES_FLOOR.get(key, math.inf)))
     if over_before:
         yield Bar(f"{shape.name}: times before", median(over_before), bar(MOST_TIMES_BEFORE))
+        yield Bar(f"{shape.name}: processor times before", median(cpu_over_before), bar(MOST_TIMES_BEFORE))
     yield Bar(f"{shape.name}: peak, GB", max(peaks), bar(MOST_BYTES.get(key, MOST_BYTES_OF_OTHERS) / 1e9))
 
 

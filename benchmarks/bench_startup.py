@@ -2,6 +2,7 @@
 
     python benchmarks/bench_startup.py             fifteen rounds: about a minute
     python benchmarks/bench_startup.py --rounds 5
+    python benchmarks/bench_startup.py --against DIR    the analysis of the checkout in DIR, too
 
 Every round starts each command once, one after the other, beside `python -c pass`; a row has the median of its wall and
 CPU time, and the median ratio of its wall time to that of the bare interpreter in the same round. Bytecode is at hand, as pip leaves
@@ -28,6 +29,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_traces" / "losses"
 HELP_S, ANALYSIS_S, DRY_RUN_S = 0.2, 0.8, 5.0
 BARE = "python -c pass"
 ANALYSIS = "dds-analyze sample_traces/losses"
+BEFORE = f"{ANALYSIS}, before"
 DRY_RUN = "sweep --dry-run of 5,000 results"
 PLAN = f"""
 [axes]
@@ -60,7 +62,7 @@ class Startup:
         return self.bar_s is None or self.wall_s <= self.bar_s
 
 
-def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
+def commands(folder: Path, against: Path | None) -> dict[str, tuple[list[str], float | None]]:
     """Return name -> (arguments, most seconds) of everything that is started."""
     subcommands = [
         "dds-record",
@@ -76,9 +78,18 @@ def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
             f"{name} --help": ([str(BIN / name.split()[0]), *name.split()[1:], "--help"], HELP_S)
             for name in subcommands
         },
-        ANALYSIS: ([str(BIN / "dds-analyze"), str(SAMPLE), "--out", str(folder / "out")], ANALYSIS_S),
+        ANALYSIS: (analysis_of(SAMPLE.parents[1], folder), ANALYSIS_S),
+        **({BEFORE: (analysis_of(against, folder), None)} if against else {}),
         DRY_RUN: ([str(BIN / "dds-trace"), "sweep", str(plan), "--dry-run", "--out", str(folder)], DRY_RUN_S),
     }
+
+
+def analysis_of(checkout: Path, folder: Path) -> list[str]:
+    """Return the arguments of an analysis of the smallest sample by a checkout."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(checkout / 'src')!r}); from dds_trace.cli.dds_analyze import main; main()"
+    )
+    return [sys.executable, "-c", code, str(SAMPLE), "--out", str(folder / "out")]
 
 
 def time_start(arguments: list[str], environment: dict[str, str]) -> tuple[float, float]:
@@ -91,10 +102,10 @@ def time_start(arguments: list[str], environment: dict[str, str]) -> tuple[float
     return wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measure(rounds: int) -> list[Startup]:
+def measure(rounds: int, against: Path | None) -> list[Startup]:
     """Start every command in turn, so many rounds, and return the medians."""
     with tempfile.TemporaryDirectory(prefix="bench-startup-") as name:
-        started = commands(Path(name))
+        started = commands(Path(name), against)
         environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(Path(name) / "bytecode")}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         times: dict[str, list[tuple[float, float]]] = {command: [] for command in started}
@@ -119,9 +130,10 @@ def main() -> int:
     """Measure, print, and say by the exit code whether every bar is passed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--against", type=Path, metavar="DIR", help="a checkout whose analysis is measured in turn")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
     options = parser.parse_args()
-    startups = measure(options.rounds)
+    startups = measure(options.rounds, options.against)
     if options.json:
         print(json.dumps([{**asdict(startup), "passed": startup.passed} for startup in startups], indent=1))
     else:

@@ -62,7 +62,7 @@ SHAPES = {
     "4m": STUDY.times(0.2),
     "study": STUDY,
     "one_run": ONE_RUN,
-    "two_files": Shape("2,000 short runs in 2 files", 2_000_000, runs=2_000, pairs=1, groups=400, rate_hz=100),
+    "two_files": Shape("2,000 short runs in 2 files", 400_000, runs=2_000, pairs=1, groups=400, rate_hz=100),
     "short_runs": SHORT_RUNS.of(4_000_000),
 }
 

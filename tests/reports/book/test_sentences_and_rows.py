@@ -1,7 +1,10 @@
-"""Every number of an answer, and of a comparison, is one of the frame: a row of `judgements` or another frame of the JSON report."""
+"""Every number of an answer, and of a comparison, is one of the frame: a row of `judgements` or another frame of the JSON report.
+
+And no sentence denies what a row proves, or speaks in words of a rule's inside: a denial is a query whose rows, over all that the
+sentence speaks of, are none.
+"""
 
 import json
-import random
 import re
 import tarfile
 from functools import partial
@@ -9,8 +12,9 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
+from analyses import EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
+from made_campaigns import drawn_campaign
 from trace_files import SAMPLE_NAMES, SAMPLES
 
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
@@ -29,33 +33,17 @@ from dds_trace.extensions.gates.words import change_words, gate_notes
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.fastest import fastest_words, places_alike, stretches
 from dds_trace.reports.book.groups import VENDORS, VendorLabels, format_count, time_words
-from dds_trace.reports.book.verdicts import conditions_label, setup_labels
+from dds_trace.reports.book.verdicts import conditions_label, contender_labels, place_of, setup_labels
+from dds_trace.reports.reporters import load_reporter
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 STORED = sorted({path.parent.name for path in RESULTS.glob("*/*.tar.xz")} - {"drive"})
 
 
-def drawn(seed):
-    """Two or three setups at up to three sizes; some lose, and some send less than is due."""
-    chance = random.Random(seed)
-
-    def messages():
-        typical_ns, lost = round(MS * chance.uniform(0.5, 5)), chance.choice((0, 0, 0.02, 0.2))
-        return ["lost_return" if chance.random() < lost else ns for ns in 3 * around(typical_ns)]
-
-    sides = chance.sample([{}, ZENOH, BRIDGED, {"setting": "queue_depth=1"}], chance.choice((2, 3)))
-    return make_analysis(
-        *(
-            Measured(messages(), payload_bytes=size, unsent=chance.choice((0, 0, 3)), **side)
-            for size in chance.sample([1000, 33_000, 502_000], chance.choice((1, 3)))
-            for side in sides
-        )
-    )
-
-
 MADE = {f"made {name}": make for name, make in {**EVERY_ANALYSIS, **CAMPAIGNS}.items()}
-MADE |= {f"made by {seed}": partial(drawn, seed) for seed in range(9)}
+DRAWN = {f"drawn by {seed}": partial(drawn_campaign, seed) for seed in range(20)}
 TOKEN = re.compile(r"(?<![\w#-])\d+(?:,\d{3})*(?:\.\d+)?(?: (?:%|(?:ns|µs|ms|s|B|KB|MB|Hz)\b))?")
 
 
@@ -142,6 +130,10 @@ def check_comparison(messages):
     known = {*compared(report)}
     for sentence in (info.said, info.seen if info.groups else "", *gate_notes(info.gates)):
         assert {*TOKEN.findall(sentence)} <= known, sentence
+    rows = [*(row for group in info.groups for row in group.times()), *(one for one in found.delivery["verdict"])]
+    verdicts = {getattr(row, "verdict", row) for row in rows}
+    denied = {"No regression": {"worse"}, "No change": {"better", "worse"}, "No result": {"better", "worse"}}
+    assert not any(words in info.said and changes & verdicts for words, changes in denied.items()), info.said
 
 
 def campaign(name, folder):
@@ -193,3 +185,111 @@ def test_no_two_setups_of_any_axis_or_setting_have_one_name():
         assert len({*pair.values()}) == len(pair), setting
     one_file = {0: every[0], 1: {**every[0], "setting": "PROFILES=p.xml#0123abcd"}}
     assert [*setup_labels(one_file, VendorLabels(VENDORS)).values()] == ["Fast DDS", "Fast DDS, p.xml"]
+
+
+OF_SETUPS = ("leads", "takes longer")
+
+
+def proven(book, *claims, **columns):
+    rows = book.analysis.judgements.filter(pl.col("claim").is_in(list(claims)), verdict="proven", **columns)
+    return rows.height
+
+
+def lost(book):
+    rows = book.analysis.summary
+    due = int(rows["published"].sum() + rows["unsent"].fill_null(0).sum())
+    return due - int(rows["received"].sum())
+
+
+def vendors(book):
+    series = [book.groups.series_of(group) for group in book.groups.groups]
+    others = [one for one in series if one.backend != "socket"] or series
+    return len({one.vendor_label for one in others})
+
+
+def slowed(book, sentence):
+    flow = re.search(r"slow ([\w ]+?)\.", sentence)[1]
+    others = "+".join(re.split(", | and ", re.split(" do(?:es)? not ", sentence)[0]))
+    rows = {"base": "" if flow == "a message" else flow, "subject": others}
+    worse = book.analysis.details.interference.filter(flow=rows["base"], with_flows=others, received_verdict="worse")
+    return proven(book, "differs with", **rows) + worse.height
+
+
+DENIALS = {
+    r"No difference between setups at p99 is proven": lambda book, _: proven(book, *OF_SETUPS, statistic="latency_p99"),
+    r"Too few messages to compare setups at p99": lambda book, _: proven(book, *OF_SETUPS, statistic="latency_p99"),
+    r"No proven winner": lambda book, _: proven(book, *OF_SETUPS),
+    r"shows no setup to be faster than the others": lambda book, _: proven(book, *OF_SETUPS),
+    r"there is no ranking": lambda book, _: sum(len(a.contenders) > 1 for a in book.analysis.details.answers),
+    r"No other middleware was measured": lambda book, _: vendors(book) - 1,
+    r"Every message was received": lambda book, _: lost(book),
+    r"No message was received": lambda book, _: int(book.analysis.summary["received"].sum()),
+    r"do(?:es)? not measurably slow": slowed,
+    r"Nothing doubtful was found": lambda book, _: len(book.analysis.findings),
+}
+"""A denial -> the number of rows against it."""
+
+LOOKS_LIKE_ONE = re.compile(
+    r"\b(no (?:clear|proven|difference|setup|change)|nothing|none|nobody|not judged)\b", re.IGNORECASE
+)
+COUNTED = re.compile(
+    r"no (?:clear|proven) difference in \d+|where no setup is proven to be the fastest|no proven winner"
+)
+INSIDE = re.compile(
+    r"\b(hochberg|holm|p_adjusted|letters|barred|contenders?|inconclusive|tiers?|stretch|margin_ns|None|nan|inf|null)\b"
+)
+
+
+def check_denials(book):
+    for _, sentence in [*book.answer.sentences, *((None, remark) for remark in book.answer.remarks)]:
+        rest = COUNTED.sub("", sentence)
+        for words, rows in DENIALS.items():
+            if re.search(words, sentence):
+                assert not rows(book, sentence), (sentence, rows(book, sentence))
+                rest = re.sub(words, "", rest)
+        assert not LOOKS_LIKE_ONE.search(rest), f"a denial without a query: {sentence}"
+        assert not INSIDE.search(sentence), sentence
+
+
+def check_undecided_clauses(book):
+    """Where a clause says that there is no proven winner, it says what else is proven of these sizes and places."""
+    answers = book.analysis.details.answers
+    labels = contender_labels(answers, book.groups.vendors)
+    by_place = {}
+    for answer in answers:
+        by_place.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
+    for places in by_place.values():
+        for sites in places_alike(places):
+            for stretch in stretches(case for site in sites for case in places[site]):
+                words = fastest_words(stretch, labels)
+                rows = [row for case in stretch.cases for row in case.judgements]
+                leads = [row for row in rows if row.claim.value in OF_SETUPS and row.verdict == "proven"]
+                assert ("no proven winner" in words and ", but " not in words) is not bool(leads), (words, leads)
+
+
+def check_medians(book):
+    """The answer has a median wherever a message was received and described, in each medium."""
+    timed = [row["latency_p50_ns"] for row in book.analysis.summary.to_dicts()]
+    if any(timed) and book.answer.metric == "latency" and book.analysis.details.requested:
+        said = " ".join([*(text for _, text in book.answer.sentences), *book.answer.remarks])
+        assert re.search(r"\d (?:ns|µs|ms|s)\b|the median message is lost|median latency of [a-z ]+ lost", said), said
+
+
+def check_media(book):
+    for name in ("md", "terminal", "html"):
+        text = re.sub(r"\W+", " ", load_reporter(name).render(book))
+        for kind, sentence in book.answer.sentences[:1]:
+            assert re.sub(r"\W+", " ", sentence).strip()[:40] in text, (name, kind, sentence)
+
+
+@pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *DRAWN])
+def test_no_sentence_denies_a_proven_row(tmp_path, name):
+    analysis = DRAWN[name]() if name in DRAWN else campaign(name, tmp_path)
+    book = Book(analysis, shows_all=True)
+    check_denials(book)
+    check_undecided_clauses(book)
+    check_medians(book)
+    if name in DRAWN:
+        check(book)
+        check_comparison(analysis.load_messages())
+        check_media(book)

@@ -339,7 +339,13 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
     fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
     omitted = counted(guess.held_out, "omitted measurement was", "omitted measurements were")
     return _candidate_of(
-        *(setting, job, Fit.LIKELY if fit is Fit.MEETS else fit, guess.value_ns, (guess.lower_ns, guess.upper_ns)),
+        *(
+            setting,
+            job,
+            Fit.LIKELY if fit is Fit.MEETS else Fit.INCONCLUSIVE,
+            guess.value_ns,
+            (guess.lower_ns, guess.upper_ns),
+        ),
         measured=False,
         held_out=guess.held_out,
         reason=(

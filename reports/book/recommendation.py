@@ -171,11 +171,11 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
         return f"{joined(best, comma='; ')} {verb} {deadline}{tied}."
     likely = [name for candidate, name in candidates if candidate.fit is Fit.LIKELY]
     if likely:
-        words = f"nothing is shown to meet {deadline}; likely to meet it: {joined(likely, comma='; ')}."
+        words = f"no setup is proven to meet {deadline}; likely to meet it: {joined(likely, comma='; ')}."
     elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in candidates):
         words = f"every setting that was measured misses {deadline}."
     else:
-        words = f"nothing is shown to meet {deadline}, and nothing to miss it for sure."
+        words = f"no setup is proven to meet {deadline}; some may."
     return words[0].upper() + words[1:] if opens else words
 
 
@@ -183,7 +183,8 @@ def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
     ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
     share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), list[str]()
     if candidate.value_ns is not None:
-        interval = f"{time} ({'95 %: ' * candidate.measured}{' to '.join(map(time_words, ends))})"
+        kind = "95 %: " if candidate.measured else "by the largest error: "
+        interval = f"{time} ({kind}{' to '.join(map(time_words, ends))})"
         numbers.append(time if None in ends or {*map(time_words, ends)} == {time} else interval)
         basis = ["a guess"]
     if share != MISSING:

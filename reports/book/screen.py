@@ -109,4 +109,4 @@ def _thresholds(sizes: SizeTable | None) -> list[list[Block]]:
             continue
         on = f" on {site}" if len(sizes.places) > 1 else ""
         lines.append(Sentence(f"{choice}{on}: {worst.why}", mark=MARKS.get(worst.outcome, OPEN)))
-    return [[*lines, *([Sentence(", ".join(passed), mark=PASS)] if passed else [])]]
+    return [[*lines, *([Sentence(f"{', '.join(passed)}: every message in time", mark=PASS)] if passed else [])]]

@@ -197,3 +197,21 @@ def test_the_commands_record_as_many_runs_as_are_said_to_decide():
     advice = advised(in_runs([50 * ns for ns in MIXED[:400]], runs=4, spread=0.3))
     (runs,) = numbers(advice.rows[0][2].partition("interval; ")[2])
     assert numbers(advice.missing)[0] == runs > 4
+
+
+@pytest.mark.parametrize("slope", [0.2, 1.0, 2.0])
+def test_a_guess_has_no_share_that_few_errors_do_not_give(slope):
+    runs = [
+        in_runs(
+            [round(ns * (1 + 0.2 * (step % 2)) * 2 ** (slope * step)) for ns in MIXED[:400]],
+            payload_bytes=10_000 * 2**step,
+            run_id=10 * step,
+        )
+        for step in range(6)
+    ]
+    job = replace(JOB, payload_bytes=30_000, deadline_ns=2000 * MS, reliability=0.9)
+    (row,) = recommendation_info(recommend_settings(pl.concat(runs), job), VendorLabels(VENDORS)).rows
+    assert "a guess" in row[2]
+    assert "largest error" in row[2]
+    assert "95 %" not in row[2]
+    assert row[1] == "likely"

@@ -85,7 +85,6 @@ class Evidence:
 
     @cached_property
     def beacons(self) -> frozenset[int]:
-        """Results of beacons, which compare clocks: they go on together, and one ends before another."""
         roles: dict[int, set[object]] = defaultdict(set)
         for exchange, group in self.exchanges_by_group():
             roles[group].add(exchange.run.labels.get("role"))

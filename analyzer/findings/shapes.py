@@ -217,11 +217,10 @@ _SLOW = frozenset(
         "waits_in_reader",
     ]
 )
-"""Codes of findings that explain a slow result."""
 
 
 def with_causes(evidence: Evidence, findings: Sequence[Finding], titles: Mapping[str, str]) -> list[Finding]:
-    """Name in findings without a cause the others that the larger of two sizes has and the smaller has not."""
+    """Name what only the larger size has."""
     sizes = {int(pair.large["group"]): int(pair.small["group"]) for pair in _neighbouring_sizes(evidence)}
     explained = []
     for finding in findings:

@@ -388,7 +388,6 @@ CHECKS: tuple[Check, ...] = (
 NOT_OF_BEACONS = frozenset(
     ["overlapping_pings", "unfinished_run", "loss", "outage", "late_sends", "schedule_not_held", "few_samples"]
 )
-"""Codes of what is no fault of a beacon."""
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 

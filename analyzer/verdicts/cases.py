@@ -145,7 +145,7 @@ _NAMED_LAST: Mapping[str, tuple[str, str]] = {
 
 
 def contender_names(groups: pl.DataFrame) -> ContenderNames:
-    """Name each setup; one without its relay's trace like the only one that it may be, if no kind of message has both."""
+    """Name a setup without its relay's trace like the only one that it may be, if no kind of message has both."""
     cases: dict[tuple[ParameterValue, ...], set[tuple[ParameterValue, ...]]] = {}
     for row in groups.select(*CONTENDER_COLUMNS, *CASE_COLUMNS, CONDITIONS).iter_rows():
         cases.setdefault(row[: len(CONTENDER_COLUMNS)], set()).add(row[len(CONTENDER_COLUMNS) :])

@@ -119,7 +119,7 @@ def judged_losses(subject: str, excess: LossExcess, group: int | None, requested
 
 
 def is_replacing(rate_hz: object, history: object) -> bool:
-    """Return whether newer messages replace older ones as they leave: these are no losses, the rate is the answer."""
+    """Return whether newer messages replace older ones as they leave."""
     return not rate_hz and history == "keep_last"
 
 

@@ -207,7 +207,6 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
 
 
 def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> str:
-    """Return what became worse and what became better; `is_whole` if no result is gone and no gate failed."""
     several, count = len(groups) > 1, counted(len(groups), "result")
     losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
     worse, gained = _times_words(groups, "slower", count), _gains(groups, count)

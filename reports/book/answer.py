@@ -45,7 +45,7 @@ from .losses import (
     replaces,
     throughput_sentence,
 )
-from .numbers import ALL_MESSAGES, RECEIVED_MESSAGES, Median, Values, shown_medians
+from .numbers import Median, Values, shown_medians
 from .sizes import late_by_group, late_share
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
 
@@ -121,18 +121,18 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         *(
             []
             if has_latency
-            else [f"{_WITHOUT_LATENCY}, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."]
+            else [
+                f"{_without_latency(groups)}: the latency is unknown, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."
+            ]
         ),
-        *_level_remarks(usable, medians, metric),
+        *_level_remarks(usable, medians),
         *([] if losses or forged or unreached or replaced else ["Every message was received."]),
     )
     verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     if any(answer.clarity is Clarity.CLEAR and answer.fewest_runs == MIN_RUNS for answer in answers):
         rule += FEW_PASSES
-    first, *others = [(PointKind.NOTHING, "")]
-    if usable.groups:
-        first, *others = _who_is_fastest(fastest, usable, medians, metric, answers)
+    first, *others = _who_is_fastest(fastest, usable, medians, answers) if usable.groups else [(PointKind.NOTHING, "")]
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
         (PointKind.FORGED, found_sentence(analysis, groups)),
@@ -162,16 +162,12 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
 
 
 def _who_is_fastest(
-    fastest: Sequence[Fastest],
-    groups: Groups,
-    medians: Mapping[int, Median],
-    metric: str,
-    answers: Sequence[CaseAnswer],
+    fastest: Sequence[Fastest], groups: Groups, medians: Mapping[int, Median], answers: Sequence[CaseAnswer]
 ) -> list[tuple[PointKind, str]]:
     if any(kind.is_decided for kind in fastest):
         winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
         return [*winners, (PointKind.TAIL, tail_sentence(answers, contender_labels(answers, groups.vendors)))]
-    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, metric, answers)]
+    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, answers)]
 
 
 def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
@@ -190,11 +186,7 @@ def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
 
 
 def _why_undecided(
-    fastest: Sequence[Fastest],
-    groups: Groups,
-    medians: Mapping[int, Median],
-    metric: str,
-    answers: Sequence[CaseAnswer],
+    fastest: Sequence[Fastest], groups: Groups, medians: Mapping[int, Median], answers: Sequence[CaseAnswer]
 ) -> list[str]:
     if fastest:
         return _no_winner(answers, groups.vendors)
@@ -204,12 +196,11 @@ def _why_undecided(
     timed = any(group.index in medians for group in floors)
     if len(vendors) == 1:
         floor = f" (plain sockets, the floor: {_span(floors, medians)})" if timed and others != floors else ""
-        return [f"{_levels(others, groups, medians, metric)}{floor}.", "No other middleware was measured."]
-    if answers:
-        why = "One middleware per setting was measured, so there is no ranking."
-    else:
+        return [f"{_levels(others, groups, medians)}{floor}.", "No other middleware was measured."]
+    why = "One middleware per setting was measured, so there is no ranking."
+    if not answers:
         why = f"{joined(vendors)} are not ranked, because that needs the rows of all messages."
-    return [why, f"{_levels(others, groups, medians, metric)}."]
+    return [why, f"{_levels(others, groups, medians)}."]
 
 
 def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[str]:
@@ -267,8 +258,7 @@ _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[
 _MOST_WAYS = 3
 
 
-def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Median], metric: str) -> str:
-    """Return the medians of some groups by their way and, of several, their middleware."""
+def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Median]) -> str:
     names = {groups.series_of(group).vendor_label for group in chosen}
     ways: dict[tuple[str, str], list[Group]] = {}
     for group in sorted(chosen, key=lambda group: group.series):
@@ -283,7 +273,7 @@ def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Media
         spans.append(" ".join(filter(None, parts)))
     if not spans:
         return f"{joined(sorted(names))}: no message came back"
-    what = f"edian {METRIC_LABELS[metric].lower()} of {_of(chosen, medians)}"
+    what = f"edian {_of(chosen, medians)}"
     return f"M{what}: {joined(spans)}" if len(names) > 1 else f"{names.pop()}: m{what} {joined(spans)}"
 
 
@@ -299,14 +289,15 @@ def _span(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
 
 def _of(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
     of = dict.fromkeys(medians[group.index].of for group in groups if group.index in medians)
-    return joined(words for words in of if words != ALL_MESSAGES or RECEIVED_MESSAGES not in of)
+    received = {words.replace("all received", "all") for words in of if "received" in words}
+    return joined(words for words in of if words not in received)
 
 
 def _median(time_ns: float) -> str:
     return time_words(time_ns) if time_ns else "below the clock's step"
 
 
-def _level_remarks(groups: Groups, medians: Mapping[int, Median], metric: str) -> list[str]:
+def _level_remarks(groups: Groups, medians: Mapping[int, Median]) -> list[str]:
     remarks, labels = [], group_labels(groups)
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
         same = [g for g in groups.groups if groups.cell_of(g).data_type == data_type and g.index in medians]
@@ -315,10 +306,9 @@ def _level_remarks(groups: Groups, medians: Mapping[int, Median], metric: str) -
         if known:
             name, ends = data_type_label(data_type), {group.index: group for group in (known[0], known[-1])}.values()
             spans = [f"{_span([end], medians)} ({labels[end.index].removeprefix(name).strip()})" for end in ends]
-            what = f"median {METRIC_LABELS[metric].lower()} of {_of(ends, medians)}"
             lost = [labels[group.index] for group in ordered if group not in known]
             more = f"; the median message is lost in {some_of(lost, 'more')}" if lost else ""
-            remarks.append(f"{name}: {what} {' to '.join(spans)}{more}.")
+            remarks.append(f"{name}: median {_of(ends, medians)} {' to '.join(spans)}{more}.")
     return remarks
 
 
@@ -345,7 +335,9 @@ def _deadline_remarks(analysis: Analysis, groups: Groups) -> list[str]:
     return [f"{remark}."]
 
 
-_WITHOUT_LATENCY = "No relay's trace was found: the latency is unknown"
+def _without_latency(groups: Groups) -> str:
+    has_trace = any(series.relay_device is not None for series in groups.series)
+    return "No reply has a relay's time stamps" if has_trace else "No relay's trace was found"
 
 
 MOST_COMPARED = 3

@@ -30,7 +30,7 @@ class Outcome:
     is_interleaved: bool = True
     is_lossy: bool = False
     pairs: tuple[tuple[str, str], ...] = ()
-    """A slower and a faster setup each, where neither is the one with the lowest times."""
+    """Slower and faster setup, neither with the lowest times."""
 
     @property
     def is_decided(self) -> bool:
@@ -203,7 +203,6 @@ def _line(stretch: Stretch, cut: Sequence[Stretch], labels: Mapping[str, str]) -
 
 
 def tail_sentence(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
-    """Return what is proven at p99 and in no other sentence, or that nothing is."""
     has_named = False
     slower: dict[tuple[str, str], list[CaseAnswer]] = {}
     for answer in answers:
@@ -224,11 +223,11 @@ def tail_sentence(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> s
         return ""
     is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
     what = "No difference between setups at p99 is proven" if is_tested else "Too few messages to compare setups at p99"
-    return f"{what}; record longer or more runs."
+    repeats = repeats_words(answer.repeats_p99 for answer in answers)
+    return f"{what}; {repeats or 'record longer or more runs'}."
 
 
 def lowest_sentence(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
-    """Return the lowest medians where no setup is proven to be the fastest; the ones that take fewest repeats to decide first."""
     ordered = sorted(judged, key=lambda pair: (pair[0].needs or math.inf, -(pair[0].value or 1.0)))
     cases = [case for _, case in ordered]
     parts = []
@@ -261,7 +260,6 @@ def repeats_words(counts: Iterable[int | None]) -> str:
 
 
 def _lowest(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> tuple[str, str]:
-    """Return who has the lowest median, and it with the next one; lost messages are infinitely late."""
     times = [
         sorted((setup.p50_ns, setup.name) for setup in case.contenders if setup.p50_ns is not None) for case in cases
     ]
@@ -334,7 +332,7 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
         elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
             repeats = DRIFTS
         if not any(setup.p50_ns is not None for case in stretch.cases for setup in case.contenders):
-            return "no proven winner (the latency is unknown without the relay's trace)"
+            return "no proven winner (no reply has a relay's time stamps, so the latency is unknown)"
         notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), repeats)))
         return f"no proven winner{f' ({notes})' if notes else ''}"
     parts = [
@@ -347,20 +345,9 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
     return f"{at_tail}{only}{joined([labels[name] for name in outcome.best], 'or')} ({'; '.join(shown)})"
 
 
-def _takes(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> str:
-    factors, within = _factors(stretch, claim, percentile, subject, base)
-    return f"{factors} as long{within}" if factors else f"longer, as messages were lost{within}"
-
-
-def _takes_longer(stretch: Stretch, percentile: str, pair: tuple[str, str], labels: Mapping[str, str]) -> str:
-    factors, within = _factors(stretch, Claim.SLOWER, percentile, *pair)
-    slow, fast = (labels[name] for name in pair)
-    if factors:
-        return f"{slow} takes {factors} as long as {fast}{within}"
-    return f"{slow} takes longer than {fast}, as messages were lost{within}"
-
-
-def _factors(stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None) -> tuple[str, str]:
+def _takes(
+    stretch: Stretch, claim: Claim, percentile: str, subject: str, base: str | None = None, than: str = ""
+) -> str:
     rows = [
         row
         for case in stretch.cases
@@ -370,4 +357,11 @@ def _factors(stretch: Stretch, claim: Claim, percentile: str, subject: str, base
     factors = [row.value for row in rows if row.value is not None and math.isfinite(row.value)]
     is_part = len(rows) < len(stretch.cases)
     within = f", in {len(rows)} of {counted(len(stretch.cases), 'comparison')}" if is_part else ""
-    return factor_words(factors) if factors else "", within
+    if not factors:
+        return f"longer{f' than {than}' if than else ''}, as messages were lost{within}"
+    return f"{factor_words(factors)} as long{f' as {than}' if than else ''}{within}"
+
+
+def _takes_longer(stretch: Stretch, percentile: str, pair: tuple[str, str], labels: Mapping[str, str]) -> str:
+    slow, fast = pair
+    return f"{labels[slow]} takes {_takes(stretch, Claim.SLOWER, percentile, slow, fast, labels[fast])}"

@@ -142,25 +142,21 @@ def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
 
 def _cost_words(rows: pl.DataFrame) -> str:
     parts = []
+    has_time = pl.col("ratio").is_finite().fill_null(value=False) & (pl.col("ratio") > 0)
+    is_proven = pl.col("verdict").is_in(["worse", "better"])
     for name, label in PERCENTILES:
-        is_slower, is_faster, is_known = (
-            pl.col("verdict") == "worse",
-            pl.col("verdict") == "better",
-            pl.col("ratio").is_not_null(),
-        )
-        costs = rows.filter(is_slower | is_faster | is_known, statistic=name)  # others have too few messages
-        is_lost = ~pl.col("ratio").is_finite().fill_null(value=False)
-        factors = [costs.filter(proven & ~is_lost)["ratio"].to_list() for proven in (is_slower, is_faster)]
-        proven = [f"{factor_words(ratios)} as long {label}" for ratios in factors if ratios]
-        if proven:
-            counts = [
-                (len(ratios), "faster" if ratios is factors[1] else "slower") for ratios in factors if all(factors)
-            ]
-            unclear = costs.filter(~is_slower & ~is_faster & ~is_lost)
-            counts += [(costs.filter(is_lost).height, "lost"), (unclear.height, "no proven difference")]
-            noted = [f"{words} in {count}" for count, words in counts if count]
+        costs = rows.filter(is_proven | pl.col("ratio").is_not_null(), statistic=name)  # others have too few messages
+        timed = costs.filter(has_time)
+        ratios = {
+            words: timed.filter(verdict=verdict)["ratio"].to_list()
+            for verdict, words in (("worse", "slower"), ("better", "faster"))
+        }
+        if factors := [f"{factor_words(each)} as long {label}" for each in ratios.values() if each]:
+            counts = {words: len(each) for words, each in ratios.items()} if all(ratios.values()) else {}
+            counts |= {"lost": len(costs) - len(timed), "no proven difference": len(timed.filter(~is_proven))}
+            noted = [f"{words} in {count}" for words, count in counts.items() if count]
             of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""
-            parts.append(f"{' and '.join(proven)}{of_all}")
+            parts.append(f"{' and '.join(factors)}{of_all}")
     return ", ".join(parts)
 
 

@@ -65,7 +65,6 @@ def replaces(groups: Groups, group: Group) -> bool:
 
 
 def throughput_sentence(groups: Groups, values: Values) -> str:
-    """Return the transfer rates of messages that were sent as fast as they were taken, the highest first."""
     rates = values.plain["transfer_rate_bytes_per_s"]
     fast = [group for group in groups.groups if not groups.cell_of(group).rate_hz and rates[group.index]]
     labels, parts = group_labels(groups), []
@@ -106,13 +105,11 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
 
 
 MACHINE = frozenset({"cpu_saturated", "stood_still", "suspend"})
-"""Codes of what a machine did while messages were lost."""
 
 
 def avoid_sentence(
     answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str], busy: Collection[int] = ()
 ) -> str:
-    """Return the setups that lose too much; `busy` are results whose machine had no processor or stood still."""
     lossy = [(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
     parts = []
     for is_busy, condition in ((False, ""), (True, " on a machine as busy as this one was")):

@@ -61,20 +61,20 @@ def values_info(analysis: Analysis) -> Values:
     )
 
 
-TYPICAL_RUN, ALL_MESSAGES, RECEIVED_MESSAGES = "a typical run", "all messages", "all received messages"
+TYPICAL_RUN, ALL_MESSAGES = "a typical run", "all messages"
 
 
 @dataclass(frozen=True, slots=True)
 class Median:
-    """The median of a group that a report shows, infinite where the median message is lost, and of what it is."""
+    """Infinite where the median message is lost."""
 
     ns: float
     of: str
 
 
 def shown_medians(analysis: Analysis, groups: Groups, values: Values) -> dict[int, Median]:
-    """Return the medians of a typical run; below three runs of all messages, where these are not known of the received ones."""
     details, metric = analysis.details, values.default_metric
+    label = METRIC_LABELS[metric].lower()
     between = {"metric": metric, "percentile": "p50", "basis": Basis.BETWEEN_RUNS.value}
     typical_ns = dict(details.intervals.filter(**between).select("group", "typical_ns").iter_rows())
     with_losses_ns = {
@@ -90,9 +90,9 @@ def shown_medians(analysis: Analysis, groups: Groups, values: Values) -> dict[in
         run_ns = (typical_ns if is_whole else with_losses_ns).get(group.index)
         all_ns = values.times_ns[metric]["p50"][group.index]
         if run_ns is not None:
-            medians[group.index] = Median(run_ns, TYPICAL_RUN)
+            medians[group.index] = Median(run_ns, f"{label} of {TYPICAL_RUN}")
         elif all_ns is not None:
-            medians[group.index] = Median(all_ns, ALL_MESSAGES if is_whole else RECEIVED_MESSAGES)
+            medians[group.index] = Median(all_ns, f"{label} of all {'' if is_whole else 'received '}messages")
     return medians
 
 

@@ -154,6 +154,11 @@ def percent(part: float, whole: float) -> str:
 Observe = Callable[["Evidence"], Iterator["Observation"]]
 
 
+_NOT_OF_BEACONS = frozenset(
+    ["overlapping_pings", "unfinished_run", "loss", "outage", "late_sends", "schedule_not_held", "few_samples"]
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """One kind of finding; calling it yields its findings."""
@@ -167,6 +172,8 @@ class Check:
 
     def __call__(self, evidence: Evidence) -> Iterator[Finding]:
         for seen in self.observe(evidence):
+            if self.code in _NOT_OF_BEACONS and not evidence.beacons.isdisjoint(seen.groups):
+                continue
             action = self.action.format(**seen.blanks)
             seen_there = seen.where, seen.what, action, seen.groups
             yield Finding(

@@ -84,6 +84,9 @@ def _relays(evidence: Evidence) -> pl.DataFrame:
     return took_part.group_by("relay_id", "relay_recorded", "is_described", maintain_order=True).len("runs")
 
 
+STOPPED_EARLY = (
+    ~pl.col("is_beacon") & (pl.col("state") == "finished") & (pl.col("handed_over") < pl.col("planned_messages"))
+)
 NO_EVENTS_OF_RELAY = (
     "{runs:# run has|runs have} replies of this relay but none of its events: latency and intermediate time are null, and losses are "
     "lost_unknown."
@@ -298,3 +301,6 @@ def unrequested_relays(evidence: Evidence) -> Iterator[Observation]:
                 tuple(groups_of[run_id]),
                 blanks={"relays": len(exchanges)},
             )
+
+
+SEVERAL_RELAYS = (restarted_relays, unrequested_relays)

@@ -7,7 +7,7 @@ results of five sound runs are reported (10 p^3 for three of five).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, u
 from ..model.finding import Finding, Severity, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
-from .evidence import Evidence, Observation, check
+from .evidence import Check, Evidence, Observation, check
 
 _HALF = 2
 """A result is reported if one in this many of its runs, or more, show the same."""
@@ -219,23 +219,27 @@ _SLOW = frozenset(
 )
 
 
-def with_causes(evidence: Evidence, findings: Sequence[Finding], titles: Mapping[str, str]) -> list[Finding]:
+def with_causes(
+    evidence: Evidence, kinds: Collection[Sequence[Finding]], checks: Sequence[Check]
+) -> Iterator[list[Finding]]:
     """Name what only the larger size has."""
-    sizes = {int(pair.large["group"]): int(pair.small["group"]) for pair in _neighbouring_sizes(evidence)}
-    explained = []
-    for finding in findings:
-        if f"{_NO_CAUSE}." in finding.what:
-            large = finding.groups[0]
-            of_large, of_small = (
-                dict.fromkeys(other.code for other in findings if other.code in _SLOW and group in other.groups)
-                for group in (large, sizes[large])
-            )
-            causes = [titles[code][0].lower() + titles[code][1:] for code in of_large if code not in of_small]
-            words = f"; only at the larger size {' and '.join(causes)}" if causes else _NO_CAUSE
-            explained.append(replace(finding, what=finding.what.replace(_NO_CAUSE, words)))
-        else:
-            explained.append(finding)
-    return explained
+    titles = {check.code: check.title[0].lower() + check.title[1:] for check in checks}
+    slow = [finding for same in kinds for finding in same if finding.code in _SLOW]
+    smaller = {int(pair.large["group"]): int(pair.small["group"]) for pair in _neighbouring_sizes(evidence)}
+
+    def explained(finding: Finding) -> Finding:
+        if f"{_NO_CAUSE}." not in finding.what:
+            return finding
+        of_large, of_small = (
+            dict.fromkeys(other.code for other in slow if group in other.groups)
+            for group in (finding.groups[0], smaller[finding.groups[0]])
+        )
+        causes = [titles[code] for code in of_large if code not in of_small]
+        words = f"; only at the larger size {' and '.join(causes)}" if causes else _NO_CAUSE
+        return replace(finding, what=finding.what.replace(_NO_CAUSE, words))
+
+    for same in kinds:
+        yield [explained(finding) for finding in same]
 
 
 def _may_use_memory(session: Session) -> bool:

@@ -161,7 +161,7 @@ CHECKS: tuple[Check, ...] = (
     runs.RUNS.warning(
         "unfinished_run",
         "A run was stopped before its plan",
-        ~pl.col("is_beacon") & (pl.col("state") == "finished") & (pl.col("handed_over") < pl.col("planned_messages")),
+        runs.STOPPED_EARLY,
         "The run was stopped after {handed_over} of {planned_messages:# planned message}.",
         "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
         effect=1 - pl.col("handed_over") / pl.col("planned_messages"),
@@ -210,8 +210,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     losses.late_relays,
     groups.waits_in_readers,
-    runs.restarted_relays,
-    runs.unrequested_relays,
+    *runs.SEVERAL_RELAYS,
     RESULTS.warning(
         "nothing_counted",
         "All messages were warm-up",
@@ -385,10 +384,6 @@ CHECKS: tuple[Check, ...] = (
 )
 """In the order of findings of equal severity and effect."""
 
-NOT_OF_BEACONS = frozenset(
-    ["overlapping_pings", "unfinished_run", "loss", "outage", "late_sends", "schedule_not_held", "few_samples"]
-)
-
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 _MOST_LISTED = 20
@@ -410,16 +405,8 @@ def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     checks = [*all_checks(evidence)]
     for check in checks:
-        seen = check(evidence)
-        if check.code in NOT_OF_BEACONS:
-            seen = (finding for finding in seen if evidence.beacons.isdisjoint(finding.groups))
-        kinds[check.severity, check.code] += seen
-    titles = {check.code: check.title for check in checks}
-    explained = shapes.with_causes(evidence, [finding for same in kinds.values() for finding in same], titles)
-    kinds = defaultdict(list)
-    for finding in explained:
-        kinds[finding.severity, finding.code].append(finding)
-    listed = [finding for findings in kinds.values() for finding in _worst(findings)]
+        kinds[check.severity, check.code] += check(evidence)
+    listed = [finding for same in shapes.with_causes(evidence, kinds.values(), checks) for finding in _worst(same)]
     return tuple(sorted(listed, key=lambda finding: (_RANK[finding.severity], -finding.effect)))
 
 

@@ -30,9 +30,17 @@ from coverage_campaigns import (
     message_leaders_table,
     until_table,
 )
-from coverage_comparisons import default_table, looks_table, losses_table, results_table
+from coverage_comparisons import default_table, looks_table, losses_table, named_table, results_table
 from coverage_intervals import interval_tables
-from coverage_kinds import advice_table, best_table, changes_table, dependent_table, kinds_table, late_table
+from coverage_kinds import (
+    advice_table,
+    best_table,
+    bursts_table,
+    changes_table,
+    dependent_table,
+    kinds_table,
+    late_table,
+)
 from simulated import Table
 
 if TYPE_CHECKING:
@@ -41,6 +49,7 @@ if TYPE_CHECKING:
 TABLES: dict[str, Callable[[int], Table]] = {
     "losses": losses_table,
     "comparisons": results_table,
+    "named": named_table,
     "default": default_table,
     "looks": looks_table,
     "leaders": leaders_table,
@@ -55,6 +64,7 @@ TABLES: dict[str, Callable[[int], Table]] = {
     "comparisons-kinds": changes_table,
     "advice": advice_table,
     "deadlines-kinds": late_table,
+    "deadlines-bursts": bursts_table,
 }
 INTERVALS = "intervals"
 

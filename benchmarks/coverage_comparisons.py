@@ -16,6 +16,7 @@ from simulated import (
     LOSSES,
     SEED,
     Table,
+    draw_pareto,
     draw_values,
     estimate_of,
     outages,
@@ -29,15 +30,15 @@ from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import change_of_received
 from dds_trace.analyzer.statistics.power import confidence_at_each
-from dds_trace.extensions.gates.compare import CompareOptions, compare, compare_roundtrips
+from dds_trace.extensions.gates.compare import CompareOptions, Comparison, compare, compare_roundtrips
 from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
 from dds_trace.extensions.gates.gates import judge_gates, options_for, overall_outcome
 from dds_trace.extensions.gates.info import comparison_info
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from simulated import DrawLosses
+    from simulated import DrawLosses, Float64
 
 MOST_FALSE_LOSSES, MOST_FALSE_SENTENCES, MOST_FALSE_GATES, MOST_FALSE_LOOKS = 0.07, 0.05, 0.05, 0.025
 LOOKS, RUNS_A_LOOK = 5, 5
@@ -179,6 +180,58 @@ def add_comparisons(
             table.at_most(MOST_FALSE_GATES, failed, comparisons, f"{where}, gate"),
         )
     )
+
+
+LEAST_NAMED, MOST_NAMED = 0.75, 0.90
+NAMED: dict[str, tuple[int, Callable[[np.random.Generator, int], Float64]]] = {
+    "log-normal 0.5, runs +-5 %": (1, lambda generator, runs: draw_values(generator, runs, 1000, 0.05)),
+    "log-normal 0.5, runs +-10 %": (1, lambda generator, runs: draw_values(generator, runs, 1000, 0.1)),
+    "log-normal 1, runs +-5 %": (1, lambda generator, runs: draw_values(generator, runs, 1000, 0.05, 1.0)),
+    "Pareto 1.5, runs +-5 %": (1, lambda generator, runs: draw_pareto(generator, runs, 1000)),
+    "log-normal 0.5, one of six": (6, lambda generator, runs: draw_values(generator, runs, 1000, 0.05)),
+}
+NAMED_GATES = {"p50": parse_gates(["latency_p50 > +10%"]), "p99": P99_GATE}
+
+
+def count_named(name: str, number: int) -> dict[str, bool]:
+    """Return by statistic whether the change of one result that equal sides of five runs name is found, by its verdict and by a gate."""
+    results, draw = NAMED[name]
+    generator = np.random.default_rng([SEED, number])
+
+    def compared(changed: int = 0, ratio: float = 1.0) -> Comparison:
+        sides = [draw(generator, 5 * results).reshape(results, 5, -1) for _ in range(2)]
+        sides[1][changed] *= ratio
+        return compare(*(Side(round_trips(side)) for side in sides))
+
+    equal, found = compared(), {}
+    for sight in equal.sights():
+        if (
+            sight.metric == "latency"
+            and sight.statistic in NAMED_GATES
+            and sight.smallest_ratio
+            and sight.most_result is not None
+        ):
+            rows = compared(sight.most_result, sight.smallest_ratio).rows
+            changed = rows.filter(metric="latency", statistic=sight.statistic)["verdict"]
+            found[sight.statistic] = changed[sight.most_result] == Verdict.WORSE.value
+    for statistic, gates in NAMED_GATES.items():
+        ratio = judge_gates(equal, gates)[0].found_from or 1.0
+        found[f"gate {statistic}"] = judge_gates(compared(0, ratio), gates)[0].outcome is GateOutcome.REGRESSED
+    return found
+
+
+def named_table(samples: int) -> Table:
+    """Count changes that equal sides name as found in 80 of 100 comparisons and that further sides find."""
+    table = Table("named", ("messages", "p50", "p99", "gate p50", "gate p99"))
+    for name in NAMED:
+        found = [count_named(name, number) for number in range(samples)]
+        cells = []
+        for column in table.columns[1:]:
+            count = sum(one[column] for one in found)
+            table.at_most(MOST_NAMED, count, samples, f"{name}, {column}")
+            cells.append(table.at_least(LEAST_NAMED, count, samples, f"{name}, {column}"))
+        table.rows.append((name, *cells))
+    return table
 
 
 DEFAULT_GATES = parse_gates(["default"])

@@ -282,3 +282,48 @@ def late_table(samples: int) -> Table:
             cells.append(table.at_most(bar, meets, campaigns, f"{name}, {runs} runs"))
         table.rows.append((name, *cells))
     return table
+
+
+BURSTS = ((LATE, 5), (LATE, 15), (LATE, 30), (0.001, 1), (0.001, 5), (0.001, 15), (0.0, 1))
+"""Share lost in the long run, and messages of a burst (geometric, as by E. N. Gilbert, 1960)."""
+
+
+def count_bursts(
+    generator: np.random.Generator, runs: int, burst: int, share: float, campaigns: int
+) -> tuple[int, int]:
+    """Return of settings that lose messages in bursts how many are said to meet 99 %, and how many of these lost nothing yet."""
+    meets = unseen = 0
+    for _ in range(campaigns):
+        lost = np.zeros((runs, MESSAGES), np.bool_)
+        now = generator.random(runs) < share
+        for message in range(MESSAGES):
+            lost[:, message] = now
+            now = np.where(
+                now, generator.random(runs) > 1 / burst, generator.random(runs) < share / (1 - share) / burst
+            )
+        levels = 0.05 * generator.standard_normal((runs, 1))
+        times = 1e6 * np.exp(levels + 0.3 * generator.standard_normal((runs, MESSAGES)))
+        late = late_share(Runs.of([Run(values) for values in np.where(lost, np.inf, times)]), 1e9)
+        is_said = late is not None and late.observed <= 0.01 and late.upper is not None and late.upper <= 0.01
+        meets += is_said
+        unseen += is_said and not lost.any()
+    return meets, unseen
+
+
+def bursts_table(samples: int) -> Table:
+    """Count settings that lose in bursts and are said to meet 99 %: of 2 % lost those of which a burst was seen have a bar."""
+    counts = (3, 5, 10, 20)
+    table = Table(
+        "deadlines-bursts", ("lost", "bursts of", *(f"runs: {runs}" for runs in counts), "10 runs without any")
+    )
+    for share, burst in BURSTS:
+        cells, without = [], ""
+        for runs in counts:
+            generator = np.random.default_rng([SEED, runs, burst, int(1000 * share)])
+            meets, unseen = count_bursts(generator, runs, burst, share, samples)
+            bar = MOST_FALSE_MEETS if share == LATE else 1.0
+            table.at_most(bar, meets - unseen, samples, f"{share:.1%} in bursts of {burst}, {runs} runs")
+            cells.append(percent(meets, samples))
+            without = percent(unseen, samples) if runs == 10 else without
+        table.rows.append((f"{100 * share:g} %", str(burst), *cells, without))
+    return table

@@ -92,9 +92,17 @@ LOSSES: dict[str, DrawLosses] = {
 }
 
 
-def draw_values(generator: np.random.Generator, runs: int, messages: int, spread: float) -> Float64:
+def draw_values(
+    generator: np.random.Generator, runs: int, messages: int, spread: float, deviation: float = 0.5
+) -> Float64:
     """Draw log-normal messages of runs whose levels vary; shape (runs, messages)."""
-    return np.exp(0.5 * generator.standard_normal((runs, messages)) + spread * generator.standard_normal((runs, 1)))
+    within = deviation * generator.standard_normal((runs, messages))
+    return np.exp(within + spread * generator.standard_normal((runs, 1)))
+
+
+def draw_pareto(generator: np.random.Generator, runs: int, messages: int) -> Float64:
+    """Draw messages with a heavy tail, of runs that vary by 5 %; shape (runs, messages)."""
+    return (1 + 0.3 * generator.pareto(1.5, (runs, messages))) * np.exp(0.05 * generator.standard_normal((runs, 1)))
 
 
 PARAMETERS = {

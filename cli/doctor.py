@@ -15,7 +15,6 @@ from dds_trace.base.extension import offers
 from dds_trace.base.units import format_duration, format_size
 
 from .program import command, make_app, option
-from .table_options import default_domain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -89,6 +88,7 @@ def _security() -> Iterator[Check]:
 
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.choices import Discovery
+    from dds_trace.recorder.domains import default_domain
     from dds_trace.recorder.security.keys import opened_keys
 
     for backend in _installed():
@@ -153,6 +153,7 @@ def _costs(out: Path | None) -> Iterator[Check]:
 def _floor(backend: Backend) -> Check:
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.choices import Discovery
+    from dds_trace.recorder.domains import default_domain
     from dds_trace.recorder.roles.floor import measure_floor
 
     name = f"floor of {backend.name}"

@@ -153,9 +153,6 @@ def read_record(record: type[_Record], chosen: Mapping[str, Any], **more: object
     return record(**{name: OPTIONS[name].read(chosen[name]) for name in names}, **more)
 
 
-DEFAULT_DOMAIN = 10
-
-
 def overridden(values: Mapping[str, Any]) -> dict[str, str]:
     role = None if values.get("role") is None else Role(values["role"])
     is_bridged = role in (None, Role.PING) and values.get("bridge") not in (None, "none")
@@ -168,15 +165,6 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
         elif variable is not None and not (name == "domain_id" and is_bridged):
             reasons[name] = f"environment: {variable}={os.environ[variable]}"
     return reasons
-
-
-def default_domain() -> int:
-    text = os.environ.get("ROS_DOMAIN_ID", "").strip()
-    if not text:
-        return DEFAULT_DOMAIN
-    if not text.isdecimal() or len(text) > 9:
-        raise OptionError(f"ROS_DOMAIN_ID is {shown(text)}, not a domain id; set a number or unset it")
-    return int(text)
 
 
 def default_discovery(*, is_open: bool = True) -> Discovery:

@@ -5,6 +5,7 @@ Domain d: 7400 + 250 d + {0, 1} for multicast, + {10 + 2 i, 11 + 2 i} for partic
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from dds_trace.base import limits
@@ -15,6 +16,19 @@ from .kernel.counters import PROC, bound_udp_ports, ephemeral_ports
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 _PORTS_END = 65_536
+
+
+OWN_DOMAIN, ROBOTS_DOMAIN = 10, 0
+"""Default of our own nodes, which are to meet nobody else, and ROS 2's."""
+
+
+def default_domain(*, joins_robot: bool = False) -> int:
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip()
+    if not text:
+        return ROBOTS_DOMAIN if joins_robot else OWN_DOMAIN
+    if not text.isdecimal() or len(text) > 9:
+        raise OptionError(f"ROS_DOMAIN_ID is {limits.shown(text)}, not a domain id; set a number or unset it")
+    return int(text)
 
 
 def check_domain_id(domain_id: int) -> None:

@@ -115,7 +115,7 @@ class Asked:
         first: values of the first; `second`: what the other has in place of them.
         where: values of both.
         carried: whether both sides send less than the link's rate, None for all pairs.
-        says: `more`, `alike` (within `SAME`) or `differs`.
+        says: `more`, `less`, `alike` (within `SAME`) or `differs`.
         of: of how many pairs: `each`, `every` (one that is not so contradicts), `most` or `some`.
         factor: more than this many times.
         value: column that is compared.
@@ -183,7 +183,12 @@ def judged(asked: Asked, values: Mapping[str, object], first: Sequence[Row], sec
         for top, bottom in ((own[0], base[-1]), (median(own), median(base)), (own[-1], base[0]))
     )
     is_alike, differs = low > 1 / SAME and high < SAME, low > SAME or high < 1 / SAME
-    yes, no = {"alike": (is_alike, differs), "differs": (differs, is_alike), "more": (low > 1, high < 1)}[asked.says]
+    yes, no = {
+        "alike": (is_alike, differs),
+        "differs": (differs, is_alike),
+        "more": (low > 1, high < 1),
+        "less": (high < 1, low > 1),
+    }[asked.says]
     fixed = {name for name, allowed in asked.where.items() if len(allowed) == 1} | set(asked.first)
     fixed |= set() if values["data"] == "binary" else {"payload_bytes", "rate_hz"}
     where = [word for name, value in values.items() if name not in fixed and (word := value_words(name, value))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,9 +10,9 @@ from enum import Enum
 
 import numpy as np
 
-from ..statistics.distributions import shift_for_power, student_quantile
+from ..statistics.distributions import estimated_shift_for_power, shift_for_power, special, student_quantile
 from ..statistics.intervals import Basis, Interval
-from ..statistics.power import POWER, smallest_shift
+from ..statistics.power import POWER, smallest_shift, whole_degrees
 from .between_runs import Estimate, Scale, Units, scale_of
 from .bursts import Float64
 from .runs import Values
@@ -297,16 +298,21 @@ class DetectableChange:
 def detectable_changes(
     changes: Iterable[tuple[str, str, int, Change]], confidence: float, same_within: float
 ) -> tuple[DetectableChange, ...]:
-    families: dict[tuple[str, str], list[tuple[int, Change]]] = {}
-    for metric, statistic, result, change in changes:
-        families.setdefault((metric, statistic), []).append((result, change))
+    rows = list(changes)
+    tests = sum(change.p_value is not None for *_, change in rows)
+    families: dict[tuple[str, str], list[tuple[int, Error | None]]] = {}
+    for metric, statistic, result, change in rows:
+        families.setdefault((metric, statistic), []).append((result, _error_of(change, confidence)))
+    families = {key: _pooled(family) for key, family in families.items()}
+    by_result: dict[int, list[Error]] = {}
+    for result, error in itertools.chain(*families.values()):
+        by_result.setdefault(result, []).extend([error] if error else [])
     detectable = []
     for (metric, statistic), family in families.items():
-        tests = sum(change.p_value is not None for _, change in family)
         ratios = sorted(
-            (ratio, result)
-            for result, change in family
-            if (ratio := smallest_detectable_ratio(change, tests, confidence, same_within)) is not None
+            (smallest_detectable_ratio(error, by_result[result], tests, confidence, same_within), result)
+            for result, error in family
+            if error is not None
         )
         least, most = (ratios[0], ratios[-1]) if ratios else ((None, None), (None, None))
         limits = most[0], least[0], least[1], most[1]
@@ -314,23 +320,56 @@ def detectable_changes(
     return tuple(detectable)
 
 
-def smallest_detectable_ratio(change: Change, tests: int, confidence: float, same_within: float) -> float | None:
-    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %.
+Error = tuple[float, float]
+"""Standard error of the logarithm of a ratio, and its degrees of freedom."""
 
-    A single slower group has the hardest test: Benjamini and Hochberg require a p value of alpha divided by the number of
-    `tests`, and its interval has to leave the band of "the same".
-    """
+UNLIKE_UP_TO = 0.05
+"""P value of Bartlett's test from which on errors of results are one."""
+
+ALIKE_ERRORS = 1.25
+"""Factor within which statistics of a result are in no order by their errors."""
+
+
+def _error_of(change: Change, confidence: float) -> Error | None:
     if change.smallest_ratio is None or change.degrees is None:
         return None
-    degrees = max(1.0, math.floor(change.degrees * 4) / 4)  # as in `power.smallest_shift`
-    error = math.log(change.smallest_ratio) / shift_for_power(degrees, confidence)
-    shift = math.log(change.smallest_ratio) * among_tests(degrees, tests, confidence)
+    degrees = whole_degrees(change.degrees)
+    return math.log(change.smallest_ratio) / shift_for_power(degrees, confidence), degrees
+
+
+def _pooled(family: Sequence[tuple[int, Error | None]]) -> list[tuple[int, Error | None]]:
+    """Return the errors of a statistic as one where Bartlett's test finds them alike: the largest of several is so by chance."""
+    known = [error for _, error in family if error is not None and error[0] > 0]
+    if len(known) < 2 or any(error is not None and error[0] <= 0 for _, error in family):
+        return list(family)
+    variances, degrees = np.square([error for error, _ in known]), np.array([own for _, own in known])
+    mean, total = float(np.average(variances, weights=degrees)), float(degrees.sum())
+    unlike = total * math.log(mean) - float(degrees @ np.log(variances))
+    correction = 1 + (float((1 / degrees).sum()) - 1 / total) / (3 * (len(known) - 1))
+    if special().chdtrc(len(known) - 1, unlike / correction) < UNLIKE_UP_TO:
+        return list(family)
+    pooled = math.sqrt(mean), whole_degrees(total / len(known))
+    return [(result, error and pooled) for result, error in family]
+
+
+def smallest_detectable_ratio(
+    error: Error, of_result: Sequence[Error], tests: int, confidence: float, same_within: float
+) -> float:
+    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %, if no other result changed.
+
+    Benjamini and Hochberg require a p value of alpha times its rank divided by the number of `tests`. The p values of a result that is
+    slower as a whole are in the order of their errors. The interval has to leave the band of "the same", too.
+    """
+    own, degrees = error
+    rank = sum(other <= ALIKE_ERRORS * own for other, _ in of_result)
+    shift = own * estimated_shift_for_power(degrees, 1 - (1 - confidence) * rank / max(rank, tests))
     reach = student_quantile((1 + confidence) / 2, degrees)
-    beyond = math.log1p(same_within) + error * (student_quantile(POWER, degrees) - reach)
+    beyond = math.log1p(same_within) + own * (student_quantile(POWER, degrees) - reach)
     return math.exp(max(shift, beyond))
 
 
 def among_tests(degrees: float, tests: int, confidence: float) -> float:
-    """Return how many times larger a change has to be to be found among so many tests, if it is the only one."""
-    degrees = max(1.0, math.floor(degrees * 4) / 4)
-    return shift_for_power(degrees, 1 - (1 - confidence) / max(1, tests)) / shift_for_power(degrees, confidence)
+    """Return how many times `smallest_ratio`'s logarithm a change has to be to be found among so many tests, if it is the only one."""
+    degrees = whole_degrees(degrees)
+    needed = estimated_shift_for_power(degrees, 1 - (1 - confidence) / max(1, tests))
+    return needed / shift_for_power(degrees, confidence)

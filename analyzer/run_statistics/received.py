@@ -275,9 +275,12 @@ SKEWED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LateShare:
+    """`upper_of_seen` is the upper limit if no bursts come but such as were seen."""
+
     observed: float
     lower: float | None = None
     upper: float | None = None
+    upper_of_seen: float | None = None
 
 
 def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> LateShare | None:
@@ -285,7 +288,7 @@ def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> Late
 
     Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late
     shares. By itself it is too low where no run was late yet. The second one takes the logarithm of a value as the
-    run's level plus a residual, and levels as normal or, where that is more, exponential beyond their mean.
+    run's level plus a residual, and levels as normal or, where that is more, exponential beyond their mean. The third one is of bursts.
     """
     filled = [run.values for run in runs if len(run)]
     if not filled:
@@ -299,7 +302,22 @@ def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> Late
     reach = student_quantile((1 + confidence) / 2, len(shares) - 1) * math.sqrt(variance / len(shares))
     logs = [np.log(np.maximum(values, 1.0)) for values in filled]
     predicted = _predicted_limit(logs, math.log(deadline_ns), (1 + confidence) / 2)
-    return LateShare(observed, max(0.0, mean - reach), min(1.0, max(mean + reach, predicted)))
+    upper, unseen = max(mean + reach, predicted), _unseen_limit(is_late, confidence)
+    return LateShare(observed, max(0.0, mean - reach), min(1.0, max(upper, unseen)), min(1.0, upper))
+
+
+UNSEEN_BURST = 4.5
+"""Late messages of a burst that no run shows: by simulation (`coverage-deadlines-bursts`)."""
+
+
+def _unseen_limit(is_late: Sequence[Bools], confidence: float) -> float:
+    """Return the upper limit of the late share by its bursts, one more than were seen: what is late in few bursts is often in none."""
+    sizes = [episode_sizes(np.flatnonzero(late), len(late)) for late in is_late]
+    bursts = np.concatenate([*sizes, [UNSEEN_BURST]])
+    if len(bursts) > MIN_EPISODES:
+        return 0.0
+    most = poisson_limits(len(bursts), (1 + 2 * confidence) / 3)[1]  # one of three upper limits
+    return most * float(bursts.mean()) / sum(map(len, is_late))
 
 
 def _predicted_limit(logs: list[Float64], deadline: float, probability: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec
@@ -11,6 +12,9 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
 
 _POWER_STEPS = 2000
 _loading = Lock()
@@ -52,18 +56,30 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     The power is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable over its degrees of freedom (noncentral t,
     N. L. Johnson and B. L. Welch, 1940; the far side is left out).
     """
+    roots, weights = _estimated_errors(degrees, _POWER_STEPS)
     threshold = student_quantile((1 + confidence) / 2, degrees)
-    # log(chi-square) on a grid beyond which the probability is below 1e-9.
+    return _shift_found(lambda shift: float(weights @ special().ndtr(shift - threshold * roots)), power)
+
+
+@lru_cache(maxsize=4096)
+def estimated_shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8) -> float:
+    """Return the same in errors as estimated by other runs of as many degrees: too small ones promise too much."""
+    roots, weights = _estimated_errors(degrees, _POWER_STEPS // 10)
+    both = weights[:, None] * weights
+    threshold = student_quantile((1 + confidence) / 2, degrees) * roots
+    return _shift_found(lambda shift: float(np.sum(both * special().ndtr(shift * roots[:, None] - threshold))), power)
+
+
+def _estimated_errors(degrees: float, steps: int) -> tuple[Float64, Float64]:
+    """Return standard errors as estimated, in true ones, on a grid beyond which the probability is below 1e-9; and how likely each is."""
     spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
-    logs = np.linspace(-3 * spread, spread, _POWER_STEPS)
+    logs = np.linspace(-3 * spread, spread, steps)
     log_density = degrees / 2 * (logs - np.exp(logs))
     weights = np.exp(log_density - log_density.max())
-    weights /= weights.sum()
-    roots = np.exp(logs / 2)
+    return np.exp(logs / 2), weights / weights.sum()
 
-    def found(shift: float) -> float:
-        return float(weights @ special().ndtr(shift - threshold * roots))
 
+def _shift_found(found: Callable[[float], float], power: float) -> float:
     low, high = 0.0, 2.0
     while found(high) < power:
         high *= 2

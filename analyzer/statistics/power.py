@@ -76,8 +76,12 @@ MOST_RUNS = 1000
 
 
 def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power: float = POWER) -> float:
-    # Quarters of a degree: Welch's are fractions, and what is alike is computed once.
-    return error * shift_for_power(max(1.0, math.floor(degrees * 4) / 4), confidence, power)
+    return error * shift_for_power(whole_degrees(degrees), confidence, power)
+
+
+def whole_degrees(degrees: float) -> float:
+    """Return quarters of a degree: Welch's are fractions, and what is alike is computed once."""
+    return max(1.0, math.floor(degrees * 4) / 4)
 
 
 def runs_to_decide(

@@ -35,6 +35,10 @@ RARE_KIND = 0.1
 """Share of the runs of a kind that may have been missed."""
 
 
+LONG_BURST = 30
+"""Messages of a burst that a setting said to meet a job may not have shown."""
+
+
 class Fit(Enum):
     """Whether a setting meets a job."""
 
@@ -102,6 +106,10 @@ class Candidate:
     needed: int | None = None
     needed_runs: int | None = None
     latency_ns: float | None = None
+
+    def missed_ratio(self, reliability: float) -> float:
+        """Return how likely no message is late, as here, if twice as many as allowed are lost in bursts of `LONG_BURST`; 0 if one is late."""
+        return 0.0 if self.late_ratio else math.exp(-2 * (1 - reliability) * self.messages / LONG_BURST)
 
     @property
     def range(self) -> Range:
@@ -234,7 +242,7 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
         late_ratio=late.observed if late else None,
         late_ratio_upper=late.upper if late else None,
         unseen_ratio=(1 - RARE_KIND) ** interval.runs,
-        needed=_needed_messages(interval, request),
+        needed=_needed_messages(interval, request) or _messages_against_bursts(late, interval, request),
         needed_runs=_needed_runs(interval, request) if fit is Fit.INCONCLUSIVE else None,
     )
     return candidate, failure
@@ -266,17 +274,30 @@ def _fit_by_runs(interval: Interval, late: LateShare | None, request: _Request) 
         return Fit.MISSES, ""
     if fit is Fit.INCONCLUSIVE or late is None:
         return Fit.INCONCLUSIVE, _why_inconclusive(interval, request)
-    if is_late or fit is Fit.MISSES or (late.upper or 0.0) > allowed:
+    if is_late or fit is Fit.MISSES or (late.upper_of_seen or 0.0) > allowed:
         limit = "" if late.upper is None else f", of further runs up to {100 * late.upper:.3g} %"
         ends = f"the job allows {100 * (1 - request.job.reliability):.3g} %; record more runs"
         return Fit.INCONCLUSIVE, f"{100 * late.observed:.3g} % of the messages were late{limit}, {ends}"
+    lacking = _why_likely(interval, late, request)
+    return (Fit.LIKELY, lacking) if lacking else (fit, "")
+
+
+def _why_likely(interval: Interval, late: LateShare, request: _Request) -> str:
     if interval.basis is Basis.WITHIN_RUN:
         if interval.runs >= MIN_RUNS:
             needs = Statistic(request.job.reliability).needs
-            return Fit.LIKELY, f"the runs are too short: record {MIN_RUNS} of {needs:,} messages"
+            return f"the runs are too short: record {MIN_RUNS} of {needs:,} messages"
         verb = "is" if interval.runs == 1 else "are"
-        return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there {verb} {interval.runs}"
-    return fit, ""
+        return f"{interval.basis.value}: it takes {MIN_RUNS} runs, there {verb} {interval.runs}"
+    needed = _messages_against_bursts(late, interval, request)
+    return f"a burst may not have come: send {needed:,} messages; there are {interval.samples:,}" if needed else ""
+
+
+def _messages_against_bursts(late: LateShare | None, interval: Interval, request: _Request) -> int | None:
+    allowed = 1 - request.job.reliability + _ROUNDING
+    if late is None or max(late.observed, late.upper_of_seen or 0.0) > allowed or (late.upper or 0.0) <= allowed:
+        return None
+    return math.ceil((late.upper or 0.0) * interval.samples / allowed)
 
 
 _ROUNDING = 1e-12

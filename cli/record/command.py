@@ -17,7 +17,6 @@ from ..program import Version, ask_about_folder, command, make_app
 from ..table_options import (
     SettingsOption,
     default_discovery,
-    default_domain,
     given_values,
     overridden,
     read_record,
@@ -114,12 +113,14 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
 
 def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:
     from dds_trace.recorder.backends.node import NodeOptions
+    from dds_trace.recorder.domains import default_domain
     from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions, chosen_qos
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None
     is_bridged = chosen.get("bridge", "none") != "none"
-    chosen.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain())
+    joins_robot = command.role in (Role.TAP, Role.BEACON)
+    chosen.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain(joins_robot=joins_robot))
     if is_bridged:
         chosen.setdefault("relay_domain_id", default_domain())
     options = read_record(

@@ -50,7 +50,7 @@ class NodeOptions:
     domain_id: int = detail(
         10,
         "--domain ID",
-        "DDS domain. Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
+        "DDS domain. Default: ROS_DOMAIN_ID, else 10, of a tap and beacon 0; a ping with --bridge: 5",
         limit=limits.DOMAIN_ID,
         variables=("ROS_DOMAIN_ID",),
     )

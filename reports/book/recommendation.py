@@ -16,7 +16,7 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
 from dds_trace.analyzer.verdicts.cases import Setting
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
+from dds_trace.analyzer.verdicts.recommend import LONG_BURST, Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_ratio, joined, spell_duration, spell_size
 
@@ -80,6 +80,11 @@ def recommendation_info(
         sentences.append(
             f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
         )
+    missed = max((one.missed_ratio(recommendation.job.reliability) for one in recommendation.best), default=0.0)
+    if missed >= _WORTH_A_SENTENCE:
+        sentences.append(
+            f"None of its messages was late; if twice as many as allowed are lost, in bursts of {LONG_BURST}, none is in {100 * missed:.2g} %."
+        )
     sentences += [] if summary is None else _own_nodes(recommendation, names, summary)
     missing, commands = _missing(recommendation, full_names)
     return Advice(
@@ -89,6 +94,9 @@ def recommendation_info(
         missing=missing,
         commands=commands,
     )
+
+
+_WORTH_A_SENTENCE = 0.05
 
 
 def _own_nodes(recommendation: Recommendation, names: Sequence[str], summary: pl.DataFrame) -> Iterator[str]:

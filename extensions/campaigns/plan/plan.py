@@ -78,7 +78,12 @@ class RunSettings:
         "how far nodes look for each other",
         default_words="`localhost` on one machine, `subnet` between devices or namespaces",
     )
-    domain: int = plan_key(10, limits.DOMAIN_ID, "DDS domain of the relay, and of a ping without a bridge")
+    domain: int = plan_key(
+        10,
+        limits.DOMAIN_ID,
+        "DDS domain of the relay, and of a ping without a bridge",
+        default_words="`ROS_DOMAIN_ID`, else 10",
+    )
     ping_domain: int = plan_key(5, limits.DOMAIN_ID, "DDS domain of a ping with a bridge")
     wire: bool = plan_key(
         False,

@@ -17,6 +17,7 @@ from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import parse_size
 from dds_trace.extensions.gates.thresholds import read_thresholds
 from dds_trace.recorder.choices import Security
+from dds_trace.recorder.domains import default_domain
 from dds_trace.recorder.options import DEFAULT_MESSAGES
 from dds_trace.recorder.payloads import check_data
 
@@ -60,7 +61,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         )
         for rule in root.tables("exclude")
     ]
-    run = root.table("run").fill(RunSettings())
+    run = root.table("run").fill(RunSettings(domain=default_domain()))
     if not {"messages", "seconds"} & set(root.table("run").values):
         run = replace(run, messages=DEFAULT_MESSAGES)
     check_runs(where, len(axes) * len(matrices), run.repeats)

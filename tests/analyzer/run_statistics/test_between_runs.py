@@ -206,6 +206,17 @@ def test_the_page_of_figures_is_made_of_its_data():
 
 
 @pytest.mark.usefixtures("coverage")
+def test_changes_that_equal_sides_name_are_found_in_about_80_of_100():
+    comparisons = importlib.import_module("coverage_comparisons")
+    found = [comparisons.count_named("Pareto 1.5, runs +-5 %", number) for number in range(15)]
+    of_verdicts, of_gates = (
+        [one[name] for one in found for name in names] for names in (("p50", "p99"), ("gate p50", "gate p99"))
+    )
+    assert 0.7 <= np.mean(of_verdicts) <= 0.95
+    assert 0.7 <= np.mean(of_gates) <= 0.95
+
+
+@pytest.mark.usefixtures("coverage")
 @pytest.mark.parametrize(("ratio", "fewest", "most"), [(1.0, 0, 3), (2.0, 15, 20)])
 def test_default_gates_seldom_fail_equal_sides_and_find_what_takes_twice_as_long(ratio, fewest, most):
     comparisons = importlib.import_module("coverage_comparisons")

@@ -6,7 +6,7 @@ import pytest
 from drawn_series import change_of_runs, log_normal_groups
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Verdict, detectable_changes, smallest_detectable_ratio
+from dds_trace.analyzer.run_statistics.change import Verdict, _error_of, detectable_changes, smallest_detectable_ratio
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
 from dds_trace.analyzer.run_statistics.spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import inflations_of
@@ -128,8 +128,12 @@ CONFIDENCE, SAME_WITHIN = 0.95, 0.05
 TRIALS = 150
 
 
-def changes_of(pairs, ratio=1.0):
-    return [change_of_runs([Run(one) for one in base], [Run(ratio * one) for one in new], P50) for base, new in pairs]
+def changes_of(pairs, ratios=None):
+    ratios = ratios or [1.0] * len(pairs)
+    return [
+        change_of_runs([Run(one) for one in base], [Run(ratio * one) for one in new], P50)
+        for (base, new), ratio in zip(pairs, ratios, strict=True)
+    ]
 
 
 def share_called_slower(changes, groups):
@@ -153,11 +157,16 @@ def drawn_pairs(runs, spread, seed):
     ("groups", "runs", "spread"), [(1, 3, 0.05), (60, 5, 0.02), (8, 5, 0.001)], ids=["one", "many", "band"]
 )
 def test_the_smallest_change_is_seen_in_80_of_100_whichever_group_it_is(groups, runs, spread):
-    pairs = drawn_pairs(runs, spread, seed=groups)
-    told = [smallest_detectable_ratio(one, groups, CONFIDENCE, SAME_WITHIN) for one in changes_of(pairs)]
-    smallest = math.exp(np.mean(np.log(told)))
-    assert 0.7 <= share_called_slower(changes_of(pairs, smallest), groups) <= 0.88
-    assert share_called_slower(changes_of(pairs, math.sqrt(smallest)), groups) <= 0.35
+    """What equal sides name, further sides of the same kind find."""
+    told = [seen_from(one, groups) for one in changes_of(drawn_pairs(runs, spread, seed=groups))]
+    further = drawn_pairs(runs, spread, seed=groups + 1000)
+    assert 0.74 <= share_called_slower(changes_of(further, told), groups) <= 0.9
+    assert share_called_slower(changes_of(further, [math.sqrt(ratio) for ratio in told]), groups) <= 0.4
+
+
+def seen_from(change, groups):
+    error = _error_of(change, CONFIDENCE)
+    return smallest_detectable_ratio(error, [error], groups, CONFIDENCE, SAME_WITHIN)
 
 
 def test_the_group_that_sees_least_counts_and_others_are_counted():
@@ -166,8 +175,25 @@ def test_the_group_that_sees_least_counts_and_others_are_counted():
     named = [("latency", "p50", number, one) for number, one in enumerate((steady, wild, short))]
     alone, both = (detectable_changes(some, CONFIDENCE, SAME_WITHIN)[0] for some in (named[:1], named))
     assert (both.metric, both.statistic, both.groups, both.told) == ("latency", "p50", 3, 2)
-    assert both.smallest_ratio == smallest_detectable_ratio(wild, 2, CONFIDENCE, SAME_WITHIN)
-    assert both.least_ratio == smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN)
+    assert both.smallest_ratio == seen_from(wild, 2)
+    assert both.least_ratio == seen_from(steady, 2)
     assert (both.least_result, both.most_result) == (0, 1)
-    assert alone.smallest_ratio < smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN) < both.smallest_ratio
+    assert alone.smallest_ratio < seen_from(steady, 2) < both.smallest_ratio
     assert detectable_changes(named[2:], CONFIDENCE, SAME_WITHIN)[0].smallest_ratio is None
+
+
+def test_a_statistic_that_moves_with_others_of_its_result_is_found_among_all_that_are_tested():
+    """The level of an adjusted verdict depends on the tests of all metrics and statistics, and on its rank among its result's own."""
+    (steady_pair,), (wild_pair,) = (drawn_pairs(3, spread, seed=1)[:1] for spread in (0.01, 0.1))
+    steady, wild = changes_of([steady_pair, wild_pair])
+    p50, p99 = detectable_changes([("latency", "p50", 0, steady), ("latency", "p99", 0, wild)], CONFIDENCE, SAME_WITHIN)
+    assert p50.smallest_ratio == seen_from(steady, 2)
+    assert p99.smallest_ratio == seen_from(wild, 1)
+
+
+def test_results_of_one_spread_see_alike():
+    pairs = drawn_pairs(5, 0.05, seed=4)[:6]
+    (sight,) = detectable_changes(
+        [("latency", "p50", number, one) for number, one in enumerate(changes_of(pairs))], CONFIDENCE, SAME_WITHIN
+    )
+    assert sight.smallest_ratio < 1.1 * sight.least_ratio

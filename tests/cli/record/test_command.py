@@ -16,6 +16,7 @@ from dds_trace.cli import doctor, recover
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import describe_progress, print_result
 from dds_trace.extensions.bridges import BRIDGE_MODULES
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
@@ -368,3 +369,23 @@ def test_a_limit_of_losses_is_a_percentage(text):
     with pytest.raises(OptionError, match="write a percentage from 0% to 100%"):
         parse_percentage("--fail-if-lost", text)
     assert parse_percentage("--fail-if-lost", "0.5 %") == 0.005
+
+
+@pytest.mark.parametrize(("role", "domain"), [("tap", 0), ("beacon", 0), ("relay", 10), ("ping", 10)])
+def test_who_joins_a_robot_is_in_its_domain(parsed, monkeypatch, role, domain):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    words = ["--role", role, *(["--topics", "/camera"] if role == "tap" else [])]
+    assert parsed(*words).node.domain_id == domain
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert parsed(*words).node.domain_id == 42
+    assert parsed(*words, "--domain", 7).node.domain_id == 7
+
+
+def test_a_plan_without_a_domain_is_in_that_of_the_environment(monkeypatch):
+    plan = "[axes]\nbackend = 'socket'\n[[matrix]]\nsize = '1KB'\n"
+    monkeypatch.setenv("ROS_DOMAIN_ID", "89")
+    assert parse_plan(plan, "one", "one.toml").run.domain == 89
+    assert parse_plan(f"[run]\ndomain = 7\n{plan}", "one", "one.toml").run.domain == 7
+    monkeypatch.setenv("ROS_DOMAIN_ID", "no number")
+    with pytest.raises(OptionError, match="ROS_DOMAIN_ID"):
+        parse_plan(plan, "one", "one.toml")

@@ -7,7 +7,7 @@ response time (planned send to reply, so that a late sender counts).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from dds_trace.base.units import counted
 
 from .plan.cells import Cell
 from .plan.plan import Plan, Search
-from .plan.schedule import group_by_relay
+from .plan.schedule import LOSS_OVERHEAD_S, RELAY_OVERHEAD_S, Estimate, carried_rate, group_by_relay
 from .run.result import CellResult
 from .run.runner import Runner
 from .run.state import Status
@@ -173,6 +173,54 @@ def search_plan(plan: Plan) -> Plan:
 
 def messages_needed(search: Search) -> int:
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
+
+
+class SearchEstimate(NamedTuple):
+    recordings: int
+    seconds: float
+
+
+def search_estimate(plan: Plan, cell: Cell, sustained_hz: float) -> SearchEstimate:
+    """Return what the search of a cell of `search_plan` costs if it sustains such a rate."""
+    trials: dict[Cell, bool] = {}
+
+    def trial(rate_hz: float, number: int) -> str:
+        is_beyond = rate_hz > sustained_hz * _KNEE[number % len(_KNEE)]
+        trials[replace(cell, rate=rate_hz, repeat=number)] = is_beyond
+        return "beyond" if is_beyond else ""
+
+    Bisection(plan.search, trial).run()
+    estimate = Estimate(plan)
+    lost_s = [LOSS_OVERHEAD_S for one, is_beyond in trials.items() if is_beyond and not estimate.link_seconds(one)]
+    return SearchEstimate(len(trials), sum(map(estimate.cell_seconds, trials)) + sum(lost_s))
+
+
+def search_estimates(plan: Plan) -> tuple[SearchEstimate, SearchEstimate, SearchEstimate]:
+    """Return the least, the expected and the most that a search costs: expected is the link's rate, or that all rates work."""
+    lowest, highest = plan.search.min_rate, plan.search.max_rate
+    rates = [lowest / 2, *(lowest * (highest / lowest) ** (step / _STEPS) for step in range(_STEPS + 1)), 2 * highest]
+    expected = [
+        search_estimate(plan, cell, min(2 * highest, FILLED_SHARE * carried_rate(plan, cell))) for cell in plan.cells
+    ]
+    costs = [
+        [likely, *(search_estimate(plan, cell, rate) for rate in rates)]
+        for cell, likely in zip(plan.cells, expected, strict=True)
+    ]
+    relays_s = RELAY_OVERHEAD_S * len(group_by_relay(plan, plan.cells))
+
+    def ends(choose: Callable[[Iterable[float]], float]) -> SearchEstimate:
+        recordings, seconds = (sum(choose(one[index] for one in cost) for cost in [*costs]) for index in range(2))
+        return SearchEstimate(int(recordings), relays_s + seconds)
+
+    middle = SearchEstimate(sum(one.recordings for one in expected), relays_s + sum(one.seconds for one in expected))
+    return ends(min), middle, ends(max)
+
+
+_STEPS = 40
+_KNEE = (1.0, 1.1, 0.9)
+"""Factors by which the rate that works differs from run to run."""
+FILLED_SHARE = 0.9
+"""Share of a link's rate that messages reach, without their headers."""
 
 
 def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:

@@ -34,7 +34,14 @@ MOST_CHECKED = 20_000
 
 
 def dry_run(
-    plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, as_json: bool, rehearses: bool = False
+    plan: Plan,
+    out: Path,
+    other: NewSide | None,
+    until: Until | None,
+    *,
+    as_json: bool,
+    rehearses: bool = False,
+    searches: bool = False,
 ) -> int:
     from ..rehearsal import check_plan, rehearse_plan
     from ..sweep import INCOMPLETE_EXIT_CODE
@@ -51,7 +58,10 @@ def dry_run(
             refused |= rehearse_plan(side, folder, argument_check(), note=say, command=command)
         else:
             refused |= check_plan(side, folder, argument_check())
-    described, lines = shown_sides(plan, other, refused) if other is not None else _shown(plan, until, refused)
+    if other is not None:
+        described, lines = shown_sides(plan, other, refused)
+    else:
+        described, lines = _shown_search(plan, refused) if searches else _shown(plan, until, refused)
     print(json.dumps({**described, "cannot_start": refused}) if as_json else "\n".join(lines))
     say_missing(refused, what=" cannot start")
     return INCOMPLETE_EXIT_CODE if refused else 0
@@ -109,7 +119,7 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
         ]
     lines += _remarks(plan)
     lines.append(
-        f"plan {plan.name}: {counted(len(cells), 'recording')}, {len(plan.excluded)} left out, "
+        f"plan {plan.name}: {counted(len(cells), 'recording')}, {_left_out(plan, refused)} left out, "
         f"{counted(len(groups), 'start of a relay', 'starts of a relay')}, about {seconds}{startable_words(cells, refused)}"
     )
     if until is not None:
@@ -120,6 +130,35 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
             f"repeats, about {most} for all of them"
         )
     return described, lines
+
+
+def _shown_search(plan: Plan, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:
+    from ..plan.schedule import Remaining, group_by_relay
+    from ..search import search_estimates
+
+    here = startable(plan, refused)
+    least, expected, most = search_estimates(here)
+    described = {
+        "plan": plan.name,
+        "seconds": expected.seconds,
+        "least_seconds": least.seconds,
+        "most_seconds": most.seconds,
+        "recordings": {"least": least.recordings, "expected": expected.recordings, "most": most.recordings},
+        "cells": [{"name": cell.name} for cell in plan.cells],
+    }
+    starts = counted(len(group_by_relay(here, here.cells)), "start of a relay", "starts of a relay")
+    ends = f"{Remaining(least.seconds)} to {Remaining(most.seconds)}, by the rates that work"
+    times = f"about {Remaining(expected.seconds)} ({ends})"
+    lines = [
+        *(f"{cell.name}  from {plan.search.min_rate:g} to {plan.search.max_rate:g} Hz" for cell in plan.cells),
+        *_remarks(plan),
+        f"plan {plan.name}: {least.recordings} to {counted(most.recordings, 'recording')}, {_left_out(plan, refused)} left out, {starts}, {times}",
+    ]
+    return described, lines
+
+
+def _left_out(plan: Plan, refused: Mapping[str, str]) -> int:
+    return len(plan.excluded) + len(refused)
 
 
 def _remarks(plan: Plan) -> list[str]:

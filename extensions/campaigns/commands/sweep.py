@@ -174,7 +174,7 @@ def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = 
     _refuse_crowded(requested, "a search")
     read_thresholds(requested, None, None, is_judged=False)
     if dry_run:
-        raise typer.Exit(dry_run_of(search_plan(requested), out, None, None, as_json=as_json))
+        raise typer.Exit(dry_run_of(search_plan(requested), out, None, None, as_json=as_json, searches=True))
     run_until_interrupted(lambda: _search(requested, out, as_json), out)
 
 

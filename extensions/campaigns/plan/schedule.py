@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -23,6 +24,9 @@ OWN_COST_S = 1.0
 BRIDGE_OVERHEAD_S = 2.0
 
 RELAY_OVERHEAD_S = 1.0
+
+LOSS_OVERHEAD_S = 5.0
+"""Wait for replies that are lost, a new relay, and its discovery by the next run: of kept recordings over links that lose."""
 
 
 def start_lead_s(pings: int) -> float:
@@ -106,16 +110,35 @@ class Estimate:
 
     def cell_seconds(self, cell: Cell) -> float:
         overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains + start_lead_s(cell.senders)
-        overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
+        overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat) + self.link_seconds(cell)
         if self._measured_s:
             overhead_s = sum(self._measured_s) / len(self._measured_s)
         return self.plan.run.planned_seconds(cell.rate, cell.outage) + overhead_s + self.plan.run.settle_seconds
+
+    def link_seconds(self, cell: Cell) -> float:
+        """Return what a link adds that loses messages, or carries less than is sent: up to the cut-off."""
+        link, run = self.plan.link_of(cell), self.plan.run
+        if link is None:
+            return 0.0
+        carried_hz = carried_rate(self.plan, cell)
+        if cell.rate > carried_hz:
+            planned_s = run.planned_seconds(cell.rate, cell.outage)
+            return LOSS_OVERHEAD_S + min(run.cutoff_seconds, planned_s * (cell.rate / carried_hz - 1))
+        return LOSS_OVERHEAD_S * bool(link.loss_percent or link.outage_ms or link.file)
 
     def measured(self, cell: Cell, seconds: float) -> None:
         self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate, cell.outage)))
 
     def remaining(self, cells: list[Cell]) -> Remaining:
         return Remaining(sum(self.cell_seconds(together[0]) for together in recorded_together(cells)))
+
+
+def carried_rate(plan: Plan, cell: Cell) -> float:
+    """Return the messages a second that fill the link's rate, without their headers; infinite without such a link."""
+    link = plan.link_of(cell)
+    if link is None or not link.rate_mbit_s or not cell.size:
+        return math.inf
+    return link.rate_mbit_s * 1e6 / (8 * cell.size * (2 if link.shared else 1))
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:

@@ -14,12 +14,15 @@ from dds_trace.extensions.campaigns.max_rate_report import COLUMNS, max_rate_row
 from dds_trace.extensions.campaigns.plan.cells import Cell
 from dds_trace.extensions.campaigns.plan.plan import Search
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.plan.schedule import LOSS_OVERHEAD_S, plan_seconds
 from dds_trace.extensions.campaigns.run.result import CellResult
 from dds_trace.extensions.campaigns.search import (
     Bisection,
     MaxRate,
     RateAnswer,
     messages_needed,
+    search_estimate,
+    search_estimates,
     search_plan,
     why_not_sustained,
 )
@@ -242,3 +245,50 @@ def test_target_is_a_statistic_and_a_percentage(text, target):
 def test_other_targets_are_refused(text):
     with pytest.raises(OptionError, match="write STATISTIC:PERCENT"):
         parse_target(text)
+
+
+SEARCHED = """
+[search]
+min_rate = 10
+max_rate = 1000
+[axes]
+backend = "socket"
+[[matrix]]
+size = ["33KB", "145KB"]
+"""
+
+
+@pytest.mark.parametrize("limit_hz", [5, 12, 70, 300, 990, 5000])
+def test_a_dry_run_of_a_search_counts_the_recordings_that_the_search_makes(limit_hz):
+    plan = search_plan(parse_plan(SEARCHED, "s", "s.toml"))
+    cell, recorded = plan.cells[0], set()
+
+    def trial(rate_hz, number):
+        recorded.add((rate_hz, number))
+        return "late" * (rate_hz > limit_hz)
+
+    Bisection(plan.search, trial).run()
+    cost = search_estimate(plan, cell, limit_hz)
+    assert len(recorded) <= cost.recordings <= 2 * len(recorded)
+    least_s = sum(plan.run.planned_seconds(rate_hz) for rate_hz, _ in recorded)
+    assert least_s < cost.seconds < 3 * least_s + 12 * cost.recordings
+    least, expected, most = search_estimates(plan)
+    assert least.recordings <= 2 * cost.recordings <= most.recordings
+    assert least.seconds <= expected.seconds <= most.seconds
+    assert expected.recordings == 2 * search_estimate(plan, cell, 5000).recordings
+
+
+def test_a_link_that_carries_less_or_loses_takes_time_as_long_as_a_run_may_take():
+    text = "[run]\nseconds = 5\n{}[axes]\nbackend = 'socket'\n[[matrix]]\nsize = '145KB'\nrate = {}\n"
+
+    def seconds(link, rate_hz):
+        plan = parse_plan(text.format(link, rate_hz), "s", "s.toml")
+        return plan_seconds(plan).seconds
+
+    wire, lossy = "[link]\nrate_mbit_s = 100\n", "[link]\nrate_mbit_s = 100\nloss_percent = 1\n"
+    plain = seconds("", 50)
+    assert seconds(wire, 50) == plain
+    assert seconds(lossy, 50) == plain + LOSS_OVERHEAD_S
+    assert seconds(wire, 172.4) == pytest.approx(plain + LOSS_OVERHEAD_S + 5, rel=0.01)  # twice what it carries
+    assert seconds(wire, 2000) == pytest.approx(plain + LOSS_OVERHEAD_S + 30, rel=0.01)
+    assert seconds(wire.replace("]", "]\nshared = true"), 86.2) == pytest.approx(plain + LOSS_OVERHEAD_S + 5, rel=0.01)

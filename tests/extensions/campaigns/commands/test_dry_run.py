@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from commands import run_trace
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from namespaces import needs_namespaces
@@ -273,3 +274,26 @@ def test_generated_plans_that_pass_start_their_cells(tmp_path, domains, examples
 
     passes_or_starts()
     assert started > 0
+
+
+def test_an_environment_that_is_not_there_is_left_out(tmp_path, capsys):
+    path = tmp_path / "plan.toml"
+    path.write_text(
+        HEAD.format(10, 5) + "[axes]\nbackend = 'socket'\nenvironment = ['', 'gone']\n[[matrix]]\nsize = '1KB'\n"
+    )
+    assert run_trace("sweep", path, "--out", tmp_path / "runs", "--dry-run") == 10
+    said = capsys.readouterr()
+    assert "1 left out" in said.out
+    assert "gone has no bin/dds-record" in said.err
+
+
+def test_a_search_is_promised_by_its_own_bisection(tmp_path, capsys):
+    path = tmp_path / "plan.toml"
+    path.write_text(
+        HEAD.format(10, 5)
+        + "[search]\nmin_rate = 50\nmax_rate = 400\n[axes]\nbackend = 'socket'\n[[matrix]]\nsize = '33KB'\n"
+    )
+    assert run_trace("capacity", path, "--out", tmp_path / "runs", "--dry-run", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert 1 < told["recordings"]["least"] <= told["recordings"]["expected"] < told["recordings"]["most"] < 40
+    assert told["least_seconds"] <= told["seconds"] < told["most_seconds"]

@@ -19,7 +19,7 @@ _PORTS_END = 65_536
 
 
 OWN_DOMAIN, ROBOTS_DOMAIN = 10, 0
-"""Default of our own nodes, which are to meet nobody else, and ROS 2's."""
+"""Default of our own nodes, and ROS 2's."""
 
 
 def default_domain(*, joins_robot: bool = False) -> int:

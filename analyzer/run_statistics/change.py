@@ -324,10 +324,10 @@ Error = tuple[float, float]
 """Standard error of the logarithm of a ratio, and its degrees of freedom."""
 
 UNLIKE_UP_TO = 0.05
-"""P value of Bartlett's test from which on errors of results are one."""
+"""P value of Bartlett's test."""
 
 ALIKE_ERRORS = 1.25
-"""Factor within which statistics of a result are in no order by their errors."""
+"""Factor within which errors have no order."""
 
 
 def _error_of(change: Change, confidence: float) -> Error | None:
@@ -338,17 +338,17 @@ def _error_of(change: Change, confidence: float) -> Error | None:
 
 
 def _pooled(family: Sequence[tuple[int, Error | None]]) -> list[tuple[int, Error | None]]:
-    """Return the errors of a statistic as one where Bartlett's test finds them alike: the largest of several is so by chance."""
-    known = [error for _, error in family if error is not None and error[0] > 0]
-    if len(known) < 2 or any(error is not None and error[0] <= 0 for _, error in family):
+    """Return one error for all results that Bartlett's test finds alike: the largest is so by chance."""
+    errors = [error for _, error in family if error is not None and error[0] > 0]
+    if len(errors) < 2 or any(error is not None and error[0] <= 0 for _, error in family):
         return list(family)
-    variances, degrees = np.square([error for error, _ in known]), np.array([own for _, own in known])
+    variances, degrees = np.square([error for error, _ in errors]), np.array([freedom for _, freedom in errors])
     mean, total = float(np.average(variances, weights=degrees)), float(degrees.sum())
     unlike = total * math.log(mean) - float(degrees @ np.log(variances))
-    correction = 1 + (float((1 / degrees).sum()) - 1 / total) / (3 * (len(known) - 1))
-    if special().chdtrc(len(known) - 1, unlike / correction) < UNLIKE_UP_TO:
+    correction = 1 + (float((1 / degrees).sum()) - 1 / total) / (3 * (len(errors) - 1))
+    if special().chdtrc(len(errors) - 1, unlike / correction) < UNLIKE_UP_TO:
         return list(family)
-    pooled = math.sqrt(mean), whole_degrees(total / len(known))
+    pooled = math.sqrt(mean), whole_degrees(total / len(errors))
     return [(result, error and pooled) for result, error in family]
 
 
@@ -357,14 +357,13 @@ def smallest_detectable_ratio(
 ) -> float:
     """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %, if no other result changed.
 
-    Benjamini and Hochberg require a p value of alpha times its rank divided by the number of `tests`. The p values of a result that is
-    slower as a whole are in the order of their errors. The interval has to leave the band of "the same", too.
+    Its p value is at most alpha times its rank, by the errors of its result, over `tests`; its interval leaves the band of "the same".
     """
-    own, degrees = error
-    rank = sum(other <= ALIKE_ERRORS * own for other, _ in of_result)
-    shift = own * estimated_shift_for_power(degrees, 1 - (1 - confidence) * rank / max(rank, tests))
+    standard_error, degrees = error
+    rank = sum(other <= ALIKE_ERRORS * standard_error for other, _ in of_result)
+    shift = standard_error * estimated_shift_for_power(degrees, 1 - (1 - confidence) * rank / max(rank, tests))
     reach = student_quantile((1 + confidence) / 2, degrees)
-    beyond = math.log1p(same_within) + own * (student_quantile(POWER, degrees) - reach)
+    beyond = math.log1p(same_within) + standard_error * (student_quantile(POWER, degrees) - reach)
     return math.exp(max(shift, beyond))
 
 

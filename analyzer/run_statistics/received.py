@@ -275,7 +275,7 @@ SKEWED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LateShare:
-    """`upper_of_seen` is the upper limit if no bursts come but such as were seen."""
+    """`upper_of_seen` leaves out bursts that did not come yet."""
 
     observed: float
     lower: float | None = None
@@ -288,7 +288,7 @@ def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> Late
 
     Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late
     shares. By itself it is too low where no run was late yet. The second one takes the logarithm of a value as the
-    run's level plus a residual, and levels as normal or, where that is more, exponential beyond their mean. The third one is of bursts.
+    run's level plus a residual, and levels as normal or, where that is more, exponential beyond their mean.
     """
     filled = [run.values for run in runs if len(run)]
     if not filled:
@@ -307,11 +307,11 @@ def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> Late
 
 
 UNSEEN_BURST = 4.5
-"""Late messages of a burst that no run shows: by simulation (`coverage-deadlines-bursts`)."""
+"""Late messages of it, by simulation (`coverage-deadlines-bursts`)."""
 
 
 def _unseen_limit(is_late: Sequence[Bools], confidence: float) -> float:
-    """Return the upper limit of the late share by its bursts, one more than were seen: what is late in few bursts is often in none."""
+    """Return Poisson's upper limit by the bursts that came, and another one."""
     sizes = [episode_sizes(np.flatnonzero(late), len(late)) for late in is_late]
     bursts = np.concatenate([*sizes, [UNSEEN_BURST]])
     if len(bursts) > MIN_EPISODES:

@@ -63,15 +63,15 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
 
 @lru_cache(maxsize=4096)
 def estimated_shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8) -> float:
-    """Return the same in errors as estimated by other runs of as many degrees: too small ones promise too much."""
+    """Return the same in errors as other runs estimate them."""
     roots, weights = _estimated_errors(degrees, _POWER_STEPS // 10)
-    both = weights[:, None] * weights
+    joint = weights[:, None] * weights
     threshold = student_quantile((1 + confidence) / 2, degrees) * roots
-    return _shift_found(lambda shift: float(np.sum(both * special().ndtr(shift * roots[:, None] - threshold))), power)
+    return _shift_found(lambda shift: float(np.sum(joint * special().ndtr(shift * roots[:, None] - threshold))), power)
 
 
 def _estimated_errors(degrees: float, steps: int) -> tuple[Float64, Float64]:
-    """Return standard errors as estimated, in true ones, on a grid beyond which the probability is below 1e-9; and how likely each is."""
+    """Return estimated over true standard errors, and their weights, on a grid beyond which the probability is below 1e-9."""
     spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
     logs = np.linspace(-3 * spread, spread, steps)
     log_density = degrees / 2 * (logs - np.exp(logs))

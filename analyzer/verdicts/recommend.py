@@ -36,7 +36,7 @@ RARE_KIND = 0.1
 
 
 LONG_BURST = 30
-"""Messages of a burst that a setting said to meet a job may not have shown."""
+"""Messages."""
 
 
 class Fit(Enum):
@@ -108,7 +108,7 @@ class Candidate:
     latency_ns: float | None = None
 
     def missed_ratio(self, reliability: float) -> float:
-        """Return how likely no message is late, as here, if twice as many as allowed are lost in bursts of `LONG_BURST`; 0 if one is late."""
+        """Return how likely none is late if twice as many as allowed are lost in bursts of `LONG_BURST`."""
         return 0.0 if self.late_ratio else math.exp(-2 * (1 - reliability) * self.messages / LONG_BURST)
 
     @property

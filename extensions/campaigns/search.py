@@ -181,7 +181,7 @@ class SearchEstimate(NamedTuple):
 
 
 def search_estimate(plan: Plan, cell: Cell, sustained_hz: float) -> SearchEstimate:
-    """Return what the search of a cell of `search_plan` costs if it sustains such a rate."""
+    """Return what the search of a cell costs that sustains such a rate."""
     trials: dict[Cell, bool] = {}
 
     def trial(rate_hz: float, number: int) -> str:
@@ -191,12 +191,12 @@ def search_estimate(plan: Plan, cell: Cell, sustained_hz: float) -> SearchEstima
 
     Bisection(plan.search, trial).run()
     estimate = Estimate(plan)
-    lost_s = [LOSS_OVERHEAD_S for one, is_beyond in trials.items() if is_beyond and not estimate.link_seconds(one)]
+    lost_s = [LOSS_OVERHEAD_S for tried, is_beyond in trials.items() if is_beyond and not estimate.link_seconds(tried)]
     return SearchEstimate(len(trials), sum(map(estimate.cell_seconds, trials)) + sum(lost_s))
 
 
 def search_estimates(plan: Plan) -> tuple[SearchEstimate, SearchEstimate, SearchEstimate]:
-    """Return the least, the expected and the most that a search costs: expected is the link's rate, or that all rates work."""
+    """Return least, expected and most; expected is that the link's rate, or all rates, work."""
     lowest, highest = plan.search.min_rate, plan.search.max_rate
     rates = [lowest / 2, *(lowest * (highest / lowest) ** (step / _STEPS) for step in range(_STEPS + 1)), 2 * highest]
     expected = [
@@ -209,18 +209,20 @@ def search_estimates(plan: Plan) -> tuple[SearchEstimate, SearchEstimate, Search
     relays_s = RELAY_OVERHEAD_S * len(group_by_relay(plan, plan.cells))
 
     def ends(choose: Callable[[Iterable[float]], float]) -> SearchEstimate:
-        recordings, seconds = (sum(choose(one[index] for one in cost) for cost in [*costs]) for index in range(2))
+        recordings, seconds = (sum(choose(tried[index] for tried in cost) for cost in [*costs]) for index in range(2))
         return SearchEstimate(int(recordings), relays_s + seconds)
 
-    middle = SearchEstimate(sum(one.recordings for one in expected), relays_s + sum(one.seconds for one in expected))
+    middle = SearchEstimate(
+        sum(tried.recordings for tried in expected), relays_s + sum(tried.seconds for tried in expected)
+    )
     return ends(min), middle, ends(max)
 
 
 _STEPS = 40
 _KNEE = (1.0, 1.1, 0.9)
-"""Factors by which the rate that works differs from run to run."""
+"""The rate that works differs from run to run."""
 FILLED_SHARE = 0.9
-"""Share of a link's rate that messages reach, without their headers."""
+"""Share of a link's rate that messages reach."""
 
 
 def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:

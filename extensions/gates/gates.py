@@ -144,7 +144,7 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
 def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False) -> list[GateResult]:
     """Judge every group of the base by every gate of a comparison made with `options_for` them.
 
-    First a result of `ALL_GROUPS` for each missing or dead group, and one of each limit that fits no result, then gate by gate.
+    First a result for each missing or dead group and each limit that fits none, then gate by gate.
     """
     if comparison.delivery.is_empty():
         return []
@@ -177,7 +177,7 @@ def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResul
 
 
 def _without_result(comparison: Comparison, gates: Sequence[Gate]) -> Iterator[GateResult]:
-    """Yield the limits that name no result of either side; one of topics is for recordings of topics."""
+    """Yield the limits that name no result; one of topics is for recordings of topics."""
     rows = [row for side in (comparison.delivery, comparison.only_base) for row in side.iter_rows(named=True)]
     only_new = comparison.only_new.to_dicts()
     files = {id(gate.sections): gate.sections for gate in gates if gate.sections is not None}

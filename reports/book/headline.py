@@ -161,7 +161,7 @@ def _cost_words(rows: pl.DataFrame) -> str:
 
 
 _COUNTS = ("flows", "relays")
-"""Conditions that are numbers, 1 if they are not there: a sentence has their range."""
+"""Conditions that are numbers, by default 1."""
 
 
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:

@@ -237,10 +237,10 @@ _HASH = re.compile(r"#[0-9a-f]+")
 
 
 _NOT_IN_TRACE = frozenset({"environment", "configuration", "flow", "with", "flows"})
-"""Settings of a sweep by files, or by other messages at the same time, that a trace does not have."""
+"""Settings by files or other messages."""
 
 _MADE_BY_SWEEP = frozenset({"link", "queue", "outage", "outage_by", "pings", "hosts", "topics", "relays"})
-"""Settings that `record` files under their name and does not make."""
+"""Settings that `record` only names."""
 
 _NOT_OF_AN_AXIS = frozenset(
     {"cpu_affinity", "deadline_ns", "lifespan_ns", "discovery", "bridge_running", "bridge_listen"}
@@ -248,7 +248,7 @@ _NOT_OF_AN_AXIS = frozenset(
 
 
 def recording_commands(setting: Setting, job: Job, messages: int, runs: int) -> tuple[tuple[str, str], ...]:
-    """Return device and command: of both sides, of a sweep where `record` would not make the setup, or none."""
+    """Return device and command: of both sides, of a sweep, or none."""
     extra = parse_setting(str(setting["setting"]))
     is_here, connectivity = setting["ping_device"] == setting["relay_device"], str(setting["connectivity"])
     is_swept = bool(_MADE_BY_SWEEP & extra.keys()) or (is_here and connectivity != "loopback")
@@ -363,8 +363,6 @@ def _plan(
 
 
 _SECONDS_AT_MAX = 10
-"""How long a sweep sends as fast as it can, as no number of messages ends that."""
-
 _UNIT_OF_TIME = re.compile(r"(?<=\d)m?s$")
 
 

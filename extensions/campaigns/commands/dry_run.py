@@ -136,8 +136,8 @@ def _shown_search(plan: Plan, refused: Mapping[str, str]) -> tuple[dict[str, obj
     from ..plan.schedule import Remaining, group_by_relay
     from ..search import search_estimates
 
-    here = startable(plan, refused)
-    least, expected, most = search_estimates(here)
+    plan_here = startable(plan, refused)
+    least, expected, most = search_estimates(plan_here)
     described = {
         "plan": plan.name,
         "seconds": expected.seconds,
@@ -146,7 +146,7 @@ def _shown_search(plan: Plan, refused: Mapping[str, str]) -> tuple[dict[str, obj
         "recordings": {"least": least.recordings, "expected": expected.recordings, "most": most.recordings},
         "cells": [{"name": cell.name} for cell in plan.cells],
     }
-    starts = counted(len(group_by_relay(here, here.cells)), "start of a relay", "starts of a relay")
+    starts = counted(len(group_by_relay(plan_here, plan_here.cells)), "start of a relay", "starts of a relay")
     ends = f"{Remaining(least.seconds)} to {Remaining(most.seconds)}, by the rates that work"
     times = f"about {Remaining(expected.seconds)} ({ends})"
     lines = [

@@ -26,7 +26,7 @@ BRIDGE_OVERHEAD_S = 2.0
 RELAY_OVERHEAD_S = 1.0
 
 LOSS_OVERHEAD_S = 5.0
-"""Wait for replies that are lost, a new relay, and its discovery by the next run: of kept recordings over links that lose."""
+"""Wait for lost replies, a new relay and its discovery."""
 
 
 def start_lead_s(pings: int) -> float:
@@ -116,7 +116,7 @@ class Estimate:
         return self.plan.run.planned_seconds(cell.rate, cell.outage) + overhead_s + self.plan.run.settle_seconds
 
     def link_seconds(self, cell: Cell) -> float:
-        """Return what a link adds that loses messages, or carries less than is sent: up to the cut-off."""
+        """Return what a lossy or full link adds."""
         link, run = self.plan.link_of(cell), self.plan.run
         if link is None:
             return 0.0
@@ -134,7 +134,7 @@ class Estimate:
 
 
 def carried_rate(plan: Plan, cell: Cell) -> float:
-    """Return the messages a second that fill the link's rate, without their headers; infinite without such a link."""
+    """Return the messages a second that fill the link, without headers."""
     link = plan.link_of(cell)
     if link is None or not link.rate_mbit_s or not cell.size:
         return math.inf

@@ -256,9 +256,9 @@ PARTICIPANTS = 120
 FUTURE = (
     (
         "more QoS",
-        "`sweep`, axes {}",
+        "`sweep`, axes {}; `record -o deadline`, `-o lifespan`",
         ("reliability", "durability", "history", "depth"),
-        "in part: no deadline, liveliness",
+        "done",
     ),
     ("stress", "`sweep`, axes {}", ("load", "relays", "pings"), "done"),
     ("moving nodes", "`sweep plans/drive.toml`, axes {}", ("outage", "outage_by"), "emulated"),

@@ -72,17 +72,18 @@ class MessageBatch:
 
     @classmethod
     def of(cls, messages: Sequence[RawMessage]) -> MessageBatch:
-        topics = {id(message.topic): message.topic for message in messages}
+        """Make a batch of messages, at least one; of any storage but MCAP times have 63 bits."""
+        of_messages, log_ns, publish_ns, sequences, contents = zip(*messages, strict=True)
+        topics = {id(topic): topic for topic in of_messages}
         index_of = {key: index for index, key in enumerate(topics)}
-        sizes = np.array([len(message.data) for message in messages], np.int64)
-        publish_ns = [NONE if abs(message.publish_ns or 0) > LATEST_NS else message.publish_ns for message in messages]
+        sizes = np.array([*map(len, contents)], np.int64)
         return cls(
             [*topics.values()],
-            np.array([index_of[id(message.topic)] for message in messages], np.int64),
-            np.array([max(min(message.log_ns, LATEST_NS), -LATEST_NS) for message in messages], np.int64),
-            np.array([NONE if time_ns is None else time_ns for time_ns in publish_ns], np.int64),
-            np.array([NONE if message.sequence is None else message.sequence for message in messages], np.int64),
-            b"".join(message.data for message in messages),
+            np.array([index_of[key] for key in map(id, of_messages)], np.int64),
+            np.maximum(np.array(log_ns, np.int64), -LATEST_NS),
+            _column(publish_ns),
+            _column(sequences),
+            b"".join(contents),
             np.cumsum(sizes) - sizes,
             sizes,
         )
@@ -105,6 +106,12 @@ class MessageBatch:
                 None if sequence == NONE else sequence,
                 bytes(self.data[start : start + size]),
             )
+
+
+def _column(values: Sequence[int | None]) -> Int64:
+    if values.count(None) == len(values):
+        return np.full(len(values), NONE)
+    return np.array([NONE if value is None else value for value in values], np.int64)
 
 
 _BATCH_MESSAGES, _BATCH_BYTES = 8192, 4 << 20
@@ -152,11 +159,12 @@ class Budget:
 
     def take(self, count: int = 1) -> int:
         """Return how many of the next messages are read; an error if none is."""
-        taken = min(count, self._messages)
-        if taken <= 0 < count:
-            raise UnreadableError("it has more messages than so few bytes hold")
-        self._messages -= taken
-        return taken
+        if count > self._messages:
+            count = self._messages
+            if not count:
+                raise UnreadableError("it has more messages than so few bytes hold")
+        self._messages -= count
+        return count
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

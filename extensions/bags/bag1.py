@@ -164,10 +164,14 @@ class _Bag1Walk:
             return None
         header = source.peek(at + _LENGTH.size, header_bytes + _LENGTH.size)
         end = data_at + _LENGTH.unpack_from(header, header_bytes)[0]
-        try:
-            fields = _fields(header[:header_bytes])
-        except (struct.error, ValueError):
-            return None
+        if header_bytes == _USUAL_BYTES and (usual := _USUAL_HEADER.fullmatch(header, 0, header_bytes)):
+            is_whole = end <= source.size and end - data_at <= MAX_RECORD_BYTES
+            return _Record(_MESSAGE, {"conn": usual[1], "time": usual[2]}, at, data_at, end) if is_whole else None
+        with suppress(struct.error, ValueError):
+            return self._record_of(source, at, data_at, end, _fields(header[:header_bytes]))
+        return None
+
+    def _record_of(self, source: Records, at: int, data_at: int, end: int, fields: dict[str, bytes]) -> _Record | None:
         opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
         is_nested = opcode == _CHUNK and source is not self._file
         is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {}).items())
@@ -229,8 +233,6 @@ def _number(record: _Record, field: str) -> int:
 
 
 def _fields(header: bytes) -> dict[str, bytes]:
-    if len(header) == _USUAL_BYTES and (usual := _USUAL_HEADER.fullmatch(header)):
-        return {"op": b"\x02", "conn": usual[1], "time": usual[2]}
     fields: dict[str, bytes] = {}
     at = 0
     for _ in range(_MOST_FIELDS):

@@ -6,11 +6,12 @@ import struct
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cramjam
 import numpy as np
 import zstandard
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from dds_trace.base.units import counted
@@ -33,6 +34,8 @@ _INDEX = struct.Struct("<BQHI")
 """Header of a MessageIndex record, channel id, bytes of its entries: pairs of log time and offset."""
 
 _INDEX_BYTES, _ENTRY_BYTES = 6, 16
+_FIRST_INDEX_BYTES = 4096
+_MOST_INDEX_HEADERS = 1 << 20  # bytes, of 65,536 channels; an entry is shorter than a message
 
 _thread_local = threading.local()
 
@@ -89,6 +92,24 @@ class PackedChunk:
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
+
+    def with_indexes(self, file: RecordFile) -> tuple[PackedChunk, int]:
+        """Return the chunk with the indexes after it, and where the last one begins: those before it are sound, as another follows each."""
+        at = last_at = data_at = self.end
+        data, size = b"", _FIRST_INDEX_BYTES
+        while True:
+            if at + RECORD_HEADER.size > data_at + len(data):
+                data, data_at = file.read(at, min(size, max(file.size - at, 0))), at
+                size = min(2 * size, _MOST_INDEX_HEADERS)
+            if len(data) < RECORD_HEADER.size:
+                break
+            opcode, length = RECORD_HEADER.unpack_from(data, at - data_at)
+            if opcode != Opcode.MESSAGE_INDEX or not _INDEX_BYTES <= length <= MAX_RECORD_BYTES:
+                break
+            last_at, at = at, at + RECORD_HEADER.size + length
+        indexed_bytes = min(at, file.size) - self.end
+        is_likely = indexed_bytes < self.unpacked_bytes + _MOST_INDEX_HEADERS
+        return replace(self, indexed_bytes=indexed_bytes * is_likely), last_at
 
     def indexed_starts(self, file: RecordFile) -> NDArray[np.int64]:
         """Return where messages begin in the chunk as its indexes say, which may be wrong; nothing where one is odd."""

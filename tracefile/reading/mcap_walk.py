@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -49,7 +48,6 @@ _UNSUSPECTED_LOOKS = 1_000_000
 _DAY_NS = 86_400 * 10**9
 _FIRST_STRETCH_BYTES = 4096
 _BLOCK_CHUNKS = 1000
-_MOST_INDEX_HEADERS = 1 << 20  # bytes, of 65,536 channels; an entry is shorter than a message
 _BLOCK_BYTES_OF_OTHERS = 3 * BLOCK_BYTES  # read by one thread: less often, and images are long
 _MOST_BLOCKS_AHEAD = 8
 _BYTES_AHEAD = 32 << 20  # of all these blocks
@@ -128,12 +126,10 @@ class McapWalk:
 
     def saw_near(self, log_ns: Int64) -> None:
         """Take the times of messages outside of chunks, one after the other as far as each is near."""
-        times_ns = [int(log_ns[0]), int(log_ns.min()), int(log_ns.max())]
-        if not all(map(self.is_near, times_ns)) or not self._range_ns:
-            times_ns = log_ns.tolist()
-        for time_ns in times_ns:
-            if self.is_near(time_ns):
-                self.saw(time_ns, time_ns)
+        ends_ns = [int(log_ns.min()), int(log_ns.max())]
+        are_near = self._range_ns is not None and all(map(self.is_near, ends_ns))
+        for time_ns in filter(self.is_near, ends_ns if are_near else log_ns.tolist()):
+            self.saw(time_ns, time_ns)
 
     def is_near(self, log_ns: int) -> bool:
         first_ns, last_ns = self._range_ns or (log_ns, log_ns)
@@ -183,33 +179,15 @@ class McapWalk:
             self._at = header.end
             if chunk is not None:
                 is_empty = not (chunk.unpacked_bytes or chunk.packed_bytes or chunk.crc)
-                chunks += [] if is_empty else [chunk if self._is_trace else self._with_indexes(chunk)]
+                if not self._is_trace:
+                    chunk, self._at = chunk.with_indexes(self._file)
+                chunks += [] if is_empty else [chunk]
                 chunks_bytes += chunk.unpacked_bytes
             elif is_outside:
                 data, scan = self._stretch(header)
                 yield len(data), partial(outside_block, data, header.offset, scan)
         if chunks:
             yield chunks_bytes, self._unpacking(chunks)
-
-    def _with_indexes(self, chunk: PackedChunk) -> PackedChunk:
-        """Return a chunk with its indexes, and go on to the last one: those before it are sound, as another follows each."""
-        at = last_at = data_at = chunk.end
-        data, size = b"", _FIRST_STRETCH_BYTES
-        while True:
-            if at + RECORD_HEADER.size > data_at + len(data):
-                data, data_at = self._file.read(at, min(size, max(self._file.size - at, 0))), at
-                size = min(2 * size, _SEARCHED_BYTES)
-            if len(data) < RECORD_HEADER.size:
-                break
-            opcode, length = RECORD_HEADER.unpack_from(data, at - data_at)
-            if opcode != Opcode.MESSAGE_INDEX or not LEAST_BYTES[Opcode.MESSAGE_INDEX] <= length <= MAX_RECORD_BYTES:
-                break
-            last_at, at = at, at + RECORD_HEADER.size + length
-        self._at = last_at
-        indexed_bytes = min(at, self._file.size) - chunk.end
-        return replace(
-            chunk, indexed_bytes=indexed_bytes * (indexed_bytes < chunk.unpacked_bytes + _MOST_INDEX_HEADERS)
-        )
 
     def _unpacking(self, chunks: list[PackedChunk]) -> Callable[[], Block]:
         return partial(unpack_chunks, self._file, chunks, is_trace=self._is_trace)

@@ -220,10 +220,10 @@ class _UnpackedBytes:
         if not is_packed.any():
             yield batch
             return
-        done = 0
+        first = 0
         for part in batched(map(self._unpacked, batch.messages())):
-            yield replace(part, topics=batch.topics, topic=batch.topic[done : done + len(part)])
-            done += len(part)
+            yield replace(part, topics=batch.topics, topic=batch.topic[first : first + len(part)])
+            first += len(part)
 
     def _unpacked(self, message: RawMessage) -> RawMessage:
         data = unpack_message(message.data, MAX_RECORD_BYTES + 1) if message.topic.encoding == "cdr" else message.data
@@ -289,45 +289,45 @@ class McapItems:
         sizes = lengths_at(block.data, starts) - MESSAGE_HEADER.size
         if len(sizes) and sizes.min() < 0:
             starts, sizes = starts[sizes >= 0], sizes[sizes >= 0]
-        taken = self._budget.take(len(starts))
-        is_beyond, starts, sizes = taken < len(starts), starts[:taken], sizes[:taken]
+        count = self._budget.take(len(starts))
+        is_beyond, starts, sizes = count < len(starts), starts[:count], sizes[:count]
         at = starts + RECORD_HEADER.size
         times_ns, channel_ids = unaligned(block.data, "<i8"), unaligned(block.data, "<u2")[at]
         log_ns, publish_ns = times_ns[at + _LOG_TIME_AT], times_ns[at + _PUBLISH_TIME_AT]
-        topic, done = np.empty(taken, np.int64), 0
+        topic, first = np.empty(count, np.int64), 0
         for opcode, start, length in block.scan.others:
             content = bytes(block.data[start : start + length])
             if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 yield from self._other(opcode, content, block.offset(start))
                 continue
             until = int(np.searchsorted(starts, start))
-            if until > done and self.channels.would_change(opcode, content):
-                topic[done:until] = self._topics_of(channel_ids[done:until])
-                done = until
+            if until > first and self.channels.would_change(opcode, content):
+                topic[first:until] = self._topics_of(channel_ids[first:until])
+                first = until
             self.walk.declare(opcode, content, block.offset(start))
-        topic[done:] = self._topics_of(channel_ids[done:])
-        is_known, is_possible = topic >= 0, log_ns >= 0  # of 63 bits
+        topic[first:] = self._topics_of(channel_ids[first:])
+        is_declared, is_possible = topic >= 0, log_ns >= 0  # of 63 bits
         self._impossible += int((~is_possible | (publish_ns < 0)).sum())
-        self._undeclared.update(channel_ids[~is_known].tolist())
-        self._count_checked(block, starts, is_known)
-        self._see(block, starts, log_ns, is_possible if block.chunks else is_known & is_possible)
+        self._undeclared.update(channel_ids[~is_declared].tolist())
+        self._count_checked(block, starts, is_declared)
+        self._see(block, starts, log_ns, is_possible if block.chunks else is_declared & is_possible)
         log_ns[~is_possible], publish_ns[publish_ns < 0] = LATEST_NS, NONE
         sequence = unaligned(block.data, "<u4")[at + _SEQUENCE_AT].astype(np.int64)
-        if taken:
+        if count:
             columns = topic, log_ns, publish_ns, sequence
             batch = MessageBatch(self.topics, *columns, block.data, at + MESSAGE_HEADER.size, sizes)
-            yield batch if is_known.all() else batch.selected(is_known)
+            yield batch if is_declared.all() else batch.selected(is_declared)
         if is_beyond:
             self._budget.take()
 
-    def _count_checked(self, block: Block, starts: Int64, is_known: NDArray[np.bool_]) -> None:
+    def _count_checked(self, block: Block, starts: Int64, is_declared: NDArray[np.bool_]) -> None:
         if block.is_doubtful:
-            self.doubtful += int(is_known.sum())
+            self.doubtful += int(is_declared.sum())
         elif not block.chunks:
-            self.unchecked += int(is_known.sum())
+            self.unchecked += int(is_declared.sum())
         else:
             for first, stop, chunk in _parts(block, starts):
-                self.unchecked += 0 if chunk.crc else int(is_known[first:stop].sum())
+                self.unchecked += 0 if chunk.crc else int(is_declared[first:stop].sum())
 
     def _see(self, block: Block, starts: Int64, log_ns: Int64, is_seen: NDArray[np.bool_]) -> None:
         for first, stop, _ in _parts(block, starts):

@@ -212,9 +212,9 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 copy.add_metadata(item)
             else:
                 channel_ids = channels.ids_of(item)
-                is_kept = channel_ids > 0
-                left_out += int((~is_kept).sum())
-                copy.add_messages(item.selected(is_kept), channel_ids[is_kept])
+                has_channel = channel_ids > 0
+                left_out += int((~has_channel).sum())
+                copy.add_messages(item.selected(has_channel), channel_ids[has_channel])
             item = next(items, None)
         unused = [channel for _, channel in walked.channels.items() if not channels.id_of(channel.record)]
         copy.finish()

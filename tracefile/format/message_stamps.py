@@ -69,8 +69,8 @@ def _may_have_stamp(schema: str) -> bool:
 
 
 def _json_stamp(data: bytes) -> int | None:
-    for found in _JSON_TIME.finditer(data):
-        seconds, nanoseconds = _JSON_SECONDS.search(found[1]), _JSON_NANOSECONDS.search(found[1])
+    for match in _JSON_TIME.finditer(data):
+        seconds, nanoseconds = _JSON_SECONDS.search(match[1]), _JSON_NANOSECONDS.search(match[1])
         if seconds and nanoseconds:
             return _in_ns(int(seconds[1]), int(nanoseconds[1]))
     return None

@@ -151,7 +151,7 @@ def scan_indexed(data: Buffer, start: int, stop: int, starts: Int64) -> Scan | N
     if not (is_message & (lengths >= 0) & (lengths <= stop) & (ends <= following)).all():
         return None
     gaps = np.flatnonzero(ends < following)
-    scan, done = Scan(), 0
+    scan, index = Scan(), 0
     for first, last, until in [
         (start, int(starts[0]), 0),
         *zip(ends[gaps].tolist(), following[gaps].tolist(), (gaps + 1).tolist(), strict=True),
@@ -159,11 +159,11 @@ def scan_indexed(data: Buffer, start: int, stop: int, starts: Int64) -> Scan | N
         between = scan_records(data, first, last, is_trace=False)
         if last not in (between.end, stop):
             return None
-        scan.messages.append(starts[done:until])
-        done = until
+        scan.messages.append(starts[index:until])
+        index = until
         scan.extend(between)
         scan.skipped += between.skipped
-    scan.messages.append(starts[done:])
+    scan.messages.append(starts[index:])
     scan.end = between.end if len(gaps) and following[gaps[-1]] == stop else stop
     return scan
 
@@ -181,7 +181,7 @@ def unaligned(data: Buffer | bytearray, kind: str) -> NDArray[Any]:
     return values
 
 
-def _add_messages(data: Buffer, at: int, stop: int, found: list[Int64]) -> int:
+def _add_messages(data: Buffer, at: int, stop: int, message_starts: list[Int64]) -> int:
     """Add the starts of messages that follow one another from `at` on, and return where the last one ends."""
     while True:
         first, walked = at, list[int]()
@@ -192,13 +192,13 @@ def _add_messages(data: Buffer, at: int, stop: int, found: list[Int64]) -> int:
             walked.append(at)
             at += RECORD_HEADER.size + length
         if walked:
-            found.append(np.array(walked, np.int64))
+            message_starts.append(np.array(walked, np.int64))
         if len(walked) < _WALKED:
             return at
         window_bytes = 4 * (at - first) if at - first < _WALKED * _LONG_BYTES else 0
         while window_bytes:
             starts, end = _linked_messages(data, at, min(stop, at + window_bytes))
-            found.append(starts)
+            message_starts.append(starts)
             window_bytes = min(2 * window_bytes, _WINDOW_BYTES) if 2 * (end - at) > window_bytes else 0
             at = end
 

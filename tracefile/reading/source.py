@@ -73,13 +73,13 @@ class MessageBatch:
     @classmethod
     def of(cls, messages: Sequence[RawMessage]) -> MessageBatch:
         """Make a batch of messages, at least one; of any storage but MCAP times have 63 bits."""
-        of_messages, log_ns, publish_ns, sequences, contents = zip(*messages, strict=True)
-        topics = {id(topic): topic for topic in of_messages}
+        recorded_topics, log_ns, publish_ns, sequences, contents = zip(*messages, strict=True)
+        topics = {id(topic): topic for topic in recorded_topics}
         index_of = {key: index for index, key in enumerate(topics)}
         sizes = np.array([*map(len, contents)], np.int64)
         return cls(
             [*topics.values()],
-            np.array([index_of[key] for key in map(id, of_messages)], np.int64),
+            np.array([index_of[key] for key in map(id, recorded_topics)], np.int64),
             np.maximum(np.array(log_ns, np.int64), -LATEST_NS),
             _column(publish_ns),
             _column(sequences),

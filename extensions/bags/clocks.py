@@ -133,7 +133,9 @@ def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
     `usual_ns` is the age of other topics, for one without a message that follows.
     """
     is_soon = stamps.log_ns < start_ns + 2 * SECOND_NS
-    live_ns = usual_ns if is_soon.all() else float(np.median(stamps.age_ns[~is_soon]))
+    is_live = ~is_soon & (stamps.frame == stamps.frame[0])  # of the same publisher
+    is_live = is_live if is_live.any() else ~is_soon
+    live_ns = float(np.median(stamps.age_ns[is_live])) if is_live.any() else usual_ns
     older_ns = np.where(is_soon, stamps.age_ns - live_ns, 0)
     is_early = (older_ns > NOTICED_NS) & (older_ns < WINDOW * DAY_NS * FEWEST)
     count = len(is_early) if is_early.all() else int(np.argmin(is_early))
@@ -355,8 +357,6 @@ def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
     if unit is not None:
         way, written, right, factor = unit
         yield f"stamps of {topic} advance {max(factor, 1 / factor):,.0f} times too {way}: its driver writes {written} where {right} belong"
-        return
-    if abs(age_ns) > DAY_NS:
         return
     for seconds, time in _AHEAD_S.items():
         if abs(age_ns + seconds * SECOND_NS) < SECOND_NS / 2:

@@ -221,6 +221,17 @@ def test_history_is_out_of_rate_and_age(tmp_path):
     assert "history" in health.notes[0]
 
 
+def test_two_publishers_with_clocks_of_their_own_are_no_history():
+    log_ns = np.arange(2000) * 20 * MS
+    topic = Topic(log_ns, log_ns - (1000 + log_ns // (20 * MS) % 2 * 30) * S)
+    columns = [*Made({"/tf": topic}).columns()]
+    times = [TopicTimes(*arrays) for _, _, arrays in columns]
+    times[0].frame = np.arange(2000) % 2
+    found = weigh(times, [Source("/tf")], times[0].log_ns)
+    assert found.history == [0]
+    assert not [note for note in found.clocks.notes if "history" in note.words]
+
+
 @pytest.mark.parametrize("frames", [1, 2])
 def test_the_speed_of_stamps_is_that_of_each_frame(frames):
     log_ns = START_NS + np.arange(600) * 20 * MS

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 PARTS: dict[str, Callable[[], str]] = {
+    "bare-analyzer": tables.bare_analyzer,
     "columns-of-roundtrips": tables.roundtrips,
     "columns-of-summary": tables.summary,
     "commands": commands.commands,

@@ -1,7 +1,8 @@
-"""The columns of the tables that an analysis writes."""
+"""The columns of the tables that an analysis writes, and the script that computes them by itself."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
@@ -22,6 +23,12 @@ def roundtrips() -> str:
 def summary() -> str:
     """Return the columns of `summary.parquet`."""
     return _columns(SUMMARY_COLUMNS)
+
+
+def bare_analyzer() -> str:
+    """Return the script with which the tests compare the analyzer."""
+    script = Path(__file__).parents[2] / "tests" / "support" / "bare.py"
+    return f"```python\n{script.read_text(encoding='utf-8')}```\n"
 
 
 def _columns(columns: Iterable[Column]) -> str:

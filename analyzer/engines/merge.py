@@ -21,7 +21,7 @@ from ..groups.frames import Frames, concatenate_frames
 from ..groups.summary import Statistics, Summary, measure_groups, summarize_groups
 from ..loading.event_index import Copies, EventKey
 from ..model.metrics import METRICS
-from ..statistics.percentiles import PERCENTILES
+from ..statistics.percentiles import Histogram, Sketch, summarize_sketch
 from .batches import BatchResult
 
 
@@ -92,28 +92,22 @@ class _ValueSpool:
 
 
 def merge_sketches(parts: Statistics) -> Statistics:
-    moments = {
-        key: merge_moments(frame)
-        for key, frame in parts.frame.partition_by("group", "metric", as_dict=True, maintain_order=True).items()
-    }
     distributions = (
         parts.distributions.group_by("group", "metric", "value_ns", maintain_order=True)
         .agg(pl.col("count").sum())
         .sort("value_ns")
     )
     histograms = distributions.partition_by("group", "metric", as_dict=True)
-    rows = []
     order = {metric: number for number, metric in enumerate(METRICS)}
-    for group, metric in sorted(moments, key=lambda key: (key[0], order[key[1]])):
-        row: dict[str, Any] = {"group": group, "metric": metric, **moments[group, metric]}
-        histogram = histograms.get((group, metric))
-        if histogram is not None:
-            value_ns, count = histogram["value_ns"].to_numpy(), histogram["count"].to_numpy()
-            row |= {  # a bucket's centre may be outside the values
-                p.name: min(max(histogram_percentile(value_ns, count, p.quantile), row["min"]), row["max"])
-                for p in PERCENTILES
-                if count.sum() >= p.needs
-            }
+    parts_of = parts.frame.partition_by("group", "metric", as_dict=True)
+    rows = []
+    for group, metric in sorted(parts_of, key=lambda key: (key[0], order[key[1]])):
+        row: dict[str, Any] = {"group": group, "metric": metric, "samples": 0}
+        found = histograms.get((group, metric))
+        if found is not None:
+            histogram = Histogram(found["value_ns"].to_numpy(), found["count"].to_numpy())
+            sketch = _merged_sketch(parts_of[group, metric], histogram)
+            row |= {"samples": sketch.samples, **summarize_sketch(sketch)}
         rows.append(row)
     return Statistics(
         pl.DataFrame(rows, schema=parts.frame.schema),
@@ -121,28 +115,14 @@ def merge_sketches(parts: Statistics) -> Statistics:
     )
 
 
-def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
+def _merged_sketch(parts: pl.DataFrame, histogram: Histogram) -> Sketch:
     samples, mean, squares = 0, 0.0, 0.0
-    for n, mean_of_part, std in parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows():
+    present = parts.filter(pl.col("samples") > 0)
+    for n, mean_of_part, std in present.select("samples", "mean", "std").iter_rows():
         difference = mean_of_part - mean
         squares += (std or 0.0) ** 2 * (n - 1) + difference**2 * samples * n / (samples + n)
         mean += difference * n / (samples + n)
         samples += n
-    return {
-        "samples": samples,
-        "mean": mean if samples else None,
-        "std": (squares / (samples - 1)) ** 0.5 if samples > 1 else None,
-        "min": parts["min"].min(),  # type: ignore[dict-item]
-        "max": parts["max"].max(),  # type: ignore[dict-item]
-    }
-
-
-def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64], quantile: float) -> float:
-    cumulative = np.cumsum(count.astype(np.int64))
-    last = int(cumulative[-1]) - 1
-    position = quantile * last
-    below = int(position)
-    low, high = (
-        float(value_ns[np.searchsorted(cumulative, min(rank, last), side="right")]) for rank in (below, below + 1)
-    )
-    return low + (high - low) * (position - below)
+    std = (squares / (samples - 1)) ** 0.5 if samples > 1 else None
+    least, most = min(present["min"].to_list()), max(present["max"].to_list())
+    return Sketch(samples, mean, std, least, most, histogram)

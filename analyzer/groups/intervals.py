@@ -15,7 +15,7 @@ from ..run_statistics.between_runs import estimates_of_groups
 from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
-from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
+from ..statistics.percentiles import PERCENTILES, STATISTICS, quantile_of, summarize_values
 from .batch import Batch, columns_by_group, is_present, present
 from .summary import Measured, Statistics
 
@@ -25,9 +25,10 @@ INTERVAL_SCHEMA = frame_schema(
     "within:f64 typical_ns:f64"
 )
 
+ONE_WAY_STATISTICS = [statistic.name for statistic in STATISTICS if statistic.label]
 ONE_WAY_SCHEMA = frame_schema(
-    "group:u32 metric:str messages:u64 mean_ns:f64 min_ns:f64 "
-    f"{' '.join(f'{p.name}_ns:f64' for p in PERCENTILES)} max_ns:f64 bound_p50_ns:f64 bound_max_ns:f64"
+    f"group:u32 metric:str messages:u64 {' '.join(f'{name}_ns:f64' for name in ONE_WAY_STATISTICS)} "
+    "bound_p50_ns:f64 bound_max_ns:f64"
 )
 
 ONE_WAY_METRICS = ("outbound", "return")
@@ -210,7 +211,7 @@ def one_way_rows(
         )
         yield (
             {"group": group, "metric": metric, "messages": len(bounds_ns)}
-            | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}
+            | {f"{name}_ns": statistics[name] for name in ONE_WAY_STATISTICS}
             | {"bound_p50_ns": float(np.median(bounds_ns)), "bound_max_ns": float(bounds_ns.max())}
         )
 

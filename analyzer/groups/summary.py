@@ -13,19 +13,19 @@ from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
-from ..model.columns import STATISTICS, SUMMARY_COLUMNS
+from ..model.columns import SUMMARY_COLUMNS
 from ..model.metrics import METRICS
 from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import RoundTrips
-from ..statistics.percentiles import Histogram, histogram_of, summarize_values
+from ..statistics.percentiles import STATISTICS, Histogram, histogram_of, summarize_values
 from .batch import Grouping, present
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
     "metric": pl.String,
     "samples": pl.Int64,
-    **dict.fromkeys(STATISTICS, pl.Float64),
+    **{statistic.name: pl.Float64 for statistic in STATISTICS},
 }
 
 
@@ -44,7 +44,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """Statistics (`samples` and `columns.STATISTICS`, ns) and histograms of each metric of some groups."""
+    """Statistics (`samples` and `percentiles.STATISTICS`, ns) and histograms of each metric of some groups."""
 
     frame: pl.DataFrame
     distributions: pl.DataFrame
@@ -131,7 +131,7 @@ class Summary:
 def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statistics: Statistics) -> Summary:
     measured = statistics.frame.sort("group", maintain_order=True)
     wide = [
-        measured.filter(metric=metric).select(pl.col(name).alias(f"{metric}_{name}_ns") for name in STATISTICS)
+        measured.filter(metric=metric).select(pl.col(s.name).alias(f"{metric}_{s.name}_ns") for s in STATISTICS)
         for metric in METRICS
     ]
     counts = _counts_and_rates(exchange_counts, grouping)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import polars as pl
 
-from ..statistics.percentiles import PERCENTILES
+from ..statistics.percentiles import STATISTICS
 from .metrics import METRICS, Column, Metric
 from .parameters import PARAMETER_COLUMNS
 
@@ -123,9 +123,6 @@ SENT_COLUMNS = (
     Column("reached_rate_hz", pl.Float64, "Hz", "reached / (last T4 or T3 - first T3), summed over the runs"),
 )
 
-STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
-"""In column order: `<metric>_<statistic>_ns`."""
-
 
 def _meaning_of(metric: Metric, statistic: str) -> str:
     is_tail = statistic == "max" or statistic.startswith("p9")
@@ -137,7 +134,7 @@ SUMMARY_COLUMNS = (
     PARAMETER_COLUMNS[:_FIRST_PARAMETERS]
     + COUNT_COLUMNS
     + tuple(
-        Column(f"{name}_{statistic}_ns", pl.Float64, "ns", _meaning_of(metric, statistic))
+        Column(f"{name}_{statistic.name}_ns", pl.Float64, "ns", _meaning_of(metric, statistic.name))
         for name, metric in METRICS.items()
         for statistic in STATISTICS
     )

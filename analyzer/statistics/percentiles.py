@@ -1,4 +1,4 @@
-"""Percentiles: which ones exist, how they are computed, how many messages they take.
+"""Percentiles and other statistics: which ones exist, how they are computed, how many messages they take.
 
 A two-sided interval of the q-quantile exists once the sample is unlikely to be wholly on one side of it:
 `q**n <= (1 - confidence) / 2`, the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 2003, section 7.1).
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -92,20 +93,6 @@ def quantile_of(ordered: Values, quantile: float) -> float:
     return low if share == 0 or low == high else low + (high - low) * share
 
 
-def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Return mean, standard deviation (n - 1), extremes and exact percentiles of ascending values; None for a small sample."""
-    n = len(ordered_ns)
-    statistics: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
-    statistics |= {p.name: quantile_of(ordered_ns, p.quantile) if n >= p.needs else None for p in PERCENTILES}
-    if n:
-        mean = ordered_ns.mean()
-        statistics |= {"mean": float(mean), "min": float(ordered_ns[0]), "max": float(ordered_ns[-1])}
-        if n > 1:  # numpy's `std` would compute the mean again
-            apart = ordered_ns - mean
-            statistics["std"] = math.sqrt(float(np.square(apart, out=apart).sum()) / (n - 1))
-    return statistics
-
-
 MANTISSA_BITS = 10
 """Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` steps an octave, as in HdrHistogram."""
 
@@ -149,3 +136,91 @@ def _positive_histogram(ordered_ns: NDArray[np.int64]) -> Histogram:
     low = octave + width * (filled & ((1 << MANTISSA_BITS) - 1))
     # A bucket narrower than 1 holds the one integer at its lower end.
     return Histogram(np.asarray(low + np.maximum(width - 1, 0) / 2, np.float64), count)
+
+
+def histogram_quantile(histogram: Histogram, quantile: float) -> float:
+    cumulative = np.cumsum(histogram.count.astype(np.int64))
+    last = int(cumulative[-1]) - 1
+    position = quantile * last
+    below = int(position)
+    low, high = (
+        float(histogram.value_ns[np.searchsorted(cumulative, min(rank, last), side="right")])
+        for rank in (below, below + 1)
+    )
+    return low + (high - low) * (position - below)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sketch:
+    """What remains of the values of a group in parts, one at least: exact moments, and a histogram."""
+
+    samples: int
+    mean: float
+    std: float | None
+    min: float
+    max: float
+    histogram: Histogram
+
+    def quantile(self, quantile: float) -> float:
+        """Return a quantile within the values; a bucket's centre may be outside."""
+        return min(max(histogram_quantile(self.histogram, quantile), self.min), self.max)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupStatistic:
+    """A statistic of the values of a group, from `needs` values on.
+
+    Attributes:
+        name: in columns.
+        label: in menus and of one-way times; empty where neither has it.
+        of_values: from ascending values in ns.
+        of_sketch: the same within the error of the histogram.
+        needs: least number of values.
+        is_tabled: whether the tables of results have it.
+    """
+
+    name: str
+    label: str
+    of_values: Callable[[NDArray[np.int64]], float]
+    of_sketch: Callable[[Sketch], float | None]
+    needs: int = 1
+    is_tabled: bool = False
+
+
+def _std(ordered_ns: NDArray[np.int64]) -> float:
+    apart = ordered_ns - ordered_ns.mean()
+    return math.sqrt(float(np.square(apart, out=apart).sum()) / (len(ordered_ns) - 1))
+
+
+def _of_percentile(percentile: Percentile) -> GroupStatistic:
+    name, quantile = percentile.name, percentile.quantile
+    return GroupStatistic(
+        name,
+        "median" if quantile == 0.5 else percentile.label,
+        lambda ordered_ns: quantile_of(ordered_ns, quantile),
+        lambda sketch: sketch.quantile(quantile),
+        percentile.needs,
+        is_tabled=percentile.is_decade and percentile.needs <= 100,
+    )
+
+
+STATISTICS = (
+    GroupStatistic("mean", "mean", lambda ordered_ns: float(ordered_ns.mean()), lambda sketch: sketch.mean),
+    GroupStatistic("std", "", _std, lambda sketch: sketch.std, needs=2),
+    GroupStatistic("min", "minimum", lambda ordered_ns: float(ordered_ns[0]), lambda sketch: sketch.min),
+    *map(_of_percentile, PERCENTILES),
+    GroupStatistic(
+        "max", "maximum", lambda ordered_ns: float(ordered_ns[-1]), lambda sketch: sketch.max, is_tabled=True
+    ),
+)
+"""In the order of the columns `<metric>_<name>_ns`."""
+
+
+def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
+    """Return the statistics of ascending values, exact; None for a small sample."""
+    n = len(ordered_ns)
+    return {each.name: each.of_values(ordered_ns) if n >= each.needs else None for each in STATISTICS}
+
+
+def summarize_sketch(sketch: Sketch) -> dict[str, float | None]:
+    return {each.name: each.of_sketch(sketch) if sketch.samples >= each.needs else None for each in STATISTICS}

@@ -15,7 +15,7 @@ from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
 from dds_trace.analyzer.model.names import Rule, device_pair, is_topic, tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS, Parameters
 from dds_trace.analyzer.model.setting import parse_setting
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.statistics.percentiles import STATISTICS
 from dds_trace.base.extension import load
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
@@ -78,8 +78,8 @@ ALL_METRIC_LABELS = {**METRIC_LABELS, **TOPIC_METRICS}
 
 METRIC_MENU = {"intermediate": "Time in relay (the paper's intermediate-process time)"}
 
-STATISTIC_LABELS = {"p50": "median", "mean": "mean", "min": "minimum"}
-STATISTIC_LABELS |= {p.name: p.label for p in PERCENTILES if p.name not in STATISTIC_LABELS} | {"max": "maximum"}
+STATISTIC_LABELS = {"p50": "", **{statistic.name: statistic.label for statistic in STATISTICS if statistic.label}}
+"""In the order of menus: the median first."""
 
 VENDORS = {
     "fastdds": "Fast DDS",

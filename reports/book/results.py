@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, STATISTICS
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, format_size
 
 from ..blocks import EVERYWHERE, MARKDOWN, TERMINAL, Block, Column, Heading, Medium, Row, Sentence, Table
@@ -32,7 +33,8 @@ OWN_SHARE_NOTE = (
     "Own share: what the nodes of ping and relay themselves take of the median round trip, as each measured it at the run's rate "
     "before it started; a dash where a side measured none."
 )
-_TIMES = ("p50", "p90", "p99", "max")
+_TIMES = tuple(statistic.name for statistic in STATISTICS if statistic.is_tabled)
+_WITH_INTERVALS = {percentile.name for percentile in PERCENTILES}
 
 
 def results(book: Contents) -> Iterator[Block]:
@@ -69,7 +71,7 @@ def _columns() -> list[Column]:
     columns += [Column(name, right=True, media=MARKDOWN) for name in ("Unsent", "Own share")]
     for name in _TIMES:
         columns += [Column(name, right=True, media=MARKDOWN) if name == "p90" else shown(name, 7)]
-        columns += [Column("95 %", media=MARKDOWN)] if name != "max" else []
+        columns += [Column("95 %", media=MARKDOWN)] if name in _WITH_INTERVALS else []
         columns += [shown("Bur.", 4)] if name == "p99" else []
     return [*columns, Column("Distribution", width=SPARK_CELLS, is_cut=True, media=TERMINAL)]
 
@@ -90,7 +92,11 @@ def _group_row(book: Contents, group: Group, ends_ns: tuple[int, int], media: Me
     for name in _TIMES:
         ends = intervals.ends(metric, name, index)
         cells.append(format_duration(values.times_ns[metric][name][index]))
-        cells += [MISSING if ends == (None, None) else " to ".join(map(format_duration, ends))] if name != "max" else []
+        cells += (
+            [MISSING if ends == (None, None) else " to ".join(map(format_duration, ends))]
+            if name in _WITH_INTERVALS
+            else []
+        )
         cells += [MISSING if bursts is None else str(bursts)] if name == "p99" else []
     cells.append(_sparkline(book.curves.values_ns[metric][index], ends_ns))
     return Row(cells, part=book.groups.labels[group.series], media=media)

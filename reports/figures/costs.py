@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 from dds_trace.analyzer.groups.report_values import planned_percentiles
 from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.units import counted
 
 from ..book.book import Book
-from ..book.groups import Groups
+from ..book.groups import STATISTIC_LABELS, Groups
 from ..book.numbers import BridgedCell, Cost, cost_of
 from ..book.verdicts import share_words
 from .figure import FEW_GROUPS, Facet, FigureMaker, Plan, is_few, spread_plan
@@ -20,7 +21,11 @@ def bridge_cost_plan(book: Book) -> Plan | None:
     return _costs_plan(book, cells, f"{counted(lost, 'result')} lost too much to have a mark." if lost else "")
 
 
-_INSTEAD = {"mean": "p50", "min": "p50", "max": "p99"}
+_INSTEAD = {
+    name: "p99" if name == "max" else "p50"
+    for name in STATISTIC_LABELS
+    if name not in {percentile.name for percentile in PERCENTILES}
+}
 """Statistic -> the percentile that is compared in its place."""
 
 

@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,7 +35,7 @@ def with_rows(tmp_path, file, rows):
     return {**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
-def analyze_with(tmp_path, file, rows, runs):
+def analyze_with(tmp_path, file, rows, runs, *options):
     environment = with_rows(tmp_path, file, rows)
     (tmp_path / "traces").mkdir()
     for number, of_run in enumerate(runs, 1):
@@ -45,15 +46,16 @@ def analyze_with(tmp_path, file, rows, runs):
         write_pair(tmp_path / "traces" / str(number), messages, runs=[of_run])
     out = tmp_path / "out"
     command = "from dds_trace.cli.dds_analyze import main; main()"
-    reports = [option for kind in ("html", "md", "json") for option in ("--report", kind)]
+    reports = [option for kind in ("html", "md", "json", "terminal") for option in ("--report", kind)]
     ran = subprocess.run(
-        [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), *reports],
+        [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), "--all", *reports, *options],
         env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
+    (out / "terminal.txt").write_text(ran.stdout, encoding="utf-8")
     return out
 
 
@@ -109,6 +111,35 @@ def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
     assert "Hold in relay" in unpacked(page.split('data-packed="data">')[1].partition("<")[0])
     (few,) = (finding for finding in report["findings"] if finding["code"] == "few_samples")
     assert "hold" in few["what"]
+
+
+STATISTIC = {
+    '    GroupStatistic(\n        "max",': """\
+    GroupStatistic(
+        "mad",
+        "mean deviation",
+        lambda ordered_ns: float(abs(ordered_ns - ordered_ns.mean()).mean()),
+        lambda sketch: float(np.average(abs(sketch.histogram.value_ns - sketch.mean), weights=sketch.histogram.count)),
+        is_tabled=True,
+    ),
+"""
+}
+
+
+@pytest.mark.parametrize("sketch", [(), ("--sketch",)], ids=["whole", "sketch"])
+def test_a_statistic_is_one_row_of_the_table_of_statistics(tmp_path, sketch):
+    out = analyze_with(tmp_path, "statistics/percentiles.py", STATISTIC, [run()], *sketch)
+
+    (group,) = pl.read_parquet(out / "summary.parquet").to_dicts()
+    assert group["intermediate_mad_ns"] == (pytest.approx(10, abs=1) if sketch else 10)
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["groups"][0]["intermediate_mad_ns"] == group["intermediate_mad_ns"]
+    assert [row["mad_ns"] is None for row in report["one_way"]] == [False, False]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    data = unpacked(page.split('data-packed="data">')[1].partition("<")[0])
+    assert '"label":"mean deviation"' in data.replace(": ", ":")
+    for text in ("report.md", "terminal.txt"):
+        assert re.search(r"\bmad\b", (out / text).read_text(encoding="utf-8")), text
 
 
 def test_a_parameter_is_one_row_of_the_key_and_its_value(tmp_path):

@@ -19,6 +19,7 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.reading.source import MOST_TOPICS, Condition
 
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth
+from .kinds import SUFFIX_WORDS
 from .losses import NONE
 from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
 from .observations import OBSERVATION_SCHEMA
@@ -98,7 +99,7 @@ def analyze_topics(
     """Analyze the topics of every recording in a folder and below it, or of one recording.
 
     Args:
-        path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder; or a list of such.
+        path: a folder, a file of `kinds.RECORDING_KINDS`, or a rosbag2 folder; or a list of such.
         skip: files and folders to leave out.
         progress: called before each recording is read.
         clock: places header stamps of another device on the recorder's clock.
@@ -126,8 +127,8 @@ def analyze_topics(
         names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[: 2 + 1]]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
-            f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a .mcap, .bag or "
-            ".db3 file, or a rosbag2 folder"
+            f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a "
+            f"{SUFFIX_WORDS} file, or a rosbag2 folder"
         )
     observed = [{"recording": card.health.path} | asdict(row) for card in cards for row in card.observed]
     return TopicReport(

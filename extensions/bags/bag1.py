@@ -19,9 +19,18 @@ from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import DamagedChunkError, unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
-from dds_trace.tracefile.reading.source import Budget, Condition, RawMessage, UnreadableError, full_type
+from dds_trace.tracefile.reading.source import (
+    Budget,
+    Condition,
+    MessageBatch,
+    RawMessage,
+    UnreadableError,
+    batched,
+    full_type,
+)
 
-BAG1_MAGIC = b"#ROSBAG V2.0\n"
+from .kinds import BAG1_MAGIC
+
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _NEEDED = {
     _MESSAGE: {"conn": 4, "time": 8},
@@ -61,6 +70,10 @@ def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     """Yield the messages in file order; what is damaged is in `condition`."""
     with closing(RecordFile(path)) as file:
         yield from _Bag1Walk(file, condition)
+
+
+def bag1_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
+    return batched(bag1_messages(path, condition))
 
 
 class _Bag1Walk:

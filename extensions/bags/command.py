@@ -13,6 +13,8 @@ from dds_trace.base import limits
 from dds_trace.cli.outputs import Opens, expand_paths, kinds_of, show_page
 from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
+from .kinds import SUFFIX_WORDS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -29,7 +31,9 @@ app = make_app()
 
 @command(app, "bag", often=("report", "out", "fail_if", "clock", "open_it"))
 def bag_command(
-    paths: Annotated[list[str], argument("DRIVE...", "Recordings of other tools: bags, .mcap files, or patterns.")],
+    paths: Annotated[
+        list[str], argument("DRIVE...", f"Recordings of other tools: {SUFFIX_WORDS} files, their folders, or patterns.")
+    ],
     report: Annotated[
         list[str] | None, kinds_of(_REPORTS, "--report KIND", "Report to write in addition to the answer")
     ] = None,

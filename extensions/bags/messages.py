@@ -24,6 +24,7 @@ from dds_trace.tracefile.reading.storage import find_storage
 
 from .clocks import DAY_NS, find_resets, of_one_clock
 from .header_stamps import lost_by_recorder
+from .kinds import RECORDING_KINDS
 from .losses import COMMANDS, LOST_TYPE, TopicTimes
 from .periods import Int64
 from .read import content_hash
@@ -39,17 +40,17 @@ _AROUND = 5
 _LEAST_RESET_NS = 100_000_000
 """As `find_resets` demands."""
 
-_SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
+_ENDINGS = tuple(ending for kind in RECORDING_KINDS for ending in (kind.suffix, *kind.endings))
 
 
 def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
-    """Find `.mcap`, `.bag`, `.db3` files and rosbag2 folders below a folder, sorted; or the path itself.
+    """Find files of `RECORDING_KINDS` and rosbag2 folders below a folder, sorted; or the path itself.
 
     Raises:
         MissingEventsError: there is no such file or folder.
     """
     return find_storage(
-        path, skip, lambda folder: (folder / METADATA_NAME).is_file(), _SUFFIXES, "a bag, or a folder with bags"
+        path, skip, lambda folder: (folder / METADATA_NAME).is_file(), _ENDINGS, "a bag, or a folder with bags"
     )
 
 

@@ -18,7 +18,7 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
-from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
+from dds_trace.tracefile.format.encoding import MESSAGE_HEADER, RECORD_HEADER
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from dds_trace.tracefile.mcapfile.records import parse_record, record_name, topic_of
@@ -39,13 +39,9 @@ from dds_trace.tracefile.reading.source import (
 )
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
-from .bag1 import BAG1_MAGIC, bag1_messages
-from .sqlite_pages import SQLITE_MAGIC
-from .sqlite_rows import sqlite_messages
+from .kinds import RECORDING_KINDS, RecordingKind, function_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mcap.records import Channel
     from numpy.typing import NDArray
 
@@ -173,7 +169,7 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             budget, indices = _UnpackedBytes(file.stat().st_size), list[int]()
             last_topics: Sequence[RecordedTopic] = ()
             try:
-                for batch in _READERS[storage_kind(file)](file, about_file):
+                for batch in function_at(kind_of(file).read)(file, about_file):
                     indices = indices if batch.topics is last_topics else []
                     last_topics = batch.topics
                     for topic in batch.topics[len(indices) :]:
@@ -237,15 +233,18 @@ class _UnpackedBytes:
         return message._replace(data=data)
 
 
-def storage_kind(file: Path) -> str:
-    """Return the suffix of a file's kind: by its first bytes, else by its name, else by a beginning further on."""
+_SEARCHED_BYTES = 1 << 20
+
+
+def kind_of(file: Path) -> RecordingKind:
+    """Return the kind of a file: by its first bytes, else by its name, else by a beginning further on."""
     with file.open("rb") as stream:
         start = stream.read(_SEARCHED_BYTES)
-    kinds = [kind for magic, kind in _MAGICS.items() if start.startswith(magic)]
-    kinds += [kind for kind in _READERS if file.suffix == kind]
-    kinds += [kind for magic, kind in _MAGICS.items() if magic in start]
+    kinds = [kind for kind in RECORDING_KINDS if start.startswith(kind.magic)]
+    kinds += [kind for kind in RECORDING_KINDS if file.suffix == kind.suffix]
+    kinds += [kind for kind in RECORDING_KINDS if kind.magic in start]
     if not kinds:
-        raise UnreadableError("it is neither MCAP nor a ROS 1 bag nor a SQLite database")
+        raise UnreadableError(f"it is neither {' nor '.join(kind.name for kind in RECORDING_KINDS)}")
     return kinds[0]
 
 
@@ -384,7 +383,7 @@ def _parts(block: Block, starts: Int64) -> Iterator[tuple[int, int, PackedChunk]
     yield from zip(edges, edges[1:], (chunk for _, chunk in block.chunks), strict=False)
 
 
-def _mcap_messages(path: Path, condition: Condition) -> Iterator[MessageBatch]:
+def mcap_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     with closing(RecordFile(path)) as file:
         items = McapItems(file)
         try:
@@ -401,13 +400,3 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             claims = [(items.channels.get(channel_id), count) for channel_id, count in items.claims.items()]
             for topic, count in [(declaration.topic, count) for declaration, count in claims if declaration]:
                 condition.claimed[topic] = condition.claimed.get(topic, 0) + count
-
-
-_MAGICS = {MAGIC: ".mcap", BAG1_MAGIC: ".bag", SQLITE_MAGIC: ".db3"}
-_SEARCHED_BYTES = 1 << 20
-
-_READERS: dict[str, Callable[[Path, Condition], Iterator[MessageBatch]]] = {
-    ".mcap": _mcap_messages,
-    ".bag": lambda path, condition: batched(bag1_messages(path, condition)),
-    ".db3": lambda path, condition: batched(sqlite_messages(path, condition)),
-}

@@ -7,7 +7,6 @@ import secrets
 import shutil
 import sqlite3
 from collections import Counter
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,7 +31,8 @@ from dds_trace.tracefile.recovery.mcap_copy import McapCopy
 from dds_trace.tracefile.writing.event_chunks import LIBRARY
 
 from .bag1 import bag1_messages
-from .read import McapItems, open_recording, storage_kind
+from .kinds import function_at
+from .read import McapItems, kind_of, open_recording
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class RecordingRecovery:
 
 
 @dataclass(slots=True)
-class _NewFile:
+class NewFile:
     path: Path
     messages: int = 0
     unchecked: int = 0
@@ -126,15 +126,15 @@ def _check_free(target: Path) -> None:
 
 def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
     is_folder = path.is_dir()
-    report, written = RecordingRecovery(path, target), list[_NewFile]()
+    report, written = RecordingRecovery(path, target), list[NewFile]()
     with open_recording(path) as recording:
         report.damages += recording.damages
         try:
             (draft if is_folder else draft.parent).mkdir(parents=True, exist_ok=True)
             for source, original in zip(recording.files, recording.names, strict=True):
-                new = _NewFile(draft / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else draft)
+                new = NewFile(draft / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else draft)
                 try:
-                    damages, doubtful = _RECOVERIES[storage_kind(source)](source, new)
+                    damages, doubtful = function_at(kind_of(source).recover)(source, new)
                 except (TraceFormatError, UnreadableError) as err:
                     report.damages.append(f"{original.name}: {err.what if isinstance(err, TraceFormatError) else err}")
                     new.path.unlink(missing_ok=True)
@@ -148,7 +148,7 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
                 written.append(new)
             if is_folder and written:
                 topics = [item for new in written for item in new.topics.items()]
-                storage = "sqlite3" if storage_kind(written[0].path) == ".db3" else "mcap"
+                storage = kind_of(written[0].path).storage
                 write_bag_metadata(draft, storage, [new.described for new in written], topics)
         except OSError as err:
             raise output_error(target, err, "the recording") from err
@@ -162,7 +162,7 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
 class _NewChannels:
     """Ids of channels in the new file, each declared once, up to `MOST_CHANNELS`; 0 beyond."""
 
-    def __init__(self, copy: McapCopy, walked: McapItems, new: _NewFile) -> None:
+    def __init__(self, copy: McapCopy, walked: McapItems, new: NewFile) -> None:
         self._copy, self._walked, self._new = copy, walked, new
         self._schemas: dict[tuple[int, str], int] = {}
         self._ids: dict[tuple[int, str, int], int] = {}
@@ -196,7 +196,7 @@ class _NewChannels:
         return new_ids[inverse]
 
 
-def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
+def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
     with closing(RecordFile(source)) as file, new.path.open("xb") as stream:
         walked = McapItems(file)
         items = iter(walked)
@@ -241,7 +241,7 @@ def _profile(walked: McapItems) -> str:
     return profile if profile in {"", "ros1", "ros2"} or not implied else implied
 
 
-def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
+def recover_sqlite(source: Path, new: NewFile) -> tuple[list[str], int]:
     condition, ids = Condition(), dict[RecordedTopic, int]()
     messages = sqlite_messages(source, condition)
     with closing(sqlite3.connect(new.path)) as database:
@@ -272,7 +272,7 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
     return condition.damages, 0
 
 
-def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
+def recover_bag1(source: Path, new: NewFile) -> tuple[list[str], int]:
     try:
         from rosbags.rosbag1 import Writer as Bag1Writer  # noqa: PLC0415 - only ROS 1 bags need it
     except ImportError as err:
@@ -298,10 +298,3 @@ def _recover_bag1(source: Path, new: _NewFile) -> tuple[list[str], int]:
             bag.write(connections[topic], message.log_ns, message.data)
             new.add(message.topic, 1, message.log_ns, message.log_ns)
     return condition.damages, 0
-
-
-_RECOVERIES: dict[str, Callable[[Path, _NewFile], tuple[list[str], int]]] = {
-    ".mcap": _recover_mcap,
-    ".bag": _recover_bag1,
-    ".db3": _recover_sqlite,
-}

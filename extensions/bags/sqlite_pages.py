@@ -17,7 +17,8 @@ from dds_trace.tracefile.mcapfile.blocks import most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.reading.source import Budget, UnreadableError
 
-SQLITE_MAGIC = b"SQLite format 3\0"
+from .kinds import SQLITE_MAGIC
+
 SQLITE_HEADER = struct.Struct(">H2xB7xI")
 """After the magic: page size, bytes reserved in each page, and pages."""
 _CELLS, _PAGE_CELLS = struct.Struct(">H"), struct.Struct(">HH")

@@ -26,16 +26,19 @@ from dds_trace.tracefile.reading.source import (
     Batch,
     Budget,
     Condition,
+    MessageBatch,
     RawMessage,
     Text,
     UnreadableError,
+    batched,
     event_batch,
     full_type,
     unpack_message,
 )
 from dds_trace.tracefile.reading.sqlite_log import open_database
 
-from .sqlite_pages import SQLITE_HEADER, SQLITE_MAGIC, Image, Tables, rows_of_pages
+from .kinds import SQLITE_MAGIC
+from .sqlite_pages import SQLITE_HEADER, Image, Tables, rows_of_pages
 
 SQLITE_TABLES = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
@@ -69,6 +72,10 @@ _MANY_TOPICS = f"it has more than {MOST_TOPICS} topics"
 _MOST_COLUMNS = 7
 _LEAST_REACHED = 0.1
 """Share of a database's bytes below which its tables may not reach all rows."""
+
+
+def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
+    return batched(sqlite_messages(path, condition))
 
 
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:

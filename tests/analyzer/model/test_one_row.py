@@ -1,38 +1,18 @@
 import json
-import os
 import re
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
+from one_row import ROOT, with_rows
 from page_reader import unpacked
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
-ROOT = Path(__file__).resolve().parents[3]
 MS = 1_000_000
-
-
-def with_rows(tmp_path, file, rows):
-    """The environment of a process with a copy of the analyzer, rows put before others in one of its files."""
-    package = tmp_path / "changed" / "dds_trace"
-    package.mkdir(parents=True)
-    for entry in (ROOT / "src" / "dds_trace").iterdir():
-        if entry.name == "analyzer":
-            shutil.copytree(entry, package / entry.name, ignore=shutil.ignore_patterns("__pycache__"))
-        elif entry.name != "__pycache__":
-            (package / entry.name).symlink_to(entry.resolve())
-    text = (package / "analyzer" / file).read_text(encoding="utf-8")
-    for before, row in rows.items():
-        assert text.count(before) == 1
-        text = text.replace(before, row + before)
-    (package / "analyzer" / file).write_text(text, encoding="utf-8")
-    return {**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def analyze_with(tmp_path, file, rows, runs, *options):
@@ -72,7 +52,7 @@ FOLLOWING = {
 
 @pytest.mark.slow
 def test_tests_of_outputs_follow_a_new_metric(tmp_path):
-    environment = with_rows(tmp_path, "model/metrics.py", METRIC)
+    environment = with_rows(tmp_path, "analyzer/model/metrics.py", METRIC)
     options = [
         "-q",
         "-n",
@@ -96,7 +76,7 @@ def test_tests_of_outputs_follow_a_new_metric(tmp_path):
 
 
 def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
-    out = analyze_with(tmp_path, "model/metrics.py", METRIC, [run()])
+    out = analyze_with(tmp_path, "analyzer/model/metrics.py", METRIC, [run()])
 
     assert pl.read_parquet(out / "roundtrips.parquet")["hold_ns"].to_list() == [2 * (200 - n) for n in range(40)]
     field = pq.read_schema(out / "roundtrips.parquet").field("hold_ns")
@@ -128,7 +108,7 @@ STATISTIC = {
 
 @pytest.mark.parametrize("sketch", [(), ("--sketch",)], ids=["whole", "sketch"])
 def test_a_statistic_is_one_row_of_the_table_of_statistics(tmp_path, sketch):
-    out = analyze_with(tmp_path, "statistics/percentiles.py", STATISTIC, [run()], *sketch)
+    out = analyze_with(tmp_path, "analyzer/statistics/percentiles.py", STATISTIC, [run()], *sketch)
 
     (group,) = pl.read_parquet(out / "summary.parquet").to_dicts()
     assert group["intermediate_mad_ns"] == (pytest.approx(10, abs=1) if sketch else 10)
@@ -148,7 +128,7 @@ def test_a_parameter_is_one_row_of_the_key_and_its_value(tmp_path):
         "        connectivity=ping.connectivity,\n": '        tuning=run.labels.get("tuning", "none"),\n',
     }
     runs = [run(run_id=1, labels={"tuning": "none"}), run(run_id=2, labels={"tuning": "rmem"})]
-    out = analyze_with(tmp_path, "model/parameters.py", rows, runs)
+    out = analyze_with(tmp_path, "analyzer/model/parameters.py", rows, runs)
 
     for kind in ("roundtrips", "summary"):  # columns are appended to the contract, never put between others
         assert pq.read_schema(out / f"{kind}.parquet").names[-1] == "tuning"

@@ -48,6 +48,10 @@ WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this
 LONGEST_SECONDS = 100_000.0
 SURVIVED, KILLED = 0, 1
 
+settings.register_profile(
+    "mutants", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]
+)
+
 
 @dataclass(frozen=True)
 class Module:
@@ -198,6 +202,11 @@ def ended(pids: Sequence[int]) -> tuple[int, int]:
         time.sleep(0.01)
 
 
+def threads() -> list[str]:
+    """The names of this process's threads, a library's own too."""
+    return [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
+
+
 class Trials:
     """The pytest plugin of a part's process: it collects as ever, and tries mutants where the tests would run."""
 
@@ -206,9 +215,17 @@ class Trials:
         self.survivors: list[tuple[str, int]] = []
         self._kills: Counter[tuple[str, int]] = Counter()  # by module and number of the test
         self.failing: list[str] = []
+        self.computing: list[str] = []
+        """Where the first query of polars ran while tests were collected: a forked child waits for its threads without end."""
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if not self.computing and any(name.startswith("polars-") and name[7:].isdigit() for name in threads()):
+            self.computing.append(report.nodeid)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        if self.computing:
+            return True
         items = session.items
         files = [each.file for each in self._modules.values()]
         results = [self._folder / f"measured-{job}" for job in range(self._jobs)]
@@ -281,7 +298,7 @@ def try_part(part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str,
     quiet()
     trials = Trials(modules, chosen, folder, jobs)
     pytest.main(pytest_words(part.tests, folder), plugins=[trials])
-    (folder / "result").write_text(json.dumps([trials.survivors, trials.failing]))
+    (folder / "result").write_text(json.dumps([trials.survivors, trials.failing, trials.computing]))
     return 0
 
 
@@ -338,7 +355,9 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
         ended([forked(lambda: import_all(list(modules.values()), folder / "imported"), LONGEST_SECONDS)])
         imported = pickle.loads((folder / "imported").read_bytes())
         ended([forked(lambda: try_part(part, modules, chosen, folder, jobs), LONGEST_SECONDS)])
-        found, failing = json.loads((folder / "result").read_text())
+        found, failing, computing = json.loads((folder / "result").read_text())
+        if computing:
+            sys.exit(f"{computing[0]} runs a query of polars while it is collected; make its frames in the test")
         if failing:
             print("left out, as they fail here without any mutant:", *failing)
         survivors = {
@@ -387,7 +406,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    settings.register_profile(
-        "mutants", deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate]
-    )
     main()

@@ -3,11 +3,15 @@
 import ast
 import importlib.util
 import json
+import os
+import subprocess
 import sys
+from pathlib import Path
 
+import mutants
 import pytest
 from grafting import graft
-from mutants import CORE, EQUIVALENT, modules_of
+from mutants import CORE, EQUIVALENT, ROOT, modules_of
 from mutations import mutants_of
 
 TOY = '''"""Docstring 1."""
@@ -107,3 +111,38 @@ def test_every_mutant_that_is_judged_to_change_nothing_is_still_one_and_has_its_
         for each in kept:
             assert (each["line"], each["change"]) in places, f"{path}: {each}"
             assert each["reason"].endswith(".")
+
+
+COMPUTING = """
+import polars as pl
+import pytest
+
+SUM = {query}
+
+
+@pytest.mark.parametrize("value", [SUM])
+def test_sum(value):
+    assert value is not None
+"""
+
+
+@pytest.mark.parametrize(
+    ("query", "is_refused"), [("pl.DataFrame({'a': [1]}).lazy().sum().collect()", True), ("1", False)]
+)
+def test_a_part_that_queries_while_it_is_collected_is_refused_and_does_not_hang(tmp_path, query, is_refused):
+    """In a child that is forked with polars' threads started a query waits for them without end."""
+    test = tmp_path / "test_toy.py"
+    test.write_text(COMPUTING.format(query=query))
+    code = f"import mutants; mutants.CORE['toy'] = mutants.Part(('recorder/payloads/stamp.py',), ({str(test)!r},))"
+    code += "; mutants.tried('toy', 0.01, 0, 1)"
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(Path(mutants.__file__).parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert bool(found.returncode) == is_refused, found.stderr
+    assert ("runs a query of polars" in found.stderr) == is_refused

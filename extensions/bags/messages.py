@@ -17,7 +17,6 @@ from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
 from dds_trace.tracefile.format.encoding import decode_string
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
-from dds_trace.tracefile.format.message_stamps import StampReader, stamps_of
 from dds_trace.tracefile.mcapfile.scan import unaligned
 from dds_trace.tracefile.reading.source import NONE, MessageBatch
 from dds_trace.tracefile.reading.storage import find_storage
@@ -26,6 +25,7 @@ from .clocks import DAY_NS, find_resets, of_one_clock
 from .header_stamps import lost_by_recorder
 from .kinds import RECORDING_KINDS
 from .losses import COMMANDS, LOST_TYPE, TopicTimes
+from .message_stamps import StampReader, stamps_of
 from .periods import Int64
 from .read import content_hash
 

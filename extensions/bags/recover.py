@@ -27,11 +27,11 @@ from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
 from dds_trace.tracefile.reading.source import LATEST_NS, MOST_TOPICS, Condition, Int64, MessageBatch, UnreadableError
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
-from dds_trace.tracefile.recovery.mcap_copy import McapCopy
 from dds_trace.tracefile.writing.event_chunks import LIBRARY
 
 from .bag1 import bag1_messages
 from .kinds import function_at
+from .mcap_copy import McapCopy
 from .read import McapItems, kind_of, open_recording
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 

@@ -35,9 +35,9 @@ from dds_trace.tracefile.reading.source import (
     full_type,
     unpack_message,
 )
-from dds_trace.tracefile.reading.sqlite_log import open_database
 
 from .kinds import SQLITE_MAGIC
+from .sqlite_log import open_database
 from .sqlite_pages import SQLITE_HEADER, Image, Tables, rows_of_pages
 
 SQLITE_TABLES = """

@@ -18,9 +18,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import StoragePlugin
 
+from dds_trace.extensions.bags.message_stamps import stamps_of
 from dds_trace.extensions.bags.messages import MessageColumns, count_copies
 from dds_trace.extensions.bags.read import read_batches, read_messages
-from dds_trace.tracefile.format.message_stamps import stamps_of
 from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.source import NONE, Condition
 

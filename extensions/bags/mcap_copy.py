@@ -27,11 +27,11 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
-from ..mcapfile.records import crc32
-from ..mcapfile.scan import unaligned
-from ..reading.source import Int64, MessageBatch
-from ..writing.event_chunks import encode_record
+from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
+from dds_trace.tracefile.mcapfile.records import crc32
+from dds_trace.tracefile.mcapfile.scan import unaligned
+from dds_trace.tracefile.reading.source import Int64, MessageBatch
+from dds_trace.tracefile.writing.event_chunks import encode_record
 
 _CHUNK_BYTES = 1 << 20
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries

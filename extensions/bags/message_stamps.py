@@ -15,8 +15,7 @@ from dds_trace.extensions.bags.header_stamps import (
     stamp_place,
     stamp_reader,
 )
-
-from .bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 
 _TEXTS = {"cdr": ("ros2msg", "ros1msg"), "ros1": ("ros1msg",)}
 """Encodings of definitions by the encoding of messages."""

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from dds_trace.base.files import open_regular
 from dds_trace.extensions.bags.sqlite_pages import Image
-
-from .source import Condition
+from dds_trace.tracefile.reading.source import Condition
 
 _JOURNAL = struct.Struct(">8sIIIII")
 """Magic, records, start value of the checksums, pages of the database, bytes of a sector, bytes of a page."""

@@ -8,8 +8,8 @@ from bags import ROS1, ROS2, header, image, imu, points
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.extensions.bags.message_stamps import stamps_of
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
-from dds_trace.tracefile.format.message_stamps import stamps_of
 
 TIMESTAMP = ".google.protobuf.Timestamp"
 SECONDS, NANOSECONDS = 1_790_000_000, 250_000_000

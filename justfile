@@ -44,12 +44,23 @@ fix: setup
     {{bin}}/ruff check --fix .
     {{bin}}/ruff format .
 
-# All tests that end within minutes; each worker takes neighbours, which share what they make
-test *args: setup
+# The tests, of dear ones some cases; `just test-all` before a release or a change of what they hold
+test *args: setup (_tests 'not slow and not thorough' args)
+
+# All tests that end within minutes, every case of them: what CI runs
+test-all *args: setup (_tests 'not slow' args)
+
+# Three workers, which take neighbours, which share what they make; then six for real middlewares, whose tests wait
+_tests marks *args:
     @# In a fresh clone asserts are rewritten once, by two processes, and not by each worker.
     @ls tests/__pycache__/*-pytest-*.pyc >/dev/null 2>&1 || \
         { for rooms in 'tests/[a-q]*' 'tests/[r-z]*'; do {{bin}}/pytest --collect-only -qq $rooms >/dev/null & done; wait; }
-    {{bin}}/pytest -m 'not slow' -n 6 --dist worksteal {{args}}
+    @# 5: nothing of what was asked for is of this kind.
+    @failed=0; \
+    {{bin}}/pytest -m '{{marks}} and not middleware' -n 3 --dist worksteal {{args}} || test $? = 5 || failed=1; \
+    {{bin}}/pytest -m '{{marks}} and middleware' -n 6 --dist worksteal \
+        {{ if args == "" { "$(grep -rl --include='test_*.py' mark.middleware tests | sort)" } else { args } }} || test $? = 5 || failed=1; \
+    exit $failed
 
 # Tests that take longer than a minute each (kills, long sweeps)
 test-slow *args: setup

@@ -14,6 +14,7 @@ import kept
 import pytest
 from hypothesis import settings
 from shared_memory import middleware_files, remove_orphans
+from thorough import mark_thorough
 
 # The tools themselves default to the subnet; tests never leave this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -103,6 +104,11 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         os.environ[kept.VARIABLE] = tempfile.mkdtemp(prefix="dds-trace-kept-")
     if terminal := session.config.pluginmanager.get_plugin("terminalreporter"):
         session.config.pluginmanager.register(ToldAtOnce(terminal))
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    mark_thorough(items)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -88,6 +88,7 @@ each_option = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.keeps(16)
 @pytest.mark.usefixtures("nothing_recorded")
 @each_option
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])

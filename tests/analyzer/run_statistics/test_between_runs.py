@@ -149,6 +149,7 @@ def test_runs_do_not_overlap_if_they_differ():
     assert 0.04 < math.log(found.upper / found.lower) / 2 < 0.12
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("runs", [3, 5, 10])
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 @pytest.mark.parametrize("quantile", [0.5, 0.9])
@@ -205,6 +206,7 @@ def test_the_page_of_figures_is_made_of_its_data():
         assert text.count("\n| --- ") == len(tables.MARK.findall(text)) > 0
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.usefixtures("coverage")
 def test_changes_that_equal_sides_name_are_found_in_about_80_of_100():
     comparisons = importlib.import_module("coverage_comparisons")

@@ -1,7 +1,7 @@
 """Every role over every transport ends: by itself, by Ctrl-C and by SIGTERM, whatever has happened to the other side.
 
 Each test has three recordings of one role, which end in these three ways, and lasts as long as the one that ends by itself.
-`just ends` runs all of it; `just test` what starts quickly, and one fault of each other transport.
+`just ends` runs all of it; `just test-all` what starts quickly, and one fault of each other transport; `just test` not those over ROS 2.
 """
 
 import signal
@@ -95,8 +95,9 @@ def cases() -> Iterator[object]:
                 is_quick = (role, transport, fault) in QUICK
                 network = [needs_namespaces("ip", "iproute2")] if fault == "link down" else []
                 slow = [] if is_quick else [pytest.mark.ends, pytest.mark.slow]
+                dear = [pytest.mark.thorough] if is_quick and transport.startswith("ros2") else []
                 name = f"{role}-{transport}-{fault}".replace(" ", "-")
-                yield pytest.param(role, transport, fault, marks=[needs(options[1]), *network, *slow], id=name)
+                yield pytest.param(role, transport, fault, marks=[needs(options[1]), *network, *slow, *dear], id=name)
 
 
 pytestmark = [pytest.mark.middleware, pytest.mark.timeout(400)]

@@ -70,6 +70,7 @@ def rows_by_sqlite(path: Path, folder: Path) -> list[tuple[int, int, bytes]]:
         return database.execute(KEYS).fetchall()
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("kind", ["WAL", "DELETE", "PERSIST"])
 @pytest.mark.parametrize("seed", range(4))
 def test_what_sqlite_reads_is_read(tmp_path, kind, seed):
@@ -93,6 +94,7 @@ def test_sqlite_is_handed_no_database_that_has_a_log(tmp_path, kind, monkeypatch
     assert not handed
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("kind", ["WAL", "DELETE"])
 def test_what_follows_the_pages_of_a_log_is_not_looked_at(tmp_path, kind):
     path, plain = unfinished(tmp_path, kind, 3), unfinished(tmp_path, kind, 4).parent
@@ -160,6 +162,7 @@ RECORDINGS = {
 }
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("kind", RECORDINGS)
 def test_nothing_of_a_strangers_recording_is_changed_nor_anything_next_to_it(tmp_path, kind, monkeypatch):
     """No path outside of the temporary folder and the outputs is opened for writing, renamed or removed, by us or a library."""

@@ -94,6 +94,39 @@ def results_of(texts, base, new):
     return judge_gates(compare_roundtrips(base, new, options), gates)
 
 
+@pytest.mark.parametrize(
+    ("text", "is_passable"),
+    [
+        ("received_ratio > +1 points", True),
+        ("received_ratio > -99 points", True),
+        ("received_ratio > -101 points", False),
+        ("received_ratio < +99 points", True),
+        ("received_ratio < +101 points", False),
+        ("received_ratio > 1%", True),
+        ("received_ratio < 99%", True),
+        ("received_ratio < 101%", False),
+        ("latency_p50 > -5ms", True),
+        ("latency_p50 < -5ms", True),
+    ],
+)
+def test_a_gate_that_fails_whatever_is_measured_is_refused(text, is_passable):
+    if is_passable:
+        assert parse_gate(text).text == text
+    else:
+        with pytest.raises(OptionError, match="can pass"):
+            parse_gate(text)
+
+
+def test_the_change_that_would_have_been_found_is_the_same_as_a_share_and_as_a_time():
+    base, new = in_runs([5 * MS] * 40, runs=5, spread=0.02), in_runs([5 * MS] * 40, runs=5, spread=0.02, run_id=2)
+    by_share, by_time = results_of(["latency_p50 > +20%", "latency_p50 > +1ms"], base, new)
+    assert 1.2 < by_share.found_from < 2
+    assert by_time.found_from == pytest.approx((by_share.found_from - 1) * 5 * MS, rel=1e-3)
+    lower, lower_time = results_of(["latency_p50 < -20%", "latency_p50 < -1ms"], base, new)
+    assert 0.5 < lower.found_from < 0.8
+    assert lower_time.found_from == pytest.approx((lower.found_from - 1) * 5 * MS, rel=1e-3)
+
+
 def test_gates_on_frames():
     base, new = in_runs([5 * MS] * 40, spread=0.001), in_runs([6 * MS] * 40, spread=0.001)  # +20 %, +1 ms
     texts = [

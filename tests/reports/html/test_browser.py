@@ -36,6 +36,7 @@ pytestmark = pytest.mark.browser
 BYTES_PER_S = {"GB/s": 1e9, "MB/s": 1e6, "KB/s": 1e3, "B/s": 1}
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.parametrize("name", EVERY_PAGE)
 def test_every_page_is_drawn_without_a_complaint_or_a_request(reader, pages, name):
     tab = reader.open(pages(name))

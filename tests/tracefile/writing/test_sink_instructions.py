@@ -41,6 +41,7 @@ EARLIER = [(sequence, 1000 + sequence) for sequence in range(BEFORE)]
 WITH_THE_NEW_ONE = [*EARLIER, (BEFORE, STAMPED_NS)]
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("method", ["record", "stamp"])
 def test_killed_at_every_instruction_of_an_event(tmp_path, method):
     kept = kept_after_kills(tmp_path, method, 1)
@@ -51,6 +52,7 @@ def test_killed_at_every_instruction_of_an_event(tmp_path, method):
     assert is_kept[-1]
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("method", ["record_and_stamp", "record_expected"])
 def test_killed_at_every_instruction_of_an_arrival_and_its_departure(tmp_path, method):
     kept = kept_after_kills(tmp_path, method, 1)
@@ -323,6 +325,7 @@ def test_an_arrival_out_of_range_is_dropped_with_its_departure(tmp_path):
     assert (closed.events, closed.dropped_events) == (0, 2)
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("method", ["write_run", "close"])
 def test_killed_at_instructions_of_a_chunk(tmp_path, method):
     kept = kept_after_kills(tmp_path, method, 23)
@@ -379,6 +382,7 @@ CALLS = ["fstat", "pwritev", "fsync"]
 FAULTS = [errno.ENOSPC, errno.EIO, errno.EROFS, errno.ENOENT, errno.EDQUOT]
 
 
+@pytest.mark.keeps(17)
 @pytest.mark.parametrize("fault", FAULTS, ids=errno.errorcode.get)
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.parametrize("failing", range(6))

@@ -111,6 +111,7 @@ def kill_while_recording(folder, moment, threads):
     check_whole(trace, progress, threads)
 
 
+@pytest.mark.keeps(4)
 @pytest.mark.parametrize("attempt", range(10))
 def test_killed_while_recording_at_full_rate(tmp_path, attempt):
     kill_while_recording(tmp_path, random.Random(attempt), threads=1 + attempt % 3)
@@ -127,6 +128,7 @@ def test_killed_at_sixty_random_moments(tmp_path):
         shutil.rmtree(folder)
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.parametrize("attempt", range(8))
 def test_killed_while_closing(tmp_path, attempt):
     process, trace, progress = start(tmp_path, 1, CLOSING_EVENTS)
@@ -137,6 +139,7 @@ def test_killed_while_closing(tmp_path, attempt):
     check_whole(trace, progress, 1)
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.parametrize("attempt", range(6))
 def test_killed_while_starting(tmp_path, attempt):
     process, trace, progress = start(tmp_path, 1)

@@ -96,6 +96,7 @@ def check_plan(folder, text):
     return refusal
 
 
+@pytest.mark.keeps(24)
 @pytest.mark.parametrize(("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys])
 @example(value="~nobody-of-that-name")  # a home that is not there
 @settings(max_examples=6, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])

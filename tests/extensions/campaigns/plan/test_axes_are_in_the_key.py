@@ -80,6 +80,7 @@ def other_value(name):
     return not default if axis.kind is bool else axis.kind((default or 0) + 1)
 
 
+@pytest.mark.keeps(8)
 @pytest.mark.parametrize("name", AXES)
 def test_an_axis_makes_two_groups(name):
     cell = Cell(relay_backend="ros2") if name == "relay_rmw" else Cell()

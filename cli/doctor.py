@@ -60,8 +60,8 @@ def doctor_command(
 
 
 def all_checks(out: Path | None) -> list[Check]:
-    own = [*_middlewares(), *_security(), *_machine(), *_permissions()]
-    return [*sorted([*own, *_offered()], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
+    checks = [*_middlewares(), *_security(), *_machine(), *_permissions()]
+    return [*sorted([*checks, *_offered()], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
 
 
 def _offered() -> list[Check]:

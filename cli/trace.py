@@ -102,10 +102,10 @@ def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
 
 def commands() -> dict[str, Callable[[], typer.Typer]]:
     """Return the words of each command, an extension's too, with the call that imports its app."""
-    own: dict[str, Callable[[], typer.Typer]] = {name: partial(_load_app, home) for name, home in _COMMANDS.items()}
+    local: dict[str, Callable[[], typer.Typer]] = {name: partial(_load_app, home) for name, home in _COMMANDS.items()}
     rank = {word: number for number, word in enumerate(_ORDER)}
-    every = {**own, **offers("commands")}
-    return {name: every[name] for name in sorted(every, key=lambda name: rank.get(name.partition(" ")[0], len(rank)))}
+    apps = {**local, **offers("commands")}
+    return {name: apps[name] for name in sorted(apps, key=lambda name: rank.get(name.partition(" ")[0], len(rank)))}
 
 
 def _load_app(home: str) -> typer.Typer:
@@ -115,13 +115,13 @@ def _load_app(home: str) -> typer.Typer:
 
 
 def build(words: Sequence[str]) -> typer.Typer:
-    every = commands()
-    chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in every][:1]
-    chosen = chosen or [name for name in every if words and name.startswith(f"{words[0]} ")]
+    apps = commands()
+    chosen = [name for name in (" ".join(words[:2]), *words[:1]) if name in apps][:1]
+    chosen = chosen or [name for name in apps if words and name.startswith(f"{words[0]} ")]
     root = make_app(completes=True)
     root.callback(context_settings=SETTINGS)(_show_help)
     groups: dict[str, typer.Typer] = {}
-    for name in chosen or [name for name in every if name != "sweep new"]:
+    for name in chosen or [name for name in apps if name != "sweep new"]:
         group = name.rpartition(" ")[0]
         if group and group not in groups:
             groups[group] = make_app()
@@ -129,7 +129,7 @@ def build(words: Sequence[str]) -> typer.Typer:
             root.add_typer(
                 groups[group], name=group, help=_GROUPS[group], no_args_is_help=True, context_settings=settings
             )
-        (groups[group] if group else root).add_typer(every[name]())
+        (groups[group] if group else root).add_typer(apps[name]())
     return root
 
 

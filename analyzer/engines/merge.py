@@ -103,9 +103,9 @@ def merge_sketches(parts: Statistics) -> Statistics:
     rows = []
     for group, metric in sorted(parts_of, key=lambda key: (key[0], order[key[1]])):
         row: dict[str, Any] = {"group": group, "metric": metric, "samples": 0}
-        found = histograms.get((group, metric))
-        if found is not None:
-            histogram = Histogram(found["value_ns"].to_numpy(), found["count"].to_numpy())
+        values = histograms.get((group, metric))
+        if values is not None:
+            histogram = Histogram(values["value_ns"].to_numpy(), values["count"].to_numpy())
             sketch = _merged_sketch(parts_of[group, metric], histogram)
             row |= {"samples": sketch.samples, **summarize_sketch(sketch)}
         rows.append(row)

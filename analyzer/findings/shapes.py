@@ -230,11 +230,11 @@ def with_causes(
     def explained(finding: Finding) -> Finding:
         if f"{_NO_CAUSE}." not in finding.what:
             return finding
-        of_large, of_small = (
+        large_codes, small_codes = (
             dict.fromkeys(other.code for other in slow if group in other.groups)
             for group in (finding.groups[0], smaller[finding.groups[0]])
         )
-        causes = [titles[code] for code in of_large if code not in of_small]
+        causes = [titles[code] for code in large_codes if code not in small_codes]
         words = f"; only at the larger size {' and '.join(causes)}" if causes else _NO_CAUSE
         return replace(finding, what=finding.what.replace(_NO_CAUSE, words))
 

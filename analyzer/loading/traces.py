@@ -93,7 +93,7 @@ def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatEr
                 in_memory.append(piece)
                 if not written and len(in_memory) == 1 and sum(map(len, piece.values())) <= room:
                     return
-                for key, part in chain.from_iterable(split_trace(each, 0).items() for each in in_memory):
+                for key, part in chain.from_iterable(split_trace(events, 0).items() for events in in_memory):
                     try:
                         spooled = write_events(stream, part.load())
                     except OSError as err:  # not of reading the trace

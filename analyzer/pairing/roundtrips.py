@@ -168,8 +168,8 @@ def pair_exchanges(
     of_all = []
     for exchange in exchanges:
         t1, t2, t3, _ = (events[key] for key in exchange.event_keys())
-        of_one_way = count_all(t1, t3, exchange.run.warmup_messages) if exchange.run.ping_every > 1 else {}
-        of_all.append(count_sizes(t1, t2, exchange.run) | of_one_way)
+        one_way_counts = count_all(t1, t3, exchange.run.warmup_messages) if exchange.run.ping_every > 1 else {}
+        of_all.append(count_sizes(t1, t2, exchange.run) | one_way_counts)
     for exchange, all_messages, is_there, mask, first in zip(
         exchanges, messages_of_exchanges, in_service, masks, bounds[:-1].tolist(), strict=True
     ):

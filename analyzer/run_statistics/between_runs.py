@@ -67,20 +67,20 @@ def estimates_of_groups(
     joined = [
         [
             statistic
-            for statistic, unit in zip(statistics, of_group, strict=True)
+            for statistic, unit in zip(statistics, units_by_statistic, strict=True)
             if unit is None or has_few_bursts(unit.episodes, unit.messages, statistic.quantile)
         ]
-        for of_group in units
+        for units_by_statistic in units
     ]
     within = _intervals_within(groups, joined, confidence)
     return [
         [
-            Estimate(without_open_end(of_joined[statistic], statistic.quantile), None)
+            Estimate(without_open_end(by_statistic[statistic], statistic.quantile), None)
             if unit is None
-            else Estimate(_interval_of_units(unit, confidence, of_joined.get(statistic)), unit)
-            for statistic, unit in zip(statistics, of_group, strict=True)
+            else Estimate(_interval_of_units(unit, confidence, by_statistic.get(statistic)), unit)
+            for statistic, unit in zip(statistics, units_by_statistic, strict=True)
         ]
-        for of_group, of_joined in zip(units, within, strict=True)
+        for units_by_statistic, by_statistic in zip(units, within, strict=True)
     ]
 
 
@@ -104,15 +104,15 @@ def _units_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) ->
         long = (statistic for statistic in statistics if statistic.needs > shortest)
         parts += ((number, [statistic], _joined_where_short(group, statistic.needs)) for statistic in long)
     units: list[dict[Statistic, Units | None]] = [dict.fromkeys(statistics) for _ in groups]
-    asked = [(runs, [s.quantile for s in supported if s.quantile is not None]) for _, supported, runs in parts]
-    for (number, supported, runs), (_, quantiles), tails in zip(parts, asked, tails_of_all(asked), strict=True):
+    requests = [(runs, [s.quantile for s in supported if s.quantile is not None]) for _, supported, runs in parts]
+    for (number, supported, runs), (_, quantiles), tails in zip(parts, requests, tails_of_all(requests), strict=True):
         by_quantile: dict[float | None, tuple[list[Tail], Float64]] = {}
         if quantiles:
             by_quantile.update(zip(quantiles, zip(tails, quantiles_of_runs(runs, quantiles), strict=True), strict=True))
         for statistic in supported:
             unit = _units(groups[number], runs, statistic, *by_quantile.get(statistic.quantile, ((), None)))
             units[number][statistic] = unit if len(unit) >= MIN_RUNS else None
-    return [list(of_group.values()) for of_group in units]
+    return [list(by_statistic.values()) for by_statistic in units]
 
 
 def units_of(runs: Runs | Sequence[Run], statistic: Statistic) -> Units:
@@ -232,17 +232,17 @@ def student_ends(values: Float64, confidence: float) -> tuple[float, float, floa
 def _intervals_within(
     groups: Sequence[Runs], statistics: Sequence[Sequence[Statistic]], confidence: float
 ) -> list[dict[Statistic, Interval]]:
-    asked: list[tuple[Runs, list[float]]] = []
-    for group, of_group in zip(groups, statistics, strict=True):
+    requests: list[tuple[Runs, list[float]]] = []
+    for group, supported in zip(groups, statistics, strict=True):
         samples = sum(group.lengths)
-        quantiles = [s.quantile for s in of_group if s.quantile is not None and s.needs <= samples]
-        asked.append((group.joined if of_group else group, quantiles))
+        quantiles = [s.quantile for s in supported if s.quantile is not None and s.needs <= samples]
+        requests.append((group.joined if supported else group, quantiles))
     intervals: list[dict[Statistic, Interval]] = []
-    parts = zip(groups, statistics, asked, tails_of_all(asked), strict=True)
-    for group, of_group, (joined, quantiles), found in parts:
-        samples, runs, tails = sum(group.lengths), len(group), dict(zip(quantiles, found, strict=True))
+    parts = zip(groups, statistics, requests, tails_of_all(requests), strict=True)
+    for group, supported, (joined, quantiles), tail_list in parts:
+        samples, runs, tails = sum(group.lengths), len(group), dict(zip(quantiles, tail_list, strict=True))
         by_statistic: dict[Statistic, Interval] = {}
-        for statistic in of_group:
+        for statistic in supported:
             if samples < statistic.needs:
                 counts = samples, samples, Basis.WITHIN_RUN, runs, 0, None
                 by_statistic[statistic] = Interval(None, None, None, confidence, *counts)

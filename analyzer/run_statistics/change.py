@@ -353,14 +353,14 @@ def _pooled(family: Sequence[tuple[int, Error | None]]) -> list[tuple[int, Error
 
 
 def smallest_detectable_ratio(
-    error: Error, of_result: Sequence[Error], tests: int, confidence: float, same_within: float
+    error: Error, errors_of_result: Sequence[Error], tests: int, confidence: float, same_within: float
 ) -> float:
     """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %, if no other result changed.
 
     Its p value is at most alpha times its rank, by the errors of its result, over `tests`; its interval leaves the band of "the same".
     """
     standard_error, degrees = error
-    rank = sum(other <= ALIKE_ERRORS * standard_error for other, _ in of_result)
+    rank = sum(other <= ALIKE_ERRORS * standard_error for other, _ in errors_of_result)
     shift = standard_error * estimated_shift_for_power(degrees, 1 - (1 - confidence) * rank / max(rank, tests))
     reach = student_quantile((1 + confidence) / 2, degrees)
     beyond = math.log1p(same_within) + standard_error * (student_quantile(POWER, degrees) - reach)

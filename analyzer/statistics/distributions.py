@@ -79,13 +79,13 @@ def _estimated_errors(degrees: float, steps: int) -> tuple[Float64, Float64]:
     return np.exp(logs / 2), weights / weights.sum()
 
 
-def _shift_found(found: Callable[[float], float], power: float) -> float:
+def _shift_found(power_of: Callable[[float], float], power: float) -> float:
     low, high = 0.0, 2.0
-    while found(high) < power:
+    while power_of(high) < power:
         high *= 2
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (middle, high) if found(middle) < power else (low, middle)
+        low, high = (middle, high) if power_of(middle) < power else (low, middle)
     return (low + high) / 2
 
 

@@ -219,8 +219,8 @@ STATISTICS = (
 def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
     """Return the statistics of ascending values, exact; None for a small sample."""
     n = len(ordered_ns)
-    return {each.name: each.of_values(ordered_ns) if n >= each.needs else None for each in STATISTICS}
+    return {row.name: row.of_values(ordered_ns) if n >= row.needs else None for row in STATISTICS}
 
 
 def summarize_sketch(sketch: Sketch) -> dict[str, float | None]:
-    return {each.name: each.of_sketch(sketch) if sketch.samples >= each.needs else None for each in STATISTICS}
+    return {row.name: row.of_sketch(sketch) if sketch.samples >= row.needs else None for row in STATISTICS}

@@ -161,16 +161,16 @@ def contender_names(groups: pl.DataFrame) -> ContenderNames:
     return names | {setting: names[whole] for setting, whole in may_be.items()}
 
 
-_OF_RELAY = frozenset({"relay_vendor", "relay_backend"})
+_RELAY_COLUMNS = frozenset({"relay_vendor", "relay_backend"})
 
 
 def _is_without_relay(setting: tuple[ParameterValue, ...]) -> bool:
-    return all(value is None for name, value in zip(CONTENDER_COLUMNS, setting, strict=True) if name in _OF_RELAY)
+    return all(value is None for name, value in zip(CONTENDER_COLUMNS, setting, strict=True) if name in _RELAY_COLUMNS)
 
 
 def _fits(unknown: tuple[ParameterValue, ...], other: tuple[ParameterValue, ...]) -> bool:
     values = zip(CONTENDER_COLUMNS, unknown, other, strict=True)
-    return all(name in _OF_RELAY or value == other_value for name, value, other_value in values)
+    return all(name in _RELAY_COLUMNS or value == other_value for name, value, other_value in values)
 
 
 def _names_of(settings: Sequence[Setting]) -> dict[tuple[ParameterValue, ...], str]:

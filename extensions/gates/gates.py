@@ -183,11 +183,11 @@ def _without_result(comparison: Comparison, gates: Sequence[Gate]) -> Iterator[G
     files = {id(gate.sections): gate.sections for gate in gates if gate.sections is not None}
     fitted = {key: (sections.fitting(rows), sections.fitting(only_new)) for key, sections in files.items()}
     for gate in gates:
-        known, new = fitted.get(id(gate.sections), (frozenset(), frozenset()))
-        if gate.topics or not gate.results or gate.results in known:
+        in_base, in_new = fitted.get(id(gate.sections), (frozenset(), frozenset()))
+        if gate.topics or not gate.results or gate.results in in_base:
             continue
         where = " ".join("=".join(pattern) for pattern in gate.results)
-        is_new = gate.results in new
+        is_new = gate.results in in_new
         reason = "the base has no such result" if is_new else "fits no result: correct it, or record what it names"
         outcome = GateOutcome.INCONCLUSIVE if is_new else GateOutcome.REGRESSED
         yield result_of(gate, where, outcome, reason=reason)

@@ -70,8 +70,8 @@ def is_live(data: str) -> bool:
 
 
 def sources() -> dict[str, Source]:
-    own = (payload for payload in PAYLOADS.values() if isinstance(payload, Source))
-    return {source.name: source for source in (*own, *(load() for load in offers("payloads").values()))}
+    local = (payload for payload in PAYLOADS.values() if isinstance(payload, Source))
+    return {source.name: source for source in (*local, *(load() for load in offers("payloads").values()))}
 
 
 def _split_source(data: str) -> tuple[Source | None, str]:

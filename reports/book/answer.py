@@ -279,11 +279,11 @@ def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Media
 
 def _span(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
     times_ns = sorted(medians[group.index].ns for group in groups if group.index in medians)
-    known_ns = [ns for ns in times_ns if math.isfinite(ns)]
-    lost = len(times_ns) - len(known_ns)
-    if not known_ns:
+    finite_ns = [ns for ns in times_ns if math.isfinite(ns)]
+    lost = len(times_ns) - len(finite_ns)
+    if not finite_ns:
         return LOST
-    words = " to ".join(dict.fromkeys(_median(end) for end in (known_ns[0], known_ns[-1])))
+    words = " to ".join(dict.fromkeys(_median(end) for end in (finite_ns[0], finite_ns[-1])))
     return f"{words} ({LOST} in {lost} of {counted(len(times_ns), 'result')})" if lost else words
 
 
@@ -302,11 +302,11 @@ def _level_remarks(groups: Groups, medians: Mapping[int, Median]) -> list[str]:
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
         same = [g for g in groups.groups if groups.cell_of(g).data_type == data_type and g.index in medians]
         ordered = sorted(same, key=lambda group: (medians[group.index].ns, group.index))
-        known = [group for group in ordered if math.isfinite(medians[group.index].ns)] or ordered
-        if known:
-            name, ends = data_type_label(data_type), {group.index: group for group in (known[0], known[-1])}.values()
+        finite = [group for group in ordered if math.isfinite(medians[group.index].ns)] or ordered
+        if finite:
+            name, ends = data_type_label(data_type), {group.index: group for group in (finite[0], finite[-1])}.values()
             spans = [f"{_span([end], medians)} ({labels[end.index].removeprefix(name).strip()})" for end in ends]
-            lost = [labels[group.index] for group in ordered if group not in known]
+            lost = [labels[group.index] for group in ordered if group not in finite]
             more = f"; the median message is lost in {some_of(lost, 'more')}" if lost else ""
             remarks.append(f"{name}: median {_of(ends, medians)} {' to '.join(spans)}{more}.")
     return remarks

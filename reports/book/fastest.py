@@ -255,15 +255,15 @@ def _where(case: CaseAnswer, cases: Sequence[CaseAnswer]) -> str:
 
 
 def repeats_words(counts: Iterable[int | None]) -> str:
-    known = [count for count in counts if count is not None]
-    return f"about {max(known)} repeats would decide" if known else ""
+    counted_repeats = [count for count in counts if count is not None]
+    return f"about {max(counted_repeats)} repeats would decide" if counted_repeats else ""
 
 
 def _lowest(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> tuple[str, str]:
     times = [
         sorted((setup.p50_ns, setup.name) for setup in case.contenders if setup.p50_ns is not None) for case in cases
     ]
-    firsts = [one for ordered in times for one in ordered[:1]]
+    firsts = [lowest for ordered in times for lowest in ordered[:1]]
     seconds = [ns for ordered in times for ns, _ in ordered[1:2]]
     names = Counter(name for _, name in firsts)
     if not names:

@@ -70,8 +70,8 @@ def _came_back(name: str, times_ns: Sequence[float | None]) -> str:
 
 def interference_sentences(analysis: Analysis, groups: Groups) -> list[str]:
     vendors = {group.index: groups.series_of(group).vendor_label for group in groups.groups}
-    of_groups = pl.col("group").is_in(list(vendors))
-    judged = analysis.judgements.filter(of_groups, claim=Claim.WITH.value)
+    is_of_page = pl.col("group").is_in(list(vendors))
+    judged = analysis.judgements.filter(is_of_page, claim=Claim.WITH.value)
     is_open = {key for key, rows in _by_flow(judged, "base", "subject") if {*rows["basis"]} == {Basis.WITHIN_RUN.value}}
     cases: dict[tuple[str, str], list[str]] = {}
     for key, rows in _by_flow(judged, "base", "subject"):
@@ -80,7 +80,7 @@ def interference_sentences(analysis: Analysis, groups: Groups) -> list[str]:
             factors.setdefault((vendors[row["group"]], row["statistic"]), []).append(row["value"])
         cases[key] = [f"takes {'; '.join(_as_long(*factor) for factor in factors.items())}"] if factors else []
     changed = pl.col("received_verdict").is_in([*_LOSES])
-    for key, rows in _by_flow(analysis.details.interference.filter(of_groups, changed), "flow", "with_flows"):
+    for key, rows in _by_flow(analysis.details.interference.filter(is_of_page, changed), "flow", "with_flows"):
         ordered = rows.sort(pl.col("received_difference").abs(), descending=True)
         row = ordered.row(0, named=True)
         cases.setdefault(key, []).append(f"{_LOSES[row['received_verdict']]} (received {received_words(row)})")
@@ -103,12 +103,12 @@ def _by_flow(rows: pl.DataFrame, flow: str, others: str) -> Iterator[tuple[tuple
 
 def _not_slowed(flow: str, others: str, *, is_open: bool) -> str:
     names, what = others.split("+"), flow or "a message"
-    one = len(names) == 1
+    is_single = len(names) == 1
     if is_open:
         return printable(
-            f"Whether {joined(names)} {'slows' if one else 'slow'} {what} is open: a verdict needs {MIN_RUNS} runs of each."
+            f"Whether {joined(names)} {'slows' if is_single else 'slow'} {what} is open: a verdict needs {MIN_RUNS} runs of each."
         )
-    return printable(f"{joined(names)} {'does' if one else 'do'} not measurably slow {what}.")
+    return printable(f"{joined(names)} {'does' if is_single else 'do'} not measurably slow {what}.")
 
 
 def _as_long(vendor_statistic: tuple[str, str], factors: Sequence[float]) -> str:
@@ -151,8 +151,8 @@ def _cost_words(rows: pl.DataFrame) -> str:
             words: timed.filter(verdict=verdict)["ratio"].to_list()
             for verdict, words in (("worse", "slower"), ("better", "faster"))
         }
-        if factors := [f"{factor_words(each)} as long {label}" for each in ratios.values() if each]:
-            counts = {words: len(each) for words, each in ratios.items()} if all(ratios.values()) else {}
+        if factors := [f"{factor_words(values)} as long {label}" for values in ratios.values() if values]:
+            counts = {words: len(values) for words, values in ratios.items()} if all(ratios.values()) else {}
             counts |= {"lost": len(costs) - len(timed), "no proven difference": len(timed.filter(~is_proven))}
             noted = [f"{words} in {count}" for words, count in counts.items() if count]
             of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""

@@ -38,6 +38,12 @@ NAMES = re.compile(
 )
 """Names of a value that do not say what the value is."""
 
+WRITTEN = re.compile(r"^<!-- [^>]*-->\n+(```.*?^```|(?:\|[^\n]*\n)+)", re.MULTILINE | re.DOTALL)
+"""A quote or a table that a recipe writes: it follows a comment that names it."""
+
+MAIN_HOUSE = tuple(room for room in ROOMS if room != "extensions")
+BAGS = ROOT / "extensions/bags"
+
 PARTS = frozenset({"asked", "each", "found", "held", "kept", "known", "place", "places", "told", "wanted"})
 """Those that make a longer name vague too, as does `of_` at its start."""
 
@@ -95,6 +101,19 @@ def count_module(path: Path) -> tuple[Counter[str], list[tuple[int, str]]]:
     return count, bad + read + vague
 
 
+def count_constants(tree: ast.Module) -> int:
+    """Return how many names of a module are numbers, or several of them."""
+    names = 0
+    for line in tree.body:
+        if isinstance(line, ast.Assign):
+            values = [node for node in ast.walk(line.value) if isinstance(node, ast.Constant)]
+            only = all(type(node.value) in (int, float) for node in values) and not any(
+                isinstance(node, ast.Call | ast.Subscript) for node in ast.walk(line.value)
+            )
+            names += only and bool(values)
+    return names
+
+
 def count_rooms() -> tuple[dict[str, Counter[str]], list[str]]:
     """Return the counts of each room of the product, and where the words and names to replace are."""
     rooms, replace = {}, []
@@ -108,18 +127,22 @@ def count_rooms() -> tuple[dict[str, Counter[str]], list[str]]:
     return rooms, replace
 
 
-def count_house(product: Counter[str]) -> dict[str, float]:
+def count_house(product: Counter[str], main_house: int = 0) -> dict[str, float]:
     """Return what has a bar: the counts of the product, the two shares of its language, and what comes with it."""
     endings = {".js", ".css", ".j2", ".html"}
     assets = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in endings]
     tests = (ROOT / "tests").rglob("*.py")
     return {
         **{name: product[name] for name in ("lines", "modules", "words")},
+        "main_house_lines": main_house,
         "assets": sum(path.read_text(encoding="utf-8").count("\n") for path in assets),
         "tests": sum(path.read_text(encoding="utf-8").count("\n") for path in tests),
         "page_words": sum(
-            len(path.read_text(encoding="utf-8").split())
+            len(WRITTEN.sub("", path.read_text(encoding="utf-8")).split())
             for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").rglob("*.md"))
+        ),
+        "constants_of_bags": sum(
+            count_constants(ast.parse(path.read_text(encoding="utf-8"))) for path in BAGS.rglob("*.py")
         ),
         "bad_words_per_10_000": round(1e4 * product["bad"] / max(product["words"], 1), 2),
         "bad_words_in_strings": product["read"],
@@ -182,7 +205,8 @@ def main() -> int:
         )
     if "--list" in sys.argv:
         print("\n".join(replace))
-    counts, text = count_house(product), BARS.read_text(encoding="utf-8")
+    main_house = sum(rooms[room]["lines"] for room in MAIN_HOUSE)
+    counts, text = count_house(product, main_house), BARS.read_text(encoding="utf-8")
     if "--lower" in sys.argv:
         issue = next(iter(sys.argv[sys.argv.index("--lower") + 1 :]), None)
         text = lower(counts, text, issue)

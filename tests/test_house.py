@@ -20,13 +20,18 @@ BARS = tomllib.loads(house.BARS.read_text())
 
 
 @pytest.fixture(scope="module")
-def product():
-    return sum(house.count_rooms()[0].values(), Counter())
+def rooms():
+    return house.count_rooms()[0]
 
 
 @pytest.fixture(scope="module")
-def counts(product):
-    return house.count_house(product)
+def product(rooms):
+    return sum(rooms.values(), Counter())
+
+
+@pytest.fixture(scope="module")
+def counts(rooms, product):
+    return house.count_house(product, sum(rooms[room]["lines"] for room in house.MAIN_HOUSE))
 
 
 def git(*arguments):

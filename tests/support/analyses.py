@@ -9,6 +9,7 @@ from functools import cache
 from random import Random
 from typing import Any
 
+import numpy as np
 import polars as pl
 from kept import kept
 from paired_by_hand import paired
@@ -19,7 +20,7 @@ from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
 from dds_trace.analyzer.groups.fan_out import FAN_OUT_FRAMES
 from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
-from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, ONE_WAY_STATISTICS, sample_columns
 from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
@@ -30,7 +31,7 @@ from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.run_statistics.between_runs import estimates_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run as Series
 from dds_trace.analyzer.run_statistics.runs import Statistic
-from dds_trace.analyzer.statistics.percentiles import PERCENTILES
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, STATISTICS
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.extensions.gates.compare import CompareOptions
 from dds_trace.extensions.gates.costs import bridge_cost, find_head_of_line, find_interference
@@ -139,7 +140,7 @@ def describe(values: Sequence[int]) -> dict[str, float | None]:
     ordered = sorted(values)
     count = len(ordered)
     if not count:
-        return dict.fromkeys(("mean", "std", "min", *NEEDED, "max"))
+        return dict.fromkeys(statistic.name for statistic in STATISTICS)
     found: dict[str, float | None] = {
         "mean": statistics.fmean(ordered),
         "std": statistics.stdev(ordered) if count > 1 else None,
@@ -151,6 +152,9 @@ def describe(values: Sequence[int]) -> dict[str, float | None]:
         low = math.floor(place)
         high = min(low + 1, count - 1)
         found[name] = ordered[low] + (ordered[high] - ordered[low]) * (place - low) if count >= needed else None
+    for statistic in STATISTICS:  # one that a newcomer adds is not repeated here
+        if statistic.name not in found:
+            found[statistic.name] = statistic.of_values(np.array(ordered)) if count >= statistic.needs else None
     return found
 
 
@@ -292,10 +296,9 @@ def _one_way(rows: pl.DataFrame) -> pl.DataFrame:
             values = part[f"{metric}_ns"].drop_nulls().to_list()
             if values:
                 described = describe(values)
-                del described["std"]
                 found.append(
                     {"group": group, "metric": metric, "messages": len(values)}
-                    | {f"{name}_ns": value for name, value in described.items()}
+                    | {f"{name}_ns": described[name] for name in ONE_WAY_STATISTICS}
                     | {"bound_p50_ns": CLOCK_BOUND_NS, "bound_max_ns": CLOCK_BOUND_NS}
                 )
     return pl.DataFrame(found, schema=ONE_WAY_SCHEMA)

@@ -41,18 +41,50 @@ def analyze_with(tmp_path, file, rows, runs, *options):
 
 METRIC = {'        Metric("response",': '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'}
 
+STATISTIC = {
+    '    GroupStatistic(\n        "max",': """\
+    GroupStatistic(
+        "mad",
+        "mean deviation",
+        lambda ordered_ns: float(abs(ordered_ns - ordered_ns.mean()).mean()),
+        lambda sketch: float(np.average(abs(sketch.histogram.value_ns - sketch.mean), weights=sketch.histogram.count)),
+        is_tabled=True,
+    ),
+"""
+}
+FINDING = {
+    "    sending.schedule_not_held,": """\
+    RESULTS.warning(
+        "lone_spike",
+        "The longest time in the relay is longer than the median",
+        pl.col("intermediate_max_ns") > pl.col("intermediate_p50_ns"),
+        "The longest time took {intermediate_max_ns:duration}, the median {intermediate_p50_ns:duration}.",
+        "Look at the timeline.",
+    ),
+"""
+}
+
 FOLLOWING = {
     "tests/analyzer/findings/test_findings.py": "few_samples or fewer_samples",
     "tests/analyzer/groups/test_summary.py": "one_group",
     "tests/analyzer/saving/test_saved_analysis.py": "comes_back and small",
     "tests/reports/test_reporters.py": "small and not schema",
 }
-"""Tests that once repeated the table of metrics; the schema of the report follows by `just schemas`."""
+"""Tests that once repeated the tables of metrics and statistics; the schema of the report follows by `just schemas`."""
 
 
 @pytest.mark.slow
-def test_tests_of_outputs_follow_a_new_metric(tmp_path):
-    environment = with_rows(tmp_path, "analyzer/model/metrics.py", METRIC)
+@pytest.mark.parametrize(
+    ("file", "rows"),
+    [
+        ("analyzer/model/metrics.py", METRIC),
+        ("analyzer/statistics/percentiles.py", STATISTIC),
+        ("analyzer/findings/table.py", FINDING),
+    ],
+    ids=["metric", "statistic", "finding"],
+)
+def test_tests_of_outputs_follow_a_new_row(tmp_path, file, rows):
+    environment = with_rows(tmp_path, file, rows)
     options = [
         "-q",
         "-n",
@@ -93,19 +125,6 @@ def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
     assert "hold" in few["what"]
 
 
-STATISTIC = {
-    '    GroupStatistic(\n        "max",': """\
-    GroupStatistic(
-        "mad",
-        "mean deviation",
-        lambda ordered_ns: float(abs(ordered_ns - ordered_ns.mean()).mean()),
-        lambda sketch: float(np.average(abs(sketch.histogram.value_ns - sketch.mean), weights=sketch.histogram.count)),
-        is_tabled=True,
-    ),
-"""
-}
-
-
 @pytest.mark.parametrize("sketch", [(), ("--sketch",)], ids=["whole", "sketch"])
 def test_a_statistic_is_one_row_of_the_table_of_statistics(tmp_path, sketch):
     out = analyze_with(tmp_path, "analyzer/statistics/percentiles.py", STATISTIC, [run()], *sketch)
@@ -120,6 +139,16 @@ def test_a_statistic_is_one_row_of_the_table_of_statistics(tmp_path, sketch):
     assert '"label":"mean deviation"' in data.replace(": ", ":")
     for text in ("report.md", "terminal.txt"):
         assert re.search(r"\bmad\b", (out / text).read_text(encoding="utf-8")), text
+
+
+def test_a_finding_is_one_row_of_the_table_of_checks(tmp_path):
+    out = analyze_with(tmp_path, "analyzer/findings/table.py", FINDING, [run()])
+
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    (found,) = (finding for finding in report["findings"] if finding["code"] == "lone_spike")
+    assert re.search(r"\d ns", found["what"])
+    for text in ("report.md", "terminal.txt"):
+        assert "The longest time took" in " ".join((out / text).read_text(encoding="utf-8").split()), text
 
 
 def test_a_parameter_is_one_row_of_the_key_and_its_value(tmp_path):

@@ -161,6 +161,7 @@ def run_as_process(folder, command, arguments):
     return done.returncode, done.stderr.decode(errors="backslashreplace")
 
 
+@pytest.mark.thorough
 def test_each_command_as_a_process_says_what_it_says_here(surroundings):
     firsts = [(command, *FINDS[command][-1]) for command in COMMANDS]
     with ThreadPoolExecutor(2) as pool:

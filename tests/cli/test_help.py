@@ -70,6 +70,7 @@ def command_of(name):
     return command
 
 
+@pytest.mark.keeps(6)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_is_whole_or_short_and_loads_no_heavy_library(command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")

@@ -149,6 +149,7 @@ def test_the_defaults_of_the_page_are_in_force(tmp_path, monkeypatch, capsys):
     assert "dds-trace.toml" in capsys.readouterr().err
 
 
+@pytest.mark.keeps(20)
 @pytest.mark.parametrize("line", [line for line in LINES if not any(part in line for part in NOT_RUN)])
 def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkeypatch, capfd):
     monkeypatch.chdir(desk)
@@ -200,6 +201,7 @@ def small(plan, domain):
     return re.sub(r"backend = \[.*\]", 'backend = ["socket"]', plan)
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.middleware
 @pytest.mark.parametrize(
     ("page", "made"),

@@ -97,6 +97,7 @@ def record_with_a_stalling_relay(folder, domain_id, *more):
         ping.send_signal(signal.SIGINT)
 
 
+@pytest.mark.thorough
 @needs_ros2
 def test_a_deeper_history_keeps_what_a_stalled_relay_cannot_take(tmp_path, domain_id):
     record_with_a_stalling_relay(tmp_path / "shallow", domain_id, "--depth", 10)
@@ -217,6 +218,7 @@ def dropped(folder):
     return sum(numbers(finding.what)[0] for finding in found(folder, "udp_buffer_overflow"))
 
 
+@pytest.mark.thorough
 @needs_devices
 @needs_ros2
 @needs_large_buffers
@@ -245,6 +247,7 @@ def test_tuned_receive_buffers_end_a_storm_of_repeats(tmp_path, domain_id):
     assert after.details.wire["again_bytes_share"][0] < before.details.wire["again_bytes_share"][0]
 
 
+@pytest.mark.thorough
 @needs_devices
 @needs_ros2
 @needs_large_buffers
@@ -267,6 +270,7 @@ def test_without_a_larger_send_buffer_the_own_queue_takes_the_burst(tmp_path, do
     assert unsent[1] == []
 
 
+@pytest.mark.thorough
 @needs_devices
 @needs_zenoh
 def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
@@ -291,6 +295,7 @@ def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
     assert kept["reliable"] > kept["best_effort"]
 
 
+@pytest.mark.thorough
 @needs_devices
 @needs_ros2
 def test_a_message_crosses_one_network_if_one_is_named(tmp_path, domain_id):

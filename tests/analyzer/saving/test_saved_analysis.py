@@ -24,6 +24,7 @@ WAYS = {
 }
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", SAMPLE_NAMES)
 def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path, name, way):
@@ -48,6 +49,7 @@ def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path
     assert loaded.outputs == fresh.outputs
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.parametrize("name", [name for name in EVERY_ANALYSIS if name != "500 groups"])
 def test_every_report_of_a_drawn_analysis_comes_back(tmp_path, name):
     fresh = EVERY_ANALYSIS[name]()

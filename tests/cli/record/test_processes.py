@@ -63,6 +63,7 @@ def assert_whole(ping_trace, relay_trace, count):
     assert sizes == {ping_trace.runs[-1]["payload_bytes"]}
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("serialization", ["raw", "typed"])
 def test_all_data_types_go_there_and_back(domain_id, tmp_path, serialization):
     more = ("--serialization", serialization, *ROOMY)

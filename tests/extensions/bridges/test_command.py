@@ -106,6 +106,7 @@ def test_print_config_of_one_half():
     assert half["connect"]["endpoints"] == ["tcp/pi1:7447", "tcp/pi2:7447"]
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.middleware
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_bridge_runs_until_a_signal_and_leaves_no_process(number, domains, tmp_path):

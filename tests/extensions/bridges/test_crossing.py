@@ -30,6 +30,7 @@ def test_without_a_bridge_no_message_crosses(pair):
     assert set(seen.echoed.values()) == {0}
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("name", ["builtin", "builtin-zenoh", "zenoh-bridge-dds", "zenoh-bridge-ros2dds"])
 def test_allowed_topics_cross_both_ways_and_no_other_does(name, pair):
     skip_if_missing(name)

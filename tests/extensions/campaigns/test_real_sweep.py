@@ -111,6 +111,7 @@ def test_killed_in_the_middle_and_resumed_each_cell_is_there_once(sweep):
     assert small.cells == after
 
 
+@pytest.mark.thorough
 @skipped
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="the relay needs a processor of its own")
 def test_a_half_of_a_bridge_is_on_each_side_and_the_relays_processor_is_slowed(sweep):
@@ -176,6 +177,7 @@ def test_relay_over_ssh(sweep, robot, tmp_path):
     assert list((tmp_path / "home").rglob("*.mcap")) == []
 
 
+@pytest.mark.thorough
 def test_half_of_a_bridge_beside_the_relay_over_ssh(sweep, robot):
     pytest.importorskip("zenoh", reason="no zenoh here")
     small = sweep(

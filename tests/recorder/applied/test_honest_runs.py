@@ -101,6 +101,7 @@ def named(case):
     return pytest.param(case, id=case.name, marks=needs)
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("case", [named(case) for case in HONEST])
 def test_what_is_applied_is_no_difference(run, case):
     assert_honest(case, run(case, SIZES_BYTES[-1]))

@@ -155,6 +155,7 @@ STRANGERS = {
 }
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("kind", STRANGERS)
 def test_any_bytes_of_a_stranger_cost_only_themselves(kind, domains, tmp_path):
     make_stranger, arguments = STRANGERS[kind]

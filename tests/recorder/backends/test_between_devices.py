@@ -45,6 +45,7 @@ def meet(network, request):
     return run
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("ping", "relay"), [("ros2", "cyclonedds"), ("cyclonedds", "ros2")])
 def test_dds_looks_on_the_network(meet, ping, relay):
     meet((ping,), (relay,))

@@ -17,6 +17,7 @@ MESSAGES, WARMUP = 12, 2
 PACKAGES = {"ros2": ("rclpy", "test_msgs"), "zenoh": ("zenoh",)}
 
 
+@pytest.mark.keeps(2)
 @pytest.mark.middleware
 @pytest.mark.parametrize(
     ("backend", "call", "more", "size", "back"),

@@ -24,12 +24,14 @@ one of the warm-up, so no statistic holds it."""
 VENDORS = {"ros2": "fastdds", "cyclonedds": "cyclonedds"}
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("ping_backend", "relay_backend"), PAIRS)
 def test_all_data_types_cross(domain_id, tmp_path, ping_backend, relay_backend):
     here, there = all_data_types(domain_id, tmp_path, ping_backend, relay_backend, has_source=True)
     assert (here.vendor, there.vendor) == (VENDORS[ping_backend], VENDORS[relay_backend])
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("ping_backend", "relay_backend"), PAIRS)
 @pytest.mark.parametrize("size", ["145KB", "502KB", "1MB", "4MB"])
 def test_large_messages_cross_when_tuned(domain_id, tmp_path, ping_backend, relay_backend, size):
@@ -50,6 +52,7 @@ def test_large_messages_cross_when_tuned(domain_id, tmp_path, ping_backend, rela
         assert session.host["middleware"]["tuned"] == "true"
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("ping_backend", "relay_backend"), [*PAIRS, ("cyclonedds", "cyclonedds")])
 def test_a_stricter_deadline_than_the_relay_offers_is_named(domain_id, tmp_path, ping_backend, relay_backend):
     there = ("--backend", relay_backend, *ROOMY, *ODD)

@@ -145,6 +145,7 @@ def campaign(name, folder):
     return analyze(folder) if name in STORED else MADE[name]()
 
 
+@pytest.mark.keeps(6)
 @pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *MADE])
 def test_every_number_of_an_answer_is_one_of_its_frames(tmp_path, name):
     analysis = campaign(name, tmp_path)

@@ -360,6 +360,7 @@ def printed_lines(tab, path):
         yield [(*at, " ".join(word.text for word in line.iter("word"))) for at, line in zip(ends, lines, strict=True)]
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.skipif(
     shutil.which("pdftotext") is None, reason="pdftotext is not installed (apt-get install poppler-utils)"
 )
@@ -422,6 +423,7 @@ ONE_ROW_OF_A_KIND = """for (const body of document.querySelectorAll("tbody")) {
 }"""
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("name", "scheme", "width"), AXE_PAGES)
 def test_axe_finds_nothing_against_wcag_aa(read_with, pages, name, scheme, width):
     """Contrasts of rows that look alike are left to the slow test, which takes each of them."""
@@ -461,6 +463,7 @@ def opened_for_axe(read_with, address, scheme, width):
     return tab
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("name", ["lossy machine", "study"])
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
 def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(read_with, pages, name, scheme, width):
@@ -576,6 +579,7 @@ FIRST_PAINT = """() => new Promise(resolve => new PerformanceObserver(list => {
 }).observe({type: "paint", buffered: true}))"""
 
 
+@pytest.mark.thorough
 def test_a_campaign_of_the_paper_paints_as_soon_as_a_page_of_one_message(chromium, pages):
     """Nothing is drawn from its rows before; in turns and the quickest of each, since other programs share the machine."""
     painted_ms = {"one message": [], "500 groups": []}

@@ -14,6 +14,7 @@ new PerformanceObserver(list => {
 """
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("name", ["demo", "lossy machine"])
 def test_links_land_where_they_say_and_nothing_shifts(new_tab, pages, name):
     one = Reader(new_tab)

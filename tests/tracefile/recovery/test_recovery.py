@@ -307,6 +307,7 @@ def test_beside_a_damaged_ring_all_that_is_whole_is_kept(trace, offset, value, f
     assert report.originals[1].read_bytes() == data
 
 
+@pytest.mark.keeps(10)
 @pytest.mark.parametrize("at", [*range(RING_HEADER.size), RING_HEADER.size + 20, RING_HEADER.size + 150])
 def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(trace, tmp_path, at):
     ring, file = ring_path(trace).read_bytes(), trace.read_bytes()

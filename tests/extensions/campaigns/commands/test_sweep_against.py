@@ -59,6 +59,7 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
         sentences(row.split("|")[1], asked)
 
 
+@pytest.mark.thorough
 @needs_namespaces("tc", "iproute2")
 def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
     network = "[network]\nnamespaces = true\n"
@@ -76,6 +77,7 @@ def test_both_sides_have_namespaces_of_their_own(plan, tmp_path):
     assert links == "wired"
 
 
+@pytest.mark.thorough
 def test_a_relay_over_ssh_serves_both_sides(plan, tmp_path):
     robot = '[devices]\nconnectivity = "loopback"\n' + loopback_sshd.robot(tmp_path)
     base = plan("p", "1KB", robot, repeats=1)

@@ -74,6 +74,7 @@ def test_until_a_tail_is_known_to_five_percent_or_the_passes_are_used_up(plan, t
         assert len(passes) == 4
 
 
+@pytest.mark.thorough
 @pytest.mark.middleware
 def test_a_against_a_prints_how_often_the_comparison_errs_and_leaves_two_folders_to_compare(plan, tmp_path):
     done = sweep(plan(3), "--out", tmp_path / "runs", "--against", "SAME", "--json")

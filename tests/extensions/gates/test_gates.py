@@ -127,6 +127,14 @@ def test_the_change_that_would_have_been_found_is_the_same_as_a_share_and_as_a_t
     assert lower_time.found_from == pytest.approx((lower.found_from - 1) * 5 * MS, rel=1e-3)
 
 
+def test_a_time_that_is_saved_may_be_all_that_the_base_takes():
+    base, new = in_runs([5 * MS] * 40, spread=0.0), in_runs([6 * MS] * 40, spread=0.0)
+    (result,) = results_of(["latency_p50 > -5ms"], base, new)
+    assert result.outcome is GateOutcome.REGRESSED
+    with pytest.raises(OptionError, match="can pass"):
+        results_of(["latency_p50 > -5001us"], base, new)
+
+
 def test_gates_on_frames():
     base, new = in_runs([5 * MS] * 40, spread=0.001), in_runs([6 * MS] * 40, spread=0.001)  # +20 %, +1 ms
     texts = [

@@ -20,6 +20,7 @@ def quoted(monkeypatch):
     return import_module("quoted")
 
 
+@pytest.mark.thorough
 def test_pages_quote_what_their_traces_give(quoted):
     pages = [page for page in quoted.PAGES if "<!-- quoted:" in page.read_text(encoding="utf-8")]
     assert {page.name for page in pages} >= {"README.md", "loopback.md", "camera-late.md", "bag.md"}

@@ -22,6 +22,7 @@ from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile.reading.source import Condition
 
 
+@pytest.mark.keeps(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_whole_message_of_a_damaged_file_is_kept_and_read_by_all(tmp_path, kind):
     good, rng = make_good(kind, tmp_path, 7), random.Random(kind)

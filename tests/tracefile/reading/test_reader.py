@@ -96,6 +96,7 @@ MATRIX = [
 ]
 
 
+@pytest.mark.keeps(31)
 @pytest.mark.parametrize("options", MATRIX, ids=lambda options: "-".join(map(str, options.values())))
 @pytest.mark.parametrize("small_bytes", [-1, 1 << 19], ids=["threads", "one thread"])
 def test_every_way_of_storing_gives_the_same_events(tmp_path, options, small_bytes, monkeypatch):
@@ -159,6 +160,7 @@ def test_writing_then_reading_is_identity_for_any_mix_of_messages(tmp_path_facto
     assert (trace.unreadable_messages, trace.notes, trace.truncated) == (0, (), None)
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("compression", list(COMPRESSIONS))
 def test_nothing_of_a_block_is_lost_when_its_memory_is_used_again(tmp_path, compression):
     messages = []

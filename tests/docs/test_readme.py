@@ -29,10 +29,7 @@ TOOLS = 'pip install --target .tools uv rust-just && PATH="$PWD/.tools/bin:$PATH
 NOT_RUN = {
     f"{TOOLS} just demo": "minutes; tests/extensions/campaigns/commands/test_sweep.py holds its plan, tests/cli its two commands",
     f"{TOOLS} just test": "runs this test",
-    "just demo": "the same, with pipx",
-    "pipx install uv": "needs the index",
-    "pipx install rust-just": "needs the index",
-    "dds-trace sweep plans/quick.toml --out runs/": "minutes; its plan is read here, and tests/recorder/sweep runs sweeps",
+    "dds-trace sweep plans/quick.toml --out runs/": "minutes; its plan is read here, and tests/extensions/campaigns runs sweeps",
     "pip install '.[analyze]'": "needs the index: scripts/check_release.py installs each extra alone",
     "just docs": "tests/docs/test_site.py builds the site",
 }

@@ -201,14 +201,20 @@ def test_a_key_of_any_length_is_read_in_linear_time(key, part):
     times = []
     for count in (10_000, 30_000):
         text = f"[thresholds.{json.dumps(key.format(count * part))}]\n{'missing' if '/' in key else 'latency_p50'} = '< 2 %'\n"
-        began = time.process_time()
-        try:
-            gates = read_text(text.replace("'< 2 %'", "'< +2 %'") if "/" not in key else text, of_recording="/" in key)
-            rows_of_gates(gates, [{"data_type": "/a", "vendor": "a" * 1000}] * 100)
-        except OptionError as error:  # a column without a name
-            assert_that_is_short(error)
-        times.append(time.process_time() - began)
+        text = text if "/" in key else text.replace("'< 2 %'", "'< +2 %'")
+        times.append(min(read_and_look_up(text, of_recording="/" in key) for _ in range(3)))
     assert times[1] < 6 * max(times[0], 0.1)
+
+
+def read_and_look_up(text, *, of_recording):
+    """The processor time of it; other work on the machine adds to a try, and not to the best of three."""
+    began = time.process_time()
+    try:
+        gates = read_text(text, of_recording=of_recording)
+        rows_of_gates(gates, [{"data_type": "/a", "vendor": "a" * 1000}] * 100)
+    except OptionError as error:  # a column without a name
+        assert_that_is_short(error)
+    return time.process_time() - began
 
 
 EASY = LIMITS.replace("> 99 %", "> 50 %")

@@ -81,7 +81,7 @@ test-lowest *args:
     @uv pip install --quiet --python {{lowest}}/bin/python --no-deps -e .
     {{lowest}}/bin/pytest -m 'not slow and not middleware and not browser' -n 2 -q {{args}} \
         tests/base tests/tracefile/reading tests/tracefile/mcapfile tests/analyzer/test_sample_traces.py tests/analyzer/groups \
-        tests/analyzer/exports tests/analyzer/saving tests/cli/test_analyze_options.py tests/cli/test_help.py
+        tests/extensions/exports tests/extensions/wire/test_analyze.py tests/analyzer/saving tests/cli/test_analyze_options.py tests/cli/test_help.py
 
 # Record sample_traces/ again
 samples: setup

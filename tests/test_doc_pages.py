@@ -10,8 +10,8 @@ from dds_trace.extensions.campaigns import sweep
 from dds_trace.extensions.campaigns.commands import common as sweep_command
 from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.recorder import errors as recorder_errors
-from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Scope
+from dds_trace.reports.figures.table import FIGURES
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(

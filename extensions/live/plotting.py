@@ -12,9 +12,9 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import format_duration, format_rate, format_ratio, format_size
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import METRIC_LABELS, STATISTIC_LABELS
-from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.distribution import RUN_SPREAD, run_reaches
 from dds_trace.reports.figures.figure import Faceted, Line, LineFigure, facet_panels, panel_keys, plane_facet
+from dds_trace.reports.figures.table import FIGURES
 from dds_trace.reports.html.styles import Style, line_styles
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280

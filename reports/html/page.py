@@ -40,8 +40,8 @@ from ..book.groups import (
 from ..book.recommendation import advice_blocks
 from ..book.recording import file_table, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block
-from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, Plan, Scope
+from ..figures.table import drawn_figures, opened_figures
 from .styles import line_styles
 
 if TYPE_CHECKING:

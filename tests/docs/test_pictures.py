@@ -5,7 +5,7 @@ from importlib import import_module
 import pytest
 from doc_examples import DOCS, PAGES
 
-from dds_trace.reports.figures import FIGURES
+from dds_trace.reports.figures.table import FIGURES
 
 IMAGES = DOCS / "images"
 MOST_BYTES, MOST_BYTES_TOGETHER = 150_000, 2_000_000

@@ -10,8 +10,8 @@ from page_reader import unpacked
 
 from dds_trace.cli.dds_analyze import main
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Facet, FigureMaker, spread_plan
+from dds_trace.reports.figures.table import FIGURES
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 
 

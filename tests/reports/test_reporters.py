@@ -29,7 +29,7 @@ from dds_trace.reports.book.numbers import intervals_info
 from dds_trace.reports.book.screen import MOST_LINES
 from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.document import _lines
-from dds_trace.reports.figures import FIGURES
+from dds_trace.reports.figures.table import FIGURES
 from dds_trace.reports.html.page import json_island
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 from dds_trace.reports.terminal import INLINE_BAR

@@ -12,7 +12,7 @@ from dds_trace import OptionError, compare
 from dds_trace.extensions.live.notebook import MOST_CHARACTERS, first_screen
 from dds_trace.extensions.live.plotting import NAMES
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import drawn_figures
+from dds_trace.reports.figures.table import drawn_figures
 
 HARMLESS = {
     *("div", "p", "b", "br", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")

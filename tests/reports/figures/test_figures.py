@@ -10,7 +10,6 @@ from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.fan_out import FAN_OUT_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
-from dds_trace.reports.figures import FIGURES, drawn_figures
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_plan
 from dds_trace.reports.figures.clocks import ClockPair, clock_plan, one_way_plan
 from dds_trace.reports.figures.costs import bridge_cost_plan, domain_difference_plan, dots_plan
@@ -30,6 +29,7 @@ from dds_trace.reports.figures.lines import (
     VENDOR_COMPARISON,
 )
 from dds_trace.reports.figures.own_times import Receivers, fan_out_plan
+from dds_trace.reports.figures.table import FIGURES, drawn_figures
 from dds_trace.reports.figures.timeline import GroupTimeline, timeline_plan
 from dds_trace.reports.html.page import json_island
 

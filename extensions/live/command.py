@@ -24,7 +24,7 @@ def watch_command(
     names: Annotated[
         list[str] | None,
         option(
-            "--name NAME",
+            "--name HOST",
             "A further name of this machine that browsers may ask for; repeatable. Default: its host name",
         ),
     ] = None,

@@ -100,7 +100,8 @@ def test_descriptors_are_raised_where_they_may_be(tmp_path):
         capture_output=True,
         text=True,
     )
-    assert (run.returncode, run.stderr) == (0, "")
+    assert run.returncode == 0, run.stderr
+    assert "ulimit" not in run.stderr  # an old numpy may warn
 
 
 def test_a_room_without_limits_is_there():

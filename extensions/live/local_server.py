@@ -101,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
         answer = self.server.answers.get(self.path)
         if not is_own_name(self.headers.get("Host", ""), self.server.host, self.server.names):
             self.send_error(
-                HTTPStatus.MISDIRECTED_REQUEST, explain="watch --name NAME allows a further name of this machine"
+                HTTPStatus.MISDIRECTED_REQUEST, explain="watch --name HOST allows a further name of this machine"
             )
         elif answer is None:
             self.send_error(HTTPStatus.NOT_FOUND)

@@ -11,7 +11,8 @@ from dds_trace import analyze
 MS = 1_000_000
 MESSAGES = 300
 JUDGED = re.compile(
-    r"(?<!no proven )\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)", re.IGNORECASE
+    r"(?<!no proven )\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)",
+    re.IGNORECASE,
 )
 WAYS = {  # vendor, bridge, one way: two middlewares in one domain, and one of them through a bridge
     "fastdds": ("fastdds", "none", MS),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bags import ROS1, imu, text, write_bag1, write_bag2
-from fuzz_shapes import changed, shaped, shaped_seeds
+from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 from rosbags.rosbag2 import StoragePlugin
 
 from dds_trace.base.errors import TraceError
@@ -56,8 +56,7 @@ class Target:
         try:
             read()
         except TraceError as err:
-            if str(self._folder) not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._folder, err)
 
     def seeds(self) -> dict[str, bytes]:
         return shaped_seeds(

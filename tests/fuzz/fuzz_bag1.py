@@ -4,7 +4,7 @@ import struct
 from pathlib import Path
 
 from bags import ROS1, text, write_bag1
-from fuzz_shapes import changed, shaped, shaped_seeds
+from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 from rosbags.rosbag1 import Writer
 
 from dds_trace.base.errors import TraceError
@@ -71,8 +71,7 @@ class Target:
             for _ in read_messages(self._path, Condition()):
                 pass
         except TraceError as err:
-            if str(self._path) not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._path, err)
         finally:
             bag1._Bag1Walk._record_at = record_at  # type: ignore[method-assign]
         assert tries <= MOST_TRIES * len(content) + 100, (tries, len(content))

@@ -5,7 +5,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzz_shapes import changed_fields, shaped, shaped_seeds
+from fuzz_shapes import changed_fields, must_name, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 from wording import report_as
 
@@ -93,8 +93,7 @@ def _parse(kind: type[Session | Run], text: str) -> None:
     try:
         described = kind.from_json(text, "a file")
     except TraceError as err:
-        if "a file" not in str(err):
-            raise AssertionError(f"the error does not name the file: {err}") from err
+        must_name("a file", err)
         return
     again = kind.from_json(described.to_json(), "a file")
     if again.to_json() != described.to_json():

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from fuzz_shapes import changed, shaped, shaped_seeds
+from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.bags.read import read_messages
@@ -72,8 +72,7 @@ class Target:
             for _ in read_messages(self._path, Condition()):
                 pass
         except TraceError as err:
-            if str(self._path) not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._path, err)
         assert files == {file.name[len("bag.db3") :]: file.read_bytes() for file in self._path.parent.glob("bag.*")}
 
     def seeds(self) -> dict[str, bytes]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from fuzz_shapes import changed_fields, shaped, shaped_seeds
+from fuzz_shapes import changed_fields, must_name, shaped, shaped_seeds
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.toml_table import TomlTable
@@ -70,8 +70,7 @@ class Target:
         try:
             plan = read_plan(self._path, lambda: INSTALLED)
         except OptionError as err:
-            if str(self._path) not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._path, err)
             if "\n" in str(err):
                 raise AssertionError(f"the error has several lines: {err}") from err
             return

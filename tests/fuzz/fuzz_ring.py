@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from fuzz_reader import small_ring
-from fuzz_shapes import changed, shaped, shaped_seeds
+from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
 from dds_trace.base.errors import TraceError
@@ -35,8 +35,7 @@ class Target:
         try:
             report = recover(self._trace, self._recovered)
         except TraceError as err:
-            if self._trace.name not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._trace.name, err)
             return
         if report.recovered is None:
             return

@@ -1,4 +1,5 @@
-"""What the fuzz targets share: an input's first byte says what the others stand for, and how bytes change a good value.
+"""What the fuzz targets share: an input's first byte says what the others stand for, how bytes change a good value, and
+that an error names the file.
 
 No mutation finds its way through a CRC, a compressed frame or the braces of JSON by chance, so a target offers several
 shapes: the bytes as they are, and the bytes as changes to something good.
@@ -83,6 +84,11 @@ def changed_fields(good: Any, data: bytes) -> Any:
         target = places[place % len(places)]
         result = _replaced(result, target, number % (len(HOSTILE_VALUES) + 1))
     return result
+
+
+def must_name(name: object, err: Exception) -> None:
+    if str(name) not in str(err):
+        raise AssertionError(f"the error does not name the file: {err}") from err
 
 
 def _places(value: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from fuzz_shapes import changed_fields, shaped, shaped_seeds
+from fuzz_shapes import changed_fields, must_name, shaped, shaped_seeds
 
 from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.extensions.campaigns.run.result import CellResult
@@ -34,8 +34,7 @@ class Target:
         try:
             state = SweepState(self._path, "plan", "d1")
         except (TraceFormatError, OptionError) as err:
-            if str(self._path.parent) not in str(err):
-                raise AssertionError(f"the error does not name the file: {err}") from err
+            must_name(self._path.parent, err)
             assert self._path.read_bytes() == content
             return
         for segment in state.segments:

@@ -4,13 +4,13 @@ import csv
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from analyses import Measured, make_analysis
+from otava import otava_alone
 
 from dds_trace.extensions.exports.history import bencher_json, github_benchmark_files, otava_csv, otava_yaml
 
@@ -125,10 +125,8 @@ def test_an_export_has_every_column_of_its_plan_and_leaves_out_what_is_not_known
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_otava_sees_a_third_more_where_a_value_is_missing(tmp_path):
-    """In an environment of its own, as it pins a numpy; commits vary by 3 %."""
-    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
-    if subprocess.run([tmp_path / "venv/bin/pip", "install", "-q", "apache-otava==0.8.0"], check=False).returncode:
-        pytest.skip("no package index")
+    """Commits vary by 3 %."""
+    otava = otava_alone(tmp_path)
     analysis = make_analysis(*(Measured([5_000_000] * 2000, payload_bytes=size) for size in (100, 33_000)))
     head, row = csv.reader(otava_csv(analysis).splitlines())
     slower = next(at for at, name in enumerate(head) if "_33000_" in name and name.endswith("p50"))
@@ -140,7 +138,7 @@ def test_otava_sees_a_third_more_where_a_value_is_missing(tmp_path):
         text = f"{','.join(head)}\n2026-{9 + day // 28:02}-{1 + day % 28:02}T00:00:00Z,c{day},{','.join(values)}\n"
         keep_day(tmp_path, text, config=otava_yaml(analysis))
     done = subprocess.run(
-        [tmp_path / "venv/bin/otava", "analyze", "latency", "--config-file", "otava.yaml", "--since", "2026-01-01",
+        [otava, "analyze", "latency", "--config-file", "otava.yaml", "--since", "2026-01-01",
          "--output", "regressions_only"],
         cwd=tmp_path / "history/filled", capture_output=True, text=True, check=True,
     )  # fmt: skip

@@ -17,6 +17,7 @@ import polars as pl
 import polars.selectors as cs
 import pytest
 from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
+from otava import otava_alone
 from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, export
@@ -151,8 +152,6 @@ def test_all_devices_are_on_one_timeline(with_topics):
 
 
 def test_without_the_extra_the_command_names_it(tmp_path, monkeypatch):
-    import sys
-
     for name in ("perfetto.protos.perfetto.trace.perfetto_trace_pb2", "perfetto.trace_builder.proto_builder"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModuleNotFoundError, match="perfetto"):
@@ -241,10 +240,8 @@ def test_otava_reads_a_row_with_time_and_commit(make, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_otava_finds_a_change_of_a_fifth_in_sixty_commits(tmp_path):
-    """In an environment of its own, as it pins a numpy; commits vary by 5 %."""
-    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
-    if subprocess.run([tmp_path / "venv/bin/pip", "install", "-q", "apache-otava==0.8.0"], check=False).returncode:
-        pytest.skip("no package index")
+    """Commits vary by 5 %."""
+    otava = otava_alone(tmp_path)
     header, row = csv.reader(io.StringIO(otava_csv(sample())))
     column = next(index for index, name in enumerate(header) if name.endswith("latency_p50"))
     factors = np.random.default_rng(20_261_127).normal(1, 0.05, 60) * np.repeat([1, 1.2], [40, 20])
@@ -259,8 +256,8 @@ def test_otava_finds_a_change_of_a_fifth_in_sixty_commits(tmp_path):
         "tests: {latency: {type: csv, file: latency.csv, time_column: time, attributes: [commit], "
         f"metrics: {{p50: {{column: {header[column]}, direction: -1}}}}, csv_options: {{delimiter: ','}}}}}}\n"
     )
-    otava = [tmp_path / "venv/bin/otava", "analyze", "latency", "--config-file", "otava.yaml", "--since", "2025-01-01"]
-    shown = subprocess.run(otava, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+    command = [otava, "analyze", "latency", "--config-file", "otava.yaml", "--since", "2025-01-01"]
+    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
     (change,) = [index for index, line in enumerate(shown) if "%" in line]
     assert "c40" in shown[change + 2]
 

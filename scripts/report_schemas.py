@@ -268,7 +268,7 @@ def report_schema() -> Schema:
         "parquet_encodings": {
             "type": "object",
             "additionalProperties": {"type": "string"},
-            "description": "encoding of columns of roundtrips.parquet, of which docs/how-to/tables.md names the readers",
+            "description": "encoding of the columns of roundtrips.parquet; docs/how-to/tables.md says which readers are right",
         },
         "own_cost": a_list(of_record(OwnCost), " ".join((getdoc(OwnCost) or "").partition("\n")[0].split())),
     }

@@ -391,7 +391,7 @@ _MOST_LISTED = 20
 
 
 def all_checks(evidence: Evidence | None = None) -> Iterator[Check]:
-    """Yield the checks and those of extensions, each after the one that it names; of some evidence only those of its frames."""
+    """Yield all checks, an extension's after the check that it names; given evidence, only those whose frames it has."""
     after: dict[str, tuple[Check, ...]] = {}
     for frame, home in offers("findings").items():
         if evidence is None or getattr(evidence.details, frame).height:

@@ -173,7 +173,7 @@ class _Recording:
         self.parts += other.parts
 
     def join(self) -> None:
-        """Let the messages of each topic be those of all files."""
+        """Put the messages of each topic together from all files."""
         files, number = defaultdict[_TopicKey, list[TopicMessages]](list), 0
         for columns in (self.columns, *self.following):
             for key, messages in columns.items():

@@ -35,7 +35,7 @@ _Section = tuple[int, list[tuple[str, Callable[[str], object]]]]
 
 @dataclass(slots=True, eq=False)
 class Sections:
-    """The sections of a file, in its order: of the limits of one kind those of the last that fits a result count."""
+    """The sections of a file, in its order; for each kind of limit, the last section that fits a result counts."""
 
     _numbers: dict[Patterns, int] = field(default_factory=dict)
     _columns: dict[str, None] = field(default_factory=dict)

@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
+from browser import FLAGS, Reader
 from four_campaigns import CAMPAIGNS
-from page_reader import FLAGS, Reader
 from playwright.sync_api import sync_playwright
 
 from dds_trace.reports.book.book import Book

@@ -13,8 +13,11 @@ from pathlib import Path
 import kept
 import pytest
 from hypothesis import settings
+from page_fixtures import chromium, new_tab, pages, read_with, reader, show, tab
 from shared_memory import middleware_files, remove_orphans
 from thorough import mark_thorough
+
+__all__ = ["chromium", "new_tab", "pages", "read_with", "reader", "show", "tab"]
 
 # The tools themselves default to the subnet; tests never leave this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from page_reader import open_browser
 from visible_text import Page
 from waiting import PATIENCE_S
 
@@ -74,27 +73,24 @@ def test_the_reference_has_every_name_of_the_code(site):
 
 
 @pytest.mark.browser
-def test_a_reader_searches_it_from_the_folder(site):
-    with open_browser() as browser:
-        tab = browser.new_page()
-        tab.set_default_timeout(PATIENCE_S * 1000)
-        requests, complaints = [], []
-        tab.on("request", lambda request: requests.append(request.url))
-        tab.on("console", lambda message: complaints.append(message.text))
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto((site / "index.html").as_uri())
-        tab.locator("input[name=q]").first.fill("heartbeat_bound_recovery")
-        tab.keyboard.press("Enter")
-        first = tab.locator("#search-results li a").first
-        first.wait_for()
-        assert "findings" in first.get_attribute("href")
-        tab.locator("input[name=q]").first.fill("wifi")
-        tab.keyboard.press("Enter")
-        excerpt = tab.locator("#search-results li", has=tab.locator("a[href^='tutorials/two-devices']")).locator(
-            ".excerpt"
-        )
-        excerpt.wait_for()
-        assert "Wi-Fi" in excerpt.inner_text()
-        assert "<" not in excerpt.inner_text()
+def test_a_reader_searches_it_from_the_folder(site, new_tab):
+    requests, complaints = [], []
+    new_tab.set_default_timeout(PATIENCE_S * 1000)
+    new_tab.on("request", lambda request: requests.append(request.url))
+    new_tab.on("console", lambda message: complaints.append(message.text))
+    new_tab.on("pageerror", lambda error: complaints.append(str(error)))
+    new_tab.goto((site / "index.html").as_uri())
+    new_tab.locator("input[name=q]").first.fill("heartbeat_bound_recovery")
+    new_tab.keyboard.press("Enter")
+    first = new_tab.locator("#search-results li a").first
+    first.wait_for()
+    assert "findings" in first.get_attribute("href")
+    new_tab.locator("input[name=q]").first.fill("wifi")
+    new_tab.keyboard.press("Enter")
+    found = new_tab.locator("#search-results li", has=new_tab.locator("a[href^='tutorials/two-devices']"))
+    excerpt = found.locator(".excerpt")
+    excerpt.wait_for()
+    assert "Wi-Fi" in excerpt.inner_text()
+    assert "<" not in excerpt.inner_text()
     assert complaints == []
     assert {request for request in requests if not request.startswith(("file:", "data:"))} == set()

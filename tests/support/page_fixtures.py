@@ -1,7 +1,7 @@
-"""One browser, one tab and one set of pages for all browser tests of a worker."""
+"""One browser, one tab and one set of pages for all browser tests of a worker: Playwright takes no second one beside it."""
 
 import pytest
-from page_reader import Reader, open_browser, rendered
+from browser import Reader, open_browser
 
 
 @pytest.fixture(scope="session")
@@ -25,6 +25,8 @@ def show(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pages(show):
     """Name of an analysis -> the address of its report, until the next is asked for."""
+    from page_reader import rendered  # the analyses, which only these tests load
+
     return lambda name: show(rendered(name, "html"))
 
 

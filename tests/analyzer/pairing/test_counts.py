@@ -14,12 +14,12 @@ from dds_trace.analyzer.pairing.roundtrips import count_unsent, settled
 from dds_trace.tracefile.format.events import EventColumns
 
 
-def count(t1, t2=(), t3=(), t4=(), *, warmup=0, scheduled=True):
+def count(t1, t2=(), t3=(), t4=(), *, warmup=0, scheduled=True, **more):
     published = published_messages(
         columns(*(event(s, t, scheduled_ns=t - 1 if scheduled else 0) for s, t in t1)), warmup
     )
     others = (columns(*(event(s, t) for s, t in of_stage)) for of_stage in (t2, t3, t4))
-    return count_messages(published, pair_messages(published, *others))
+    return count_messages(published, pair_messages(published, *others), **more)
 
 
 def test_every_kind_of_message_is_counted_once():
@@ -68,6 +68,25 @@ def test_every_kind_of_message_is_counted_once():
     }
     of_sizes = ["resized", "least_reply_bytes", "most_reply_bytes"]
     assert [*counts, *of_sizes] == list(COUNT_SCHEMA)
+
+
+@pytest.mark.parametrize("held", [0, 1, 2, 5], ids=lambda held: f"{held} in hand")
+@pytest.mark.parametrize("stalls", [1, 3])
+def test_what_left_while_a_receiver_stood_still_outlived_the_history(stalls, held):
+    """Messages that it had in hand as it stopped are stamped as it goes on, so that losses lie between close arrivals."""
+    period, kept, lost = 10, 10, 80
+    sent = [(sequence, sequence * period) for sequence in range(stalls * (100 + kept + lost) + held)]
+    arrivals = {sequence: time + 3 for sequence, time in sent}
+    for stall in range(stalls):
+        begin = stall * (100 + kept + lost) + 50
+        ends = sent[begin + held + lost + kept - 1][1]
+        for sequence in range(begin, begin + held + lost + kept):
+            arrivals[sequence] = ends
+        for sequence in range(begin + held, begin + held + lost):
+            del arrivals[sequence]
+    counts = count(sent, t3=list(arrivals.items()), history_ns=kept * period)
+    assert counts["outlived"] == stalls * lost
+    assert counts["longest_gap_ns"] == ends - sent[begin - 1][1] - 3
 
 
 def test_a_reply_that_the_relay_saw_only_once_is_a_gap():

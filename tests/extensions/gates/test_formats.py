@@ -8,7 +8,6 @@ from xml.etree import ElementTree as ET
 import polars as pl
 import pytest
 from jsonschema import Draft202012Validator
-from page_reader import open_browser
 from report_schemas import COMPARISON, closed
 from roundtrip_frames import MS, in_runs, steady
 from visible_text import Page
@@ -232,26 +231,22 @@ def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
 
 
 @pytest.mark.browser
-def test_a_long_page_shows_50_results_then_more_and_paper_gets_all(tmp_path):
+def test_a_long_page_shows_50_results_then_more_and_paper_gets_all(show, new_tab):
     _, info = many()
     longer = replace(info, groups=info.groups * 4)
-    path = tmp_path / "comparison.html"
-    path.write_text(comparison_as("html", longer), encoding="utf-8")
-    with open_browser() as browser:
-        tab = browser.new_page()
-        complaints = []
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto(path.as_uri())
-        shown = "[...document.querySelectorAll('.groups > tbody > tr')].filter(row => !row.hidden).length / 2"
-        button = tab.locator("#more")
-        assert (tab.evaluate(shown), button.inner_text()) == (50, "Show 50 more of 70")
-        button.click()
-        assert (tab.evaluate(shown), button.inner_text()) == (100, "Show 20 more of 20")
-        tab.evaluate("dispatchEvent(new Event('beforeprint'))")
-        assert tab.evaluate(shown) == 120
-        tab.evaluate("dispatchEvent(new Event('afterprint'))")
-        button.click()
-        assert (tab.evaluate(shown), button.is_visible(), complaints) == (120, False, [])
+    complaints = []
+    new_tab.on("pageerror", lambda error: complaints.append(str(error)))
+    new_tab.goto(show(comparison_as("html", longer)))
+    shown = "[...document.querySelectorAll('.groups > tbody > tr')].filter(row => !row.hidden).length / 2"
+    button = new_tab.locator("#more")
+    assert (new_tab.evaluate(shown), button.inner_text()) == (50, "Show 50 more of 70")
+    button.click()
+    assert (new_tab.evaluate(shown), button.inner_text()) == (100, "Show 20 more of 20")
+    new_tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert new_tab.evaluate(shown) == 120
+    new_tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    button.click()
+    assert (new_tab.evaluate(shown), button.is_visible(), complaints) == (120, False, [])
 
 
 def test_hostile_strings_stay_strings():

@@ -9,8 +9,8 @@ import urllib.error
 import urllib.request
 
 import pytest
+from browser import violations
 from campaigns import write_runs
-from page_reader import violations
 from waiting import PATIENCE_S
 
 import dds_trace.analyzer.loading.traces

@@ -11,10 +11,11 @@ from functools import partial
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
+from browser import AXE_RULES, Reader, violations
 from campaigns import write_runs
 from card_bags import timer, write
 from four_campaigns import CAMPAIGNS
-from page_reader import AXE_RULES, EVERY_PAGE, Reader, violations
+from page_reader import EVERY_PAGE
 from pyarrow.parquet import read_schema
 from roundtrip_frames import in_runs
 from wording import comparison_as

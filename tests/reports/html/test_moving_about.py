@@ -1,7 +1,7 @@
 import re
 
 import pytest
-from page_reader import Reader
+from browser import Reader
 from waiting import wait_until
 
 pytestmark = pytest.mark.browser

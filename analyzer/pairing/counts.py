@@ -57,8 +57,8 @@ to last T1, first T3 to last T4, first to last T2, null without both. `relayed`,
 `orphans`: T2, T3 and T4 of counted messages without T1. `with_warmup`: messages of the run with a T1, warm-up included;
 `repeated`: T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. `unsent`: messages
 due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known.
-`absent`: messages without a row as the relay was not there (all three `roundtrips.py`). `outlived`: lost messages between two
-arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest such time.
+`absent`: messages without a row as the relay was not there (all three `roundtrips.py`). `outlived`: lost messages that left
+between two arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest such time.
 `sent`, `reached`: messages with T1, and of these with T3, also those that were not to be sent back, as the first two spans have them.
 `resized`: T2 of another size than was sent, or requested of a call; `least_reply_bytes`, `most_reply_bytes`: of these.
 """
@@ -80,7 +80,7 @@ def count_messages(
     rtt_ns, intermediate_ns = t2 - t1, t4 - t3
     replies_ns = chosen_of(replied, t2)
     gaps = [
-        _beyond_history(arrivals_ns, paired.outcome == OUTCOMES.index(loss), history_ns)
+        _beyond_history(t1, arrivals_ns, paired.outcome == OUTCOMES.index(loss), history_ns)
         for arrivals_ns, loss in ((t3, Outcome.LOST_OUTBOUND), (t2, Outcome.LOST_RETURN))
     ]
     outcomes = dict(zip(OUTCOMES, np.bincount(paired.outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
@@ -151,15 +151,19 @@ def count_sizes(t1: EventColumns, t2: EventColumns, run: Run) -> dict[str, int |
 
 
 def _beyond_history(
-    arrivals_ns: NDArray[np.int64], is_lost: NDArray[np.bool_], history_ns: float | None
+    sent_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], is_lost: NDArray[np.bool_], history_ns: float | None
 ) -> tuple[int, int]:
     if history_ns is None or not is_lost.any():
         return 0, 0
     arrived = np.flatnonzero(arrivals_ns != MISSING)
     gaps_ns = np.diff(arrivals_ns[arrived])
-    lost = np.diff(np.cumsum(is_lost)[arrived])
-    beyond = (gaps_ns > history_ns) & (lost > 0)
-    return int(lost[beyond].sum()), int(gaps_ns[beyond].max(initial=0))
+    longer = gaps_ns > history_ns
+    # By the sender's clock: a message in a receiver's hands as it stood still has its arrival after it, ahead of what was lost.
+    begins_ns, lost_ns = sent_ns[arrived[:-1]][longer], sent_ns[is_lost]
+    first, last = (np.searchsorted(lost_ns, ns, "right") for ns in (begins_ns, begins_ns + gaps_ns[longer]))
+    last = np.maximum.accumulate(last)
+    lost = last - np.maximum(first, np.concatenate(([0], last[:-1])))
+    return int(lost.sum()), int(gaps_ns[longer][lost > 0].max(initial=0))
 
 
 def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | None:

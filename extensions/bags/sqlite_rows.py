@@ -80,9 +80,10 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
 
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`."""
-    budget, seen, rows = Budget(path.stat().st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
+    before = path.stat()
+    budget, seen, rows = Budget(before.st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
     topics: dict[int, RecordedTopic] = {}
-    fault, size_bytes, read_bytes = "", path.stat().st_size, 0
+    fault, read_bytes = "", 0
     with open_database(path, condition) as (joined, files):
         surplus_bytes = 0
         try:
@@ -96,11 +97,14 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
         except (sqlite3.Error, MemoryError, ValueError, IndexError, struct.error) as err:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
-        is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < size_bytes * _LEAST_REACHED
+        is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < before.st_size * _LEAST_REACHED
         has_wal = any(file.log_kind == "wal" for file in files)  # perhaps of another database
         doubtful = files if is_in_doubt else files[: 2 * has_wal]
         rows = _unreached_rows(doubtful, budget, seen, topics)
         fault = fault or ("its tables do not reach all of its pages" if rows else "")
+    after = path.stat()  # nobody's lock is taken: pages of two moments may have met
+    if (after.st_mtime_ns, after.st_size) != (before.st_mtime_ns, before.st_size):
+        fault = "it was written while it was read: read it again when its recorder has ended"
     if fault:
         topics = {row_id: topic for row_id, topic in topics.items() if topic.name.startswith("/")}
         if not topics:

@@ -86,6 +86,23 @@ def test_what_sqlite_reads_is_read(tmp_path, kind, seed):
     assert {topic.definition for topic in condition.topics} == {"int8 x"}
 
 
+@pytest.mark.parametrize("change", ["DELETE FROM messages WHERE id % 3 = 0", "VACUUM", "DELETE FROM messages"])
+def test_a_database_that_is_written_meanwhile_is_not_called_damaged(tmp_path, change):
+    path, draw, condition = tmp_path / "bag.db3", random.Random(0), Condition()
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.executescript(SQLITE_TABLES)
+        for number in (1, 2):
+            database.execute(f"INSERT INTO topics VALUES ({number}, '/t{number}', 'a/msg/B', 'cdr', 'qos', 'RIHS')")
+        insert(database, draw, 400)
+        messages = sqlite_messages(path, condition)
+        next(messages)
+        database.execute(change)
+        insert(database, draw, 100)
+        list(messages)
+    (damage,) = condition.damages
+    assert damage.startswith("it was written while it was read: read it again when its recorder has ended")
+
+
 @pytest.mark.parametrize("kind", ["WAL", "DELETE"])
 def test_sqlite_is_handed_no_database_that_has_a_log(tmp_path, kind, monkeypatch):
     path, handed = unfinished(tmp_path, kind, 1), []

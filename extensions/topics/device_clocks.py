@@ -15,7 +15,6 @@ import polars as pl
 from dds_trace.analyzer.clocks.boots import boot_id_of, session_of_run
 from dds_trace.analyzer.clocks.fit import RelayedMessages
 from dds_trace.analyzer.clocks.lines import Int64
-from dds_trace.analyzer.clocks.track import UNKNOWN_NS, ClockTrack, track_clock
 from dds_trace.analyzer.loading.campaign import Campaign
 from dds_trace.analyzer.loading.event_index import EventPart
 from dds_trace.analyzer.pairing.rows import RowStore
@@ -23,6 +22,8 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import Stage
+
+from .clock_track import UNKNOWN_NS, ClockTrack, track_clock
 
 _SAME_ZERO_NS = 2_000_000_000
 _THINNED_NS = 100_000_000

@@ -16,7 +16,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from dds_trace.analyzer.clocks.lines import Int64
-from dds_trace.analyzer.clocks.track import UNKNOWN_NS
 from dds_trace.analyzer.loading.campaign import Campaign
 from dds_trace.analyzer.loading.event_index import EventPart, merge_parts
 from dds_trace.analyzer.model.detail_frames import MESSAGE_COLUMNS
@@ -25,6 +24,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
 from dds_trace.tracefile.format.json_fields import JsonObject, object_of
 
+from .clock_track import UNKNOWN_NS
 from .device_clocks import DeviceClocks, Machine, machine_of_session
 
 TAP_ROLE = "tap"

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fit import ClockOffsets, RelayedMessages, windows_of
-from .lines import Float64, Int64
-from .windows import WINDOW_NS
+from dds_trace.analyzer.clocks.fit import ClockOffsets, RelayedMessages, windows_of
+from dds_trace.analyzer.clocks.lines import Float64, Int64
+from dds_trace.analyzer.clocks.windows import WINDOW_NS
 
 REACH_NS = 600_000_000_000
 """Farthest from a message that a clock is known."""

@@ -10,7 +10,7 @@ from dds_trace.analyzer.clocks.boots import (
     share_boot,
 )
 from dds_trace.analyzer.clocks.fit import RelayedMessages
-from dds_trace.analyzer.clocks.track import REACH_NS, UNKNOWN_NS, track_clock
+from dds_trace.extensions.topics.clock_track import REACH_NS, UNKNOWN_NS, track_clock
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 SECOND = 1_000_000_000

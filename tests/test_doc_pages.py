@@ -59,6 +59,32 @@ def test_sentences_begin_with_capitals_or_names_with_a_mark_in_them(page):
     assert re.findall(starts, prose, re.MULTILINE) == []
 
 
+LITERAL = re.compile(r"(`+).+?\1|\]\([^)\s]*\)")
+SENTENCE_END = re.compile(r"[\w`%\])*\"][.!?](?:\*\*|[)\"])? +(?=[*_\[(\"]*[A-Z`…])")
+ABBREVIATED = re.compile(r"\b(?:e\.g|i\.e|cf|vs|al|No)\.$")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_prose_has_one_sentence_a_line(page):
+    """A change of a sentence is a change of one line. The change log is left out: an entry is a line there."""
+    if page.name == "CHANGELOG.md":
+        pytest.skip("an entry a line")
+    prose = re.sub(r"<!--.*?-->", "", prose_of(page), flags=re.DOTALL)
+    wrong = []
+    for paragraph in re.split(r"\n(?: *\n| *(?=[-*|#>] |\d+\. ))", prose):
+        if paragraph.startswith("    ") or paragraph.lstrip().startswith(("|", "#", ">")):
+            continue
+        *lines, last = re.sub(r"^ *(?:[-*]|\d+\.) +", "", paragraph.strip("\n")).splitlines() or [""]
+        wrong += [
+            line for line in lines if not re.search(r"[.!?:](?:\*\*|[)\"])?$", line) and not line.startswith(("#", "["))
+        ]
+        for line in (*lines, last):
+            masked = LITERAL.sub(lambda match: "`" * len(match[0]), line)
+            ends = [match.start() + 2 for match in SENTENCE_END.finditer(masked)]
+            wrong += [line for end in ends if not ABBREVIATED.search(line[:end])]
+    assert wrong == []
+
+
 def test_every_figure_is_explained_under_its_title_in_the_order_of_the_report():
     shown = [figure for scope in Scope for figure in FIGURES if figure.scope is scope]
     sections = READING.read_text(encoding="utf-8").split("\n### ")[1:]

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from dds_trace.recorder.errors import BridgeError
-from dds_trace.recorder.host.process import wait_or_kill
+from dds_trace.recorder.host.child import Child
 
 STOP_PATIENCE_S = 4.0
 """Time to end after SIGINT, then after SIGTERM, before SIGKILL."""
@@ -65,19 +65,16 @@ class SupervisedProgram:
         guard = Path(__file__).with_name("guard.py")
         # -I -S: the guard needs only the standard library, and must start whatever is installed.
         words = sys.executable, "-I", "-S", guard, folder, up_pattern or "", STOP_PATIENCE_S, *self.command
-        self._guard = subprocess.Popen(
-            list(map(str, words)),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=dict(environment),
-            start_new_session=True,  # Ctrl-C is for the recorder, which stops the bridge
+        self._guard = Child(
+            words, ends_by_input=True, lost=self._cannot_start, stdout=subprocess.PIPE, env=dict(environment)
         )
-        assert self._guard.stdin is not None
-        assert self._guard.stdout is not None
-        self.pid = int(self._guard.stdout.readline() or 0)
+        self.pid: int = self._guard.answer()
         if not self.pid:
             self.stop()
-            raise BridgeError(f"cannot start {self.command[0]}: {self.last_line()}; try it by hand")
+            raise self._cannot_start()
+
+    def _cannot_start(self) -> BridgeError:
+        return BridgeError(f"cannot start {self.command[0]}: {self.last_line()}; try it by hand")
 
     @property
     def report(self) -> GuardReport | None:
@@ -110,14 +107,12 @@ class SupervisedProgram:
         return ProgramLoad(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
 
     def stop(self) -> None:
-        assert self._guard.stdin is not None
-        self._stopping = True
-        with contextlib.suppress(BrokenPipeError):  # the guard has ended
-            if not self._guard.stdin.closed:
-                self._guard.stdin.write(b"stop\n")
-                self._guard.stdin.close()
+        if not self._stopping:
+            self._stopping = True
+            with contextlib.suppress(BridgeError):  # the guard has ended
+                self._guard.say("stop")
         # The program's three signals, its children's two; then the kernel ends the program with the guard.
-        wait_or_kill(self._guard, 5 * STOP_PATIENCE_S + 5)
+        self._guard.end(5 * STOP_PATIENCE_S + 5)
         self._read_report()
         self._last_log = self._last_log or self.log_tail()
 

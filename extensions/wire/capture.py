@@ -10,7 +10,7 @@ import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.records import from_json, to_json
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.domains import domain_port_range
-from dds_trace.recorder.host.process import wait_or_kill
+from dds_trace.recorder.host.child import Child
 from dds_trace.recorder.kernel.counters import LOOPBACK, ask_interface
 from dds_trace.tracefile.format.events import WIRE_TOPIC
 
@@ -97,12 +97,8 @@ class WireCapture:
     def __init__(self, options: WireOptions) -> None:
         if not hasattr(socket, "AF_PACKET"):
             raise OptionError("--wire needs Linux: this system does not have its packet sockets (AF_PACKET)")
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", _PROCESS, json.dumps(to_json(options))],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the role, which still needs the counts of its run
-        )
+        words = sys.executable, "-m", _PROCESS, json.dumps(to_json(options))
+        self._process = Child(words, ends_by_input=True, lost=lambda: OptionError(_ENDED), stdout=subprocess.PIPE)
         try:
             self._answer()
         except OptionError:
@@ -118,36 +114,23 @@ class WireCapture:
 
         Messages of `run_id` get rows; with None, as a relay does not know it, messages of all runs do.
         """
-        self._ask({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"})
+        self._process.say(json.dumps({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"}))
         self._answer()
 
     def take(self) -> WireResult:
         """Return what was counted since `begin`, a quarter of a second of late packets included; once, as rows are handed over."""
-        self._ask({"ask": "take"})
+        self._process.say('{"ask": "take"}')
         answer = self._answer()
-        rows = np.frombuffer(_stream(self._process.stdout).read(answer["row_bytes"]), MESSAGE_ROW)
+        assert self._process.stdout is not None
+        rows = np.frombuffer(self._process.stdout.read(answer["row_bytes"]), MESSAGE_ROW)
         return WireResult(from_json(WireCounts, answer), rows)
 
     def close(self) -> None:
-        if self._process.poll() is None:
-            _stream(self._process.stdin).close()
-            wait_or_kill(self._process, _PATIENCE_S)
-        for stream in (self._process.stdin, self._process.stdout):
-            _stream(stream).close()
-
-    def _ask(self, question: dict[str, Any]) -> None:
-        stream = _stream(self._process.stdin)
-        try:
-            stream.write(json.dumps(question).encode() + b"\n")
-            stream.flush()
-        except BrokenPipeError as err:
-            raise OptionError(_ENDED) from err
+        with self._process:
+            self._process.end(_PATIENCE_S)
 
     def _answer(self) -> dict[str, Any]:
-        line = _stream(self._process.stdout).readline()
-        if not line:
-            raise OptionError(_ENDED)
-        answer: dict[str, Any] = json.loads(line)
+        answer: dict[str, Any] = self._process.answer()
         if "error" in answer:
             raise OptionError(answer["error"])
         return answer
@@ -157,11 +140,6 @@ class WireCapture:
 
     def __exit__(self, *_error: object) -> None:
         self.close()
-
-
-def _stream(pipe: IO[bytes] | None) -> IO[bytes]:
-    assert pipe is not None
-    return pipe
 
 
 @contextmanager

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 from typing import TYPE_CHECKING
 
 import psutil
 
 from dds_trace.base.errors import OptionError
 
-from .process import ending_with_parent, pin_cpus
+from .child import Child
+from .process import pin_cpus
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,12 +27,13 @@ PROGRAM = Path(__file__).with_name("load_program.py")
 
 
 STEALER_PRIORITY = 60
+PATIENCE_S = 10.0
 
 
 class MachineLoad:
     """A load; called, it returns the session's field `load`, if there is one."""
 
-    def __init__(self, kind: str = "none", process: subprocess.Popen[bytes] | None = None) -> None:
+    def __init__(self, kind: str = "none", process: Child | None = None) -> None:
         self._kind = kind
         self._process = process
         self._began_s, self._printed = time.monotonic(), b""
@@ -78,15 +80,14 @@ def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Ite
         except OSError as err:
             raise OptionError(f"-o load={kind}: {DMA_LATENCY}: {err.strerror}; run as root, or leave it out") from err
     # -I -S starts fastest: only the standard library.
-    command = [*ending_with_parent(), sys.executable, "-I", "-S", str(PROGRAM), kind, host or ""]
-    stdin = subprocess.PIPE if kind == "emulated-pi3" else subprocess.DEVNULL
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=stdin) as process:
+    command = [sys.executable, "-I", "-S", PROGRAM, kind, host or ""]
+    with Child(command, stdin=PIPE if kind == "emulated-pi3" else DEVNULL, stdout=PIPE) as process:
         assert process.stdout is not None
         os.set_blocking(process.stdout.fileno(), False)
         try:
             yield MachineLoad(kind, process)
         finally:
-            process.terminate()
+            process.end(PATIENCE_S)
 
 
 def _check_stealing(others: Sequence[str]) -> None:

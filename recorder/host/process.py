@@ -10,7 +10,6 @@ import ctypes
 import gc
 import os
 import resource
-import shutil
 import signal
 import struct
 import subprocess
@@ -44,8 +43,6 @@ HOW_TO_BE_PERMITTED = (
     "run as root (of a container: --cap-add SYS_NICE --ulimit rtprio=99 --ulimit memlock=-1), or add 'USER - rtprio 99' and "
     "'USER - memlock unlimited' to /etc/security/limits.conf and log in again, or leave -o realtime out"
 )
-
-_UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 
 
 def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Json]:
@@ -221,22 +218,3 @@ def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:
         return lambda: None
     library.timer_settime(timer, 0, after, None)
     return lambda: library.timer_delete(timer)
-
-
-def wait_or_kill(process: subprocess.Popen[bytes], patience_s: float) -> None:
-    try:
-        process.wait(patience_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def ending_with_parent() -> list[str]:
-    """Return the words before a command that make the kernel end it by SIGTERM with this process.
-
-    Empty without `setpriv` (util-linux). Before `setpriv` runs the parent may have ended, so a shell compares it first.
-    """
-    setpriv = shutil.which("setpriv")
-    if setpriv is None:
-        return []
-    return [setpriv, "--pdeathsig", "TERM", "--", "sh", "-c", _UNLESS_ORPHAN, str(os.getpid())]

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.recorder.host.child import Child
 
 from ..plan.link import EndCounters, Link
 from .tap_forwarder import burst_chances
@@ -178,7 +179,7 @@ def open_tap(name: str, namespace: str) -> int:
     return descriptor
 
 
-def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
+def start_forwarder(taps: Sequence[int], link: Link) -> Child:
     program = Path(__file__).with_name("tap_forwarder.py")
     drive = link.drive
     values: dict[str, object] = {"rows": ()}
@@ -190,11 +191,10 @@ def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
         json.dump({**link.to_dict(), **values}, file)
         file.seek(0)
         # -I -S starts fastest: only the standard library.
-        return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(program), *map(str, taps), str(file.fileno())],
-            stdin=subprocess.PIPE,
+        return Child(
+            [sys.executable, "-I", "-S", program, *taps, file.fileno()],
+            ends_by_input=True,
+            lost=lambda: BackendUnavailableError("the emulated link ended by itself; run the sweep again"),
             stdout=subprocess.PIPE,
-            text=True,
             pass_fds=(*taps, file.fileno()),
-            start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
 import re
 import shutil
@@ -31,16 +30,17 @@ from .emulation import (
 )
 
 if TYPE_CHECKING:
-    import subprocess
     from collections.abc import Iterable, Iterator
 
     from typing_extensions import Self
+
+    from dds_trace.recorder.host.child import Child
 
     from ..plan.link import ForwarderReport, Link, LinkReport
 
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay|switch|host\d+)")
 _ROLES = ("ping", "relay")
-_LINK_ENDED = "the emulated link ended by itself; run the sweep again"
+_PATIENCE_S = 10.0
 OTHER_ADDRESS = "10.213.0.11"
 _AIR = "ifb0"
 _counter = itertools.count()
@@ -84,7 +84,7 @@ class NamespacePair:
         self._shaped_ends: list[tuple[str, str]] = []  # namespace and device with the queue disciplines
         self.applied_by = ""
         self.commands: list[str] = []
-        self._forwarder: subprocess.Popen[str] | None = None
+        self._forwarder: Child | None = None
         self._taps: list[int] = []
         self._drive_started_ns: int | None = None
         self._disciplines: list[list[str]] = []
@@ -117,7 +117,8 @@ class NamespacePair:
 
     def drive(self, *, starts: bool) -> None:
         self._drive_started_ns = time.monotonic_ns() if starts else None
-        self._say(f"start {self._drive_started_ns}" if starts else "rest")
+        assert self._forwarder is not None
+        self._forwarder.say(f"start {self._drive_started_ns}" if starts else "rest")
 
     def shape(self, link: Link) -> None:
         """Change what is shaped: the queue, or of links that only have a rate the whole link."""
@@ -267,27 +268,16 @@ class NamespacePair:
         return True
 
     def _ask_forwarder(self) -> ForwarderReport | None:
-        if self._forwarder is None or self._forwarder.stdout is None:
+        if self._forwarder is None:
             return None
-        self._say("report")
-        try:
-            report: ForwarderReport = json.loads(self._forwarder.stdout.readline())
-        except ValueError as err:
-            raise BackendUnavailableError(_LINK_ENDED) from err
+        self._forwarder.say("report")
+        report: ForwarderReport = self._forwarder.answer()
         return report
-
-    def _say(self, line: str) -> None:
-        assert self._forwarder is not None
-        assert self._forwarder.stdin is not None
-        try:
-            self._forwarder.stdin.write(f"{line}\n")
-            self._forwarder.stdin.flush()
-        except OSError as err:
-            raise BackendUnavailableError(_LINK_ENDED) from err
 
     def _remove(self) -> None:
         if self._forwarder is not None:
-            self._forwarder.communicate()  # closes its input, which ends it
+            with self._forwarder:
+                self._forwarder.end(_PATIENCE_S)
             self._forwarder = None
         for descriptor in self._taps:
             os.close(descriptor)

@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +15,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputEr
 from dds_trace.base.files import create_file
 from dds_trace.extensions.bridges.programs import program_environment
 from dds_trace.extensions.bridges.supervise import describe_end
-from dds_trace.recorder.host.process import ending_with_parent
+from dds_trace.recorder.host.child import Child
 from dds_trace.recorder.recording import SERVING
 
 if TYPE_CHECKING:
@@ -65,7 +64,6 @@ class Program:
         self, command: Sequence[str], log: Path, *, stops_by_input: bool = False, lock: int | None = None
     ) -> None:
         self.log = log
-        self._stops_by_input = stops_by_input
         if shutil.which(command[0]) is None:
             raise BackendUnavailableError(f"{command[0]} is not installed or not on the PATH")
         prlimit = shutil.which("prlimit") if stops_by_input else None  # util-linux
@@ -76,14 +74,13 @@ class Program:
         except OSError as err:
             raise OutputError(f"{log}: {err.strerror}; give another --out") from err
         with output:
-            self._process = subprocess.Popen(
-                [*ending_with_parent(), *limit, *command],
-                stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
+            self._process = Child(
+                [*limit, *command],
+                ends_by_input=stops_by_input,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, DEFAULTS_VARIABLE: ""},
                 pass_fds=() if lock is None else (lock,),
-                start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
             )
 
     @property
@@ -106,20 +103,10 @@ class Program:
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
         """End the program, after most of `patience_s` by force; return its exit code."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
-        for share in (0.8, 0.2):
-            if self._process.poll() is None and not self._stops_by_input:
-                self._process.terminate()
-            if (code := self.wait(share * patience_s)) is not None:
-                return code
-        return self.kill()
+        return self._process.end(patience_s)
 
     def kill(self) -> int:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        return self._process.wait()
+        return self._process.kill_all()
 
     def last_words(self) -> str:
         with self.log.open("rb") as file:

@@ -23,7 +23,7 @@ from dds_trace.base.printable import printable
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
-from ...host.process import ending_with_parent, wait_or_kill
+from ...host.child import Child
 from ...security.keys import enclave
 from ..base import has_package
 from ..node import Middleware
@@ -215,13 +215,12 @@ _ENDPOINT = re.compile(r"connect/endpoints\s*=\s*\[\s*\"tcp/(?P<host>\[[^\]]+\]|
 @dataclass(slots=True)
 class Router:
     settings: Mapping[str, str] = field(default_factory=dict)
-    process: subprocess.Popen[bytes] | None = None
+    process: Child | None = None
 
     def close(self) -> None:
         process, self.process = self.process, None
         if process is not None:
-            process.terminate()
-            wait_or_kill(process, PATIENCE_S)
+            process.end(PATIENCE_S)
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:
@@ -261,7 +260,7 @@ def _listens(host: str, port: int) -> bool:
     return False
 
 
-def _comes_up(host: str, port: int, patience_s: float, process: subprocess.Popen[bytes] | None = None) -> bool:
+def _comes_up(host: str, port: int, patience_s: float, process: Child | None = None) -> bool:
     end_s = time.monotonic() + patience_s
     while not _listens(host, port):
         if time.monotonic() > end_s or (process is not None and process.poll() is not None):
@@ -270,17 +269,10 @@ def _comes_up(host: str, port: int, patience_s: float, process: subprocess.Popen
     return True
 
 
-def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
+def _start(program: Path, port: int) -> Child:
     overrides = filter(None, (os.environ.get("ZENOH_CONFIG_OVERRIDE"), f'listen/endpoints=["tcp/localhost:{port}"]'))
     environment = {**os.environ, "ZENOH_CONFIG_OVERRIDE": ";".join(overrides)}
-    return subprocess.Popen(
-        [*ending_with_parent(), str(program)],
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    return Child([program], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def describe_middleware(options: NodeOptions, rmw: str, executor: str, further: Mapping[str, str]) -> Middleware:

@@ -9,14 +9,14 @@ import pytest
 from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.host import load as load_module
+from dds_trace.recorder.host import child as child_module
 from dds_trace.recorder.host.load import loaded
 
 
 @pytest.fixture(autouse=True)
 def own_lock(monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(load_module, "ending_with_parent", list)
+    monkeypatch.setattr(child_module, "ending_with_parent", list)
 
 
 def program_of(fields):

@@ -153,7 +153,7 @@ def test_a_program_ends_with_the_process_that_started_it(tmp_path, killed):
     slow.chmod(0o755)
     script = (
         "import subprocess, sys\n"
-        "from dds_trace.recorder.host.process import ending_with_parent\n"
+        "from dds_trace.recorder.host.child import ending_with_parent\n"
         "lock, started = int(sys.argv[1]), sys.argv[2]\n"
         "work = ['sh', '-c', 'touch $0; exec sleep 600', started]\n"
         "subprocess.Popen([*ending_with_parent(), *work], pass_fds=[lock]).wait()"

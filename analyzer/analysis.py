@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +21,7 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.columns import SUMMARY_COLUMNS
 from .model.detail_frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
-from .model.finding import UNUSABLE
+from .model.finding import UNUSABLE, Finding, Source
 from .model.metrics import schema_of
 from .model.presenter import presenter
 from .model.runs import with_unsent
@@ -28,12 +30,8 @@ from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, ju
 from .verdicts.judgements import judgement_frame
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Mapping
-
     from plotly.graph_objects import Figure
 
-    from .model.finding import Finding, Source
     from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,6 @@ from .outputs import expand_paths, show_page
 from .program import ask_about_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from dds_trace.analyzer.analysis import Analysis
 
 HTML, TERMINAL = "html", "terminal"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import textwrap
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,8 +18,6 @@ from dds_trace.base.units import format_duration, format_size
 from .program import command, make_app, option
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from dds_trace.recorder.backends.base import Backend
 
 app = make_app()

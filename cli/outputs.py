@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import sys
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,8 +18,6 @@ from dds_trace.reports.reporters import REPORT_MODULES
 from .program import argument, option, starting
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
     from typer.models import OptionInfo
 
 

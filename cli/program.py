@@ -10,6 +10,7 @@ import signal
 import sys
 import textwrap
 import threading
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import wraps
 from pathlib import Path
@@ -18,18 +19,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
-from dds_trace.base.shortage import shortage
+from dds_trace.base.shortage import Room, shortage
 from dds_trace.base.streams import plain_streams, say
 from dds_trace.base.version import __version__
 
 from .defaults import PRINT_CONFIG, set_defaults, values_in_force
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-
     from typer.models import ArgumentInfo, OptionInfo
 
-    from dds_trace.base.shortage import Room
 
 SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
 SHORT_COLUMNS = 73  # of an option's name and what it means in a line of `-h`

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import secrets
+import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,9 +17,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 from dds_trace.base.extension import load
 from dds_trace.base.limits import RELAY_ID
 from dds_trace.base.version import __version__
-from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
-from dds_trace.tracefile.writing.destination import discard
+from dds_trace.tracefile.writing.destination import ClosedTrace, discard
 
 from .backends import load_backend, load_backends, open_node
 from .choices import Discovery, Security
@@ -29,23 +31,17 @@ from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
 from .kernel.counters import LOOPBACK, read_interfaces
-from .options import side_settings
+from .options import RecordOptions, side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
 from .security.keys import public_hash
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable, Mapping
-
     from dds_trace.base.errors import TraceError
-    from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from .backends.node import Node, NodeOptions
-    from .options import RecordOptions
     from .roles.ping import PingThread
     from .roles.progress import Progress, Role, Watch
 

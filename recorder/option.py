@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import Enum
 from types import NoneType
@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.limits import Real, Whole, shown
+from dds_trace.base.limits import Limit, Real, Whole, shown
 from dds_trace.base.units import parse_rate, parse_size, split_quantity
 
 from .choices import Call, Role
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from dds_trace.base.limits import Limit
     from dds_trace.tracefile.format.json_fields import Json
     from dds_trace.tracefile.writing.destination import TraceDestination
 

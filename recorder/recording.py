@@ -8,6 +8,7 @@ import secrets
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
@@ -33,23 +34,18 @@ from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.binary import BINARY
 from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
-from .roles.ping import LONGEST_SETTLE_NS, PingThread, open_ping
+from .roles.ping import LONGEST_SETTLE_NS, AnyPing, PingThread, open_ping
 from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
 from .roles.relay import Relay
 from .security.keys import opened_keys
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import JsonObject
 
     from .applied.differences import Difference
-    from .options import PingOptions, RecordOptions
     from .payloads.base import DataType
-    from .roles.ping import AnyPing
-    from .roles.progress import Watch
 
 
 SERVING = "serves domain"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -10,9 +12,6 @@ from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.files import write_whole
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Iterable
-
     from dds_trace.analyzer.analysis import Analysis
 
     from .blocks import Report

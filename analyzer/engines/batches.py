@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.threads import InlineExecutor
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
     import polars as pl
     import pyarrow as pa
-    from numpy.typing import NDArray
 
 
 BATCH_EVENTS = 1_000_000

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from statistics import median
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_duration
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _TIMES = {
     "first_ns": "the first call after discovery took {}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -18,8 +19,6 @@ from ..statistics.percentiles import summarize_values
 from .host_samples import node_percent
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from ..pairing.exchanges import Exchange
     from ..pairing.rows import RowStore
     from .batch import Grouping

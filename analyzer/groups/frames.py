@@ -6,6 +6,7 @@ Frames of batches, made on one machine or many, are concatenated. So a row may d
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -18,8 +19,6 @@ from .shapes import shape_frame
 from .timeline import run_frame, timeline_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from ..pairing.roundtrips import RoundTrips
     from .batch import Batch
 

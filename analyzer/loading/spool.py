@@ -9,21 +9,19 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.files import open_regular, read_into
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from io import BufferedReader
-
-    from numpy.typing import NDArray
 
 
 Column = tuple[str, int]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from dds_trace.base.extension import load
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from plotly.graph_objects import Figure
 
 

@@ -7,9 +7,10 @@ import json
 import shlex
 import signal
 import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from rich.console import Group
 from rich.live import Live
@@ -39,9 +40,6 @@ from dds_trace.recorder.roles.progress import (
 from ..program import print_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from typing import NoReturn
-
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 

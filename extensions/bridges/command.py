@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 from dds_trace.cli.program import argument, command, make_app, option, starting
@@ -12,8 +13,6 @@ from dds_trace.recorder.choices import Side
 from . import BRIDGE_MODULES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from .base import Bridge, BridgeOptions
     from .running import RunningBridge
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import webbrowser
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +22,6 @@ from dds_trace.reports.reporters import write_reports
 from .plotting import line_figure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from plotly.graph_objects import Figure
 
     from dds_trace.analyzer.analysis import Analysis

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import socket
 import time
+from collections.abc import Callable, MutableMapping
 from contextlib import suppress
 from dataclasses import replace
+from types import TracebackType
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, OutputExistsError
@@ -18,9 +20,6 @@ from .rotation import RotatedFiles, find_shortage
 from .running import RunningRecording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, MutableMapping
-    from types import TracebackType
-
     from typing_extensions import Self
 
     from dds_trace.recorder.option import Rotation

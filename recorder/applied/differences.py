@@ -5,19 +5,17 @@ Only those without another explanation: a false one bars a run from answers.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
 from ..domains import domain_port_range
-from .applied import SHARED_MEMORY, UNKNOWN, Traffic, is_excluded, payload_path
+from .applied import SHARED_MEMORY, UNKNOWN, Applied, Traffic, is_excluded, payload_path
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from ..kernel.sockets import Socket
-    from .applied import Applied
     from .asked import Asked
     from .memory import SharedMemory
 

@@ -8,11 +8,8 @@ import os
 import shutil
 import signal
 import subprocess
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
+from collections.abc import Callable, Sequence
+from typing import Any
 
 _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 

@@ -7,18 +7,14 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import BinaryIO
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.files import read_regular
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import BinaryIO
 
 LOG_S = 0.1
 """Fast DDS writes its log on a thread of its own."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import DEVNULL, PIPE
@@ -18,8 +19,6 @@ from .child import Child
 from .process import pin_cpus
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 DMA_LATENCY = "/dev/cpu_dma_latency"

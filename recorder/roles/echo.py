@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS, counted, format_size, spell_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..applied.applied import MIN_PAYLOAD_BYTES, POSSIBLY, tcp_delta
-from ..applied.differences import Setting
+from ..applied.applied import MIN_PAYLOAD_BYTES, POSSIBLY, Applied, Traffic, tcp_delta
+from ..applied.differences import Difference, Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
 from ..backends.qos import requested_durations
@@ -21,10 +22,6 @@ from ..errors import RelayLostError
 from ..payloads import data_types
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from ..applied.applied import Applied, Traffic
-    from ..applied.differences import Difference
     from ..backends.node import Endpoint, Node, NodeOptions
     from ..payloads.base import DataType
     from .plan import RunPlan

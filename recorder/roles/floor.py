@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import output_error
@@ -28,8 +29,6 @@ from ..errors import NoEchoError
 from ..payloads.string import STRING
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from dds_trace.tracefile.format.json_fields import Json
 
     from ..backends.node import NodeOptions, RawMessage

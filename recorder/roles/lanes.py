@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
 
-from ..backends.node import Caller, CallMessage, CallNode, ObjectNode
+from ..backends.node import (
+    Caller,
+    CallMessage,
+    CallNode,
+    Node,
+    ObjectNode,
+    Publisher,
+    RawMessage,
+    Receive,
+    RosMessage,
+    Subscription,
+)
 from ..choices import Serialization
-from ..payloads.base import Form
+from ..payloads.base import DataType, Form, Message
 from ..payloads.stamp import CALL_STAMP, SentT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from dds_trace.tracefile.format.descriptions import Qos
 
-    from ..backends.node import Node, Publisher, RawMessage, Receive, RosMessage, Subscription
-    from ..payloads.base import DataType, Message
 
 ReceivedT = TypeVar("ReceivedT")
 

@@ -7,6 +7,7 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import replace
 from statistics import median
@@ -16,25 +17,21 @@ from dds_trace.base.units import SECOND_NS
 
 from ..applied.applied import Traffic
 from ..errors import RelayLostError
-from ..host.clock import SystemClock, sharpen_sleep
+from ..host.clock import Clock, SystemClock, sharpen_sleep
 from ..host.process import start_thread_use, tuned_gc
 from ..payloads.stamp import NO_RELAYS, NO_REPLY, PROBE_RUN_ID, SentT
-from .lanes import Clients, open_lane
+from .lanes import Clients, Lane, open_lane
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node
     from ..backends.other_side import Strangers
-    from ..host.clock import Clock
     from ..payloads.base import Feed
-    from .lanes import Lane
     from .plan import RunPlan
 
 ReceivedT = TypeVar("ReceivedT")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,14 +15,11 @@ from dds_trace.tracefile.format.descriptions import Qos, Run
 from ..backends import load_backend
 from ..backends.sizes import requested_bytes
 from ..choices import Call, Serialization
-from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, run_settings
+from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, PingOptions, RecordOptions, run_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..options import PingOptions, RecordOptions
     from ..payloads.base import DataType, Payload
 
 

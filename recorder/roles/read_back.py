@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.records import to_json
 
-from ..applied.applied import read_applied, with_path
+from ..applied.applied import Applied, Traffic, read_applied, with_path
 from ..applied.asked import Asked, asked_settings
 from ..applied.differences import Difference, Setting, differences, publisher_differences
 from ..choices import Security, WhenFull
 from ..errors import NotAppliedError
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..applied.applied import Applied, Traffic
     from ..backends.node import Node
 
 NEWS_S = 0.02

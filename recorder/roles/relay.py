@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 from ..applied.applied import Traffic
 from ..choices import Serialization
-from ..host.clock import SystemClock
-from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
-from .lanes import open_lane
+from ..host.clock import Clock, SystemClock
+from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, RawStampPlace, SentT
+from .lanes import Lane, open_lane
 from .progress import RelayProgress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from dds_trace.tracefile.format.descriptions import Qos
     from dds_trace.tracefile.writing.packing import ExpectedPair
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node, Publisher, RawMessage, Receive
-    from ..host.clock import Clock
     from ..payloads.base import DataType, Form
-    from ..payloads.stamp import RawStampPlace
-    from .lanes import Lane
 
 ReceivedT = TypeVar("ReceivedT")
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import socket
 import ssl
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from .keys import enclave
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 HANDSHAKE_S = 2.0
 PIECE_BYTES = 1 << 18

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
@@ -20,9 +22,7 @@ from .mcap_walk import McapWalk
 from .source import Batch, Text, UnreadableError, event_batch, unpack_message
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from concurrent.futures import Executor
-    from pathlib import Path
 
 
 _UNSUSPECTED_STEPS = 2_000_000

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +23,6 @@ from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
     from concurrent.futures import Executor
 
     from .source import Source

@@ -7,6 +7,7 @@ lock is a `FastLock`, and what is known earlier is packed earlier.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.threads import FastLock
@@ -25,7 +26,6 @@ from ..format.ring import (
 
 if TYPE_CHECKING:
     import queue
-    from collections.abc import Callable
 
     from .writer import TraceFiles
 

@@ -9,6 +9,7 @@ import re
 import secrets
 import stat
 import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -16,7 +17,6 @@ from typing import TYPE_CHECKING, BinaryIO
 from .errors import OptionError, OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
     from io import BufferedReader
 
 

@@ -26,13 +26,13 @@ from .model.metrics import schema_of
 from .model.presenter import presenter
 from .model.runs import with_unsent
 from .pairing.rows import RowStore
+from .verdicts.answers import CaseAnswer
 from .verdicts.frame import judge_own_nodes, judge_places, judged_candidates, judged_costs
 from .verdicts.judgements import judgement_frame
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-    from .verdicts.answers import CaseAnswer
     from .verdicts.recommend import Recommendation
 
 

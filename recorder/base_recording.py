@@ -14,14 +14,18 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
+from dds_trace.base.errors import TraceError
 from dds_trace.base.extension import load
 from dds_trace.base.limits import RELAY_ID
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import HOST_TOPIC
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
 from dds_trace.tracefile.writing.destination import ClosedTrace, discard
+from dds_trace.tracefile.writing.sink import TraceSink
 
 from .backends import load_backend, load_backends, open_node
+from .backends.node import Node, NodeOptions
 from .choices import Discovery, Security
 from .errors import NotAppliedError, NothingHeardError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
@@ -37,11 +41,6 @@ from .roles.read_back import ReadBack
 from .security.keys import public_hash
 
 if TYPE_CHECKING:
-    from dds_trace.base.errors import TraceError
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.sink import TraceSink
-
-    from .backends.node import Node, NodeOptions
     from .roles.ping import PingThread
     from .roles.progress import Progress, Role, Watch
 

@@ -10,6 +10,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.json_fields import Json
 
 from .choices import Discovery, Durability, History, Load, Reliability, Role, Serialization
 from .option import (
@@ -29,7 +30,6 @@ from .option import (
 )
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import Json
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     from .backends.node import NodeOptions

@@ -13,12 +13,14 @@ from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.extension import load as load_part
+from dds_trace.tracefile.format.descriptions import Run
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from .applied.applied import Applied, Snapshot, read_applied
+from .applied.differences import Difference
 from .backends import load_backend
 from .backends.node import Node
 from .backends.qos import warn_of_depth
@@ -32,6 +34,7 @@ from .host.process import parse_cpus
 from .option import ACTION_GOAL_BYTES
 from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
+from .payloads.base import DataType
 from .payloads.binary import BINARY
 from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
 from .roles.ping import LONGEST_SETTLE_NS, AnyPing, PingThread, open_ping
@@ -39,14 +42,6 @@ from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
 from .roles.relay import Relay
 from .security.keys import opened_keys
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from .applied.differences import Difference
-    from .payloads.base import DataType
-
 
 SERVING = "serves domain"
 """In the note of a relay that has started, for which a sweep waits."""

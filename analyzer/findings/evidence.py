@@ -9,22 +9,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dds_trace.tracefile.format.descriptions import Session
+
 from ..clocks.boots import ping_boots
+from ..loading.campaign import Campaign
 from ..model.finding import Finding, Severity, Subject
 from ..model.names import name_groups
+from ..pairing.exchanges import Exchange, Exchanges
 from ..pairing.one_way import DevicePair, pair_devices
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from dds_trace.tracefile.format.descriptions import Session
-
     from ..analysis import Details
     from ..groups.batch import AnalysisOptions, Grouping
     from ..groups.summary import Summary
-    from ..loading.campaign import Campaign
     from ..model.detail_frames import Topics
-    from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
 
 

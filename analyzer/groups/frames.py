@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from ..pairing.roundtrips import RoundTrips
+from .batch import Batch
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
 from .intervals import interval_frame, knot_frame, one_way_frame
@@ -19,9 +21,6 @@ from .shapes import shape_frame
 from .timeline import run_frame, timeline_frame
 
 if TYPE_CHECKING:
-    from ..pairing.roundtrips import RoundTrips
-    from .batch import Batch
-
     Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
 Frames = dict[str, pl.DataFrame]

@@ -12,6 +12,7 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
 from dds_trace.base.files import real_path
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.reading.storage import find_traces
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
@@ -20,8 +21,6 @@ from .event_index import Copies, EventIndex, index_events
 from .place import Place, is_remote
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
     from .traces import LoadAll, LoadedTrace
 
 Progress = Callable[[int, int, Path], None]

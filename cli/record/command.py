@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer  # noqa: TC002 - it reads the annotation
 
@@ -13,6 +13,7 @@ from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
+from dds_trace.recorder.options import RecordOptions
 
 from ..program import Version, ask_about_folder, command, make_app
 from ..table_options import (
@@ -25,9 +26,6 @@ from ..table_options import (
     settings_as_options,
     with_options,
 )
-
-if TYPE_CHECKING:
-    from dds_trace.recorder.options import RecordOptions
 
 BRIDGED_PING_DOMAIN = 5
 

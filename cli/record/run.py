@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from rich.console import Group
 from rich.live import Live
@@ -26,6 +26,7 @@ from dds_trace.recorder.applied.memory import remove_own_segments
 from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
+from dds_trace.recorder.options import RecordOptions
 from dds_trace.recorder.recording import record
 from dds_trace.recorder.roles.progress import (
     BeaconProgress,
@@ -36,12 +37,9 @@ from dds_trace.recorder.roles.progress import (
     RelayProgress,
     TapProgress,
 )
+from dds_trace.tracefile.writing.destination import ClosedTrace
 
 from ..program import print_error
-
-if TYPE_CHECKING:
-    from dds_trace.recorder.options import RecordOptions
-    from dds_trace.tracefile.writing.destination import ClosedTrace
 
 
 def describe_progress(progress: Progress) -> str:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends.dds_types import dds_name
 from dds_trace.recorder.backends.qos import requested_durations
 from dds_trace.recorder.backends.ros2.fastdds_profile import tuned_participants
 from dds_trace.recorder.choices import Discovery, Durability, Reliability, Transport
+from dds_trace.tracefile.format.descriptions import Qos
 
 from .base import Bridge, BridgeOptions, Half, Halves, split_address
 from .programs import program_on_path, reported_version
 from .texts import yaml_text
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
-
 
 PROGRAM = "ddsrouter"
 CONFIGURATION_VERSION = "v5.0"

@@ -12,6 +12,7 @@ from dds_trace.base.units import SECOND_NS
 from dds_trace.recorder.backends.dds_types import DDS_TYPES, dds_name, split_type
 from dds_trace.recorder.backends.qos import requested_durations
 from dds_trace.recorder.choices import Discovery
+from dds_trace.tracefile.format.descriptions import Qos
 
 from .base import Bridge, BridgeOptions, BridgeSide
 from .programs import program_on_path, reported_version
@@ -19,8 +20,6 @@ from .texts import element, xml_text
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
-
-    from dds_trace.tracefile.format.descriptions import Qos
 
 
 PROGRAM = "rtiroutingservice"

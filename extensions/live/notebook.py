@@ -9,7 +9,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.base.units import counted
+from dds_trace.extensions.gates.compare import Comparison
 from dds_trace.extensions.gates.info import comparison_info
 from dds_trace.extensions.gates.report import result_table
 from dds_trace.reports import blocks
@@ -23,9 +25,6 @@ from .plotting import line_figure
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-    from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.extensions.gates.compare import Comparison
 
 
 MOST_CHARACTERS = 11_000

@@ -14,6 +14,10 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
+from dds_trace.recorder.option import Rotation
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from .rotation import RotatedFiles, find_shortage
@@ -22,11 +26,7 @@ from .running import RunningRecording
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from dds_trace.recorder.option import Rotation
     from dds_trace.recorder.options import RecordOptions
-    from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
 
 
 STATUS_PERIOD_S = 5.0

@@ -21,6 +21,7 @@ from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.domains import domain_port_range
 from dds_trace.recorder.host.child import Child
 from dds_trace.recorder.kernel.counters import LOOPBACK, ask_interface
+from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import WIRE_TOPIC
 
 from .counts import WireCounts
@@ -30,7 +31,6 @@ from .packet_filter import PortRange
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.writing.sink import TraceSink
 
 

@@ -11,13 +11,13 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from ..domains import domain_port_range
+from ..kernel.sockets import Socket
 from .applied import SHARED_MEMORY, UNKNOWN, Applied, Traffic, is_excluded, payload_path
+from .memory import SharedMemory
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
 if TYPE_CHECKING:
-    from ..kernel.sockets import Socket
     from .asked import Asked
-    from .memory import SharedMemory
 
 KERNELS_PORT = 32_768
 """First port that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import psutil
 
 from dds_trace.base.threads import run_in_background
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 from ..kernel.counters import read_kernel_counters
 from .clock import read_monotonic_pair
@@ -21,7 +22,6 @@ from .fingerprint import read_mhz, read_text, wifi_signals
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 _DROP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "ReasmFails", "ReasmTimeout", "FragFails")
 """Dropped datagrams, the usual cause of loss and of late large messages."""

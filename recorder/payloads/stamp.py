@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import struct
 from binascii import unhexlify
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from ..backends.node import CallMessage, RawMessage, RosMessage
+from ..backends.node import CallMessage, RawMessage, RosMessage
 
 STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"

@@ -15,15 +15,15 @@ from ..applied.applied import MIN_PAYLOAD_BYTES, POSSIBLY, Applied, Traffic, tcp
 from ..applied.differences import Difference, Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
+from ..backends.node import Endpoint, Node, NodeOptions
 from ..backends.qos import requested_durations
 from ..choices import Call, Discovery, Security, Transport
 from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
+from ..payloads.base import DataType
 
 if TYPE_CHECKING:
-    from ..backends.node import Endpoint, Node, NodeOptions
-    from ..payloads.base import DataType
     from .plan import RunPlan
     from .progress import Silence
 

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +19,15 @@ from numpy.typing import NDArray
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.files import output_error
 from dds_trace.tracefile.format.descriptions import Qos, Session
+from dds_trace.tracefile.format.json_fields import Json
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..backends import load_backend
+from ..backends.node import NodeOptions, RawMessage
 from ..choices import Call, ExecutorKind
 from ..errors import NoEchoError
 from ..payloads.string import STRING
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import Json
-
-    from ..backends.node import NodeOptions, RawMessage
 
 Record = Callable[[int, int, int, int], object]
 

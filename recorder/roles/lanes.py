@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import (
     Caller,
@@ -24,10 +25,6 @@ from ..backends.node import (
 from ..choices import Serialization
 from ..payloads.base import DataType, Form, Message
 from ..payloads.stamp import CALL_STAMP, SentT
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
-
 
 ReceivedT = TypeVar("ReceivedT")
 

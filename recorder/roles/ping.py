@@ -14,24 +14,24 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Run
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 from ..applied.applied import Traffic
+from ..backends.node import Node
+from ..backends.other_side import Strangers
 from ..errors import RelayLostError
 from ..host.clock import Clock, SystemClock, sharpen_sleep
 from ..host.process import start_thread_use, tuned_gc
+from ..payloads.base import Feed
 from ..payloads.stamp import NO_RELAYS, NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import Clients, Lane, open_lane
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import Node
-    from ..backends.other_side import Strangers
-    from ..payloads.base import Feed
     from .plan import RunPlan
 
 ReceivedT = TypeVar("ReceivedT")

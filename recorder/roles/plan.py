@@ -11,6 +11,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..backends import load_backend
 from ..backends.sizes import requested_bytes
@@ -18,8 +19,6 @@ from ..choices import Call, Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, PingOptions, RecordOptions, run_settings
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
     from ..payloads.base import DataType, Payload
 
 

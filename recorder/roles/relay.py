@@ -6,20 +6,21 @@ import struct
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
+from dds_trace.tracefile.format.descriptions import Qos
+
 from ..applied.applied import Traffic
+from ..backends.node import Node, Publisher, RawMessage, Receive
 from ..choices import Serialization
 from ..host.clock import Clock, SystemClock
+from ..payloads.base import DataType, Form
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, RawStampPlace, SentT
 from .lanes import Lane, open_lane
 from .progress import RelayProgress
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
     from dds_trace.tracefile.writing.packing import ExpectedPair
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import Node, Publisher, RawMessage, Receive
-    from ..payloads.base import DataType, Form
 
 ReceivedT = TypeVar("ReceivedT")
 

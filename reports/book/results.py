@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, messages_to_end
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES, STATISTICS
@@ -13,9 +13,7 @@ from dds_trace.base.units import MISSING, counted, format_duration, format_rate,
 from ..blocks import EVERYWHERE, MARKDOWN, TERMINAL, Block, Column, Heading, Medium, Row, Sentence, Table
 from .contents import Contents
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Group, data_type_label, drift_words, format_added_ns, format_count
-
-if TYPE_CHECKING:
-    from .numbers import Cost
+from .numbers import Cost
 
 MOST_GROUPS = 150
 """Rows of a table in Markdown."""

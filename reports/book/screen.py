@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
@@ -16,10 +15,8 @@ from .fastest import Fastest
 from .findings import severity_counts
 from .headline import COMPARED, bridge_facts
 from .recommendation import advice_blocks
+from .sizes import SizeTable
 from .verdicts import contender_labels
-
-if TYPE_CHECKING:
-    from .sizes import SizeTable
 
 MOST_LINES = 18
 """With the lines of the written files it is a screen of 20."""

@@ -21,11 +21,11 @@ from dds_trace.base.files import real_path
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
+from .source import Source
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from .source import Source
 
 ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES, _FRAME_HEAD_BYTES = 1 << 20, 18

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import Limit
 from dds_trace.base.printable import printable
 
 if sys.version_info >= (3, 11):
@@ -19,8 +20,6 @@ else:
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-    from dds_trace.base.limits import Limit
 
     _Record = TypeVar("_Record", bound=DataclassInstance)
 

@@ -9,8 +9,8 @@ from statistics import median
 from dds_trace.base.units import counted, format_duration
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
-from ..model.finding import Severity, Subject
-from .evidence import Evidence, Observation, check
+from ..model.finding import Subject
+from .evidence import Evidence, Observation, note, warning
 
 _TIMES = {
     "first_ns": "the first call after discovery took {}",
@@ -21,9 +21,8 @@ _TIMES = {
 """Times of a run's `call` in words."""
 
 
-@check(
+@note(
     "calls",
-    Severity.INFO,
     Subject.RESULT,
     "Compare with the same bytes by topics, raw and typed. A first call as late as this one is what a program meets that calls as "
     "soon as it sees the server.",
@@ -37,9 +36,8 @@ def calls(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(group, f"A call takes {format_duration(p50s_ns[group])} at p50; {'; '.join(parts)}.")
 
 
-@check(
+@warning(
     "calls_timed_out",
-    Severity.WARNING,
     Subject.RESULT,
     "Lost requests and responses are counted as losses. For late ones look at the largest latencies: a lower rate or fewer clients "
     "may help, or a longer -o call_timeout, if the caller can wait.",

@@ -12,8 +12,8 @@ from dds_trace.tracefile.format.json_fields import number_of, object_of
 
 from ..clocks.boots import share_boot
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
-from ..model.finding import Severity, Subject
-from .evidence import Evidence, Observation, check
+from ..model.finding import Subject
+from .evidence import Evidence, Observation, note, warning
 from .rows import Rows, frame_of, named
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
@@ -98,9 +98,8 @@ def _times_of_topics(evidence: Evidence) -> pl.DataFrame:
 TIMES_OF_TOPICS = Rows(Subject.DEVICE, _times_of_topics, named)
 
 
-@check(
+@warning(
     "slewed",
-    Severity.WARNING,
     Subject.DEVICE,
     "Letting NTP settle before recording may help; durations and one-way times of that time are wrong by that share.",
 )
@@ -117,9 +116,8 @@ def slews(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
+@note(
     "slewed",
-    Severity.INFO,
     Subject.DEVICE,
     "Durations of that time are wrong by that share: letting NTP settle before recording may help.",
 )
@@ -142,9 +140,8 @@ def slow_slews(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
+@warning(
     "clock_drift",
-    Severity.WARNING,
     Subject.DEVICE,
     "Letting NTP settle before recording may help; durations of one of the devices are wrong by that share.",
 )
@@ -174,9 +171,8 @@ _SATURATED_SECONDS = 2
 """Least saturated seconds: the first one of a recording is its start."""
 
 
-@check(
+@warning(
     "cpu_saturated",
-    Severity.WARNING,
     Subject.RECORDING,
     "Latencies here include waiting for the processor: a lower rate or size, or a free device, may help.",
 )
@@ -204,9 +200,8 @@ _COARSE_STEPS = 20
 """With fewer clock steps, a median round trip is known to no better than 5 %."""
 
 
-@check(
+@warning(
     "coarse_clock",
-    Severity.WARNING,
     Subject.RECORDING,
     "Do not use times of a few steps; another clock source of the kernel may help "
     "(/sys/devices/system/clocksource/clocksource0/available_clocksource).",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -181,7 +181,7 @@ class Check:
             )
 
 
-def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:
+def _check(severity: Severity, code: str, subject: Subject, action: str) -> Callable[[Observe], Check]:
     """Make a `Check` of a function; its docstring's first line is the title."""
 
     def decorate(observe: Observe) -> Check:
@@ -189,3 +189,6 @@ def check(code: str, severity: Severity, subject: Subject, action: str) -> Calla
         return Check(code, severity, title, action, subject, observe)
 
     return decorate
+
+
+error, warning, note = (partial(_check, severity) for severity in (Severity.ERROR, Severity.WARNING, Severity.INFO))

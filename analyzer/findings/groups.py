@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.environment import environment_differences
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES, Percentile
-from .evidence import Evidence, Observation, check, exchange_name, some
+from .evidence import Evidence, Observation, error, exchange_name, note, some, warning
 
 
-@check("duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides.")
+@warning("duplicates", Subject.RESULT, "Look for a second bridge or route between the two sides.")
 def duplicates(evidence: Evidence) -> Iterator[Observation]:
     """Replies came more than once."""
     copies: dict[int, list[tuple[int, int]]] = defaultdict(list)
@@ -32,9 +32,8 @@ def duplicates(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@error(
     "negative_times",
-    Severity.ERROR,
     Subject.RUN,
     "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no two relays share a "
     "relay_id.",
@@ -56,11 +55,8 @@ _REPEAT_LABELS = frozenset({"attempt", "iteration", "pass", "repeat", "round", "
 """Labels that number repeats; they describe no setting."""
 
 
-@check(
-    "mixed_labels",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
+@warning(
+    "mixed_labels", Subject.RESULT, "Analyze them as separate folders, or compare them by run in roundtrips.parquet."
 )
 def mixed_labels(evidence: Evidence) -> Iterator[Observation]:
     """A result has runs with different labels."""
@@ -81,11 +77,8 @@ _MOST_FIELDS = 5
 """Fields that a finding lists; the sessions have all."""
 
 
-@check(
-    "environment_differs",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Analyze them as separate folders, or record again under equal conditions.",
+@warning(
+    "environment_differs", Subject.RESULT, "Analyze them as separate folders, or record again under equal conditions."
 )
 def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
     """A result has runs of different environments."""
@@ -97,12 +90,7 @@ def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(group, f"Runs of different environments are summarized together ({listed}).")
 
 
-@check(
-    "few_samples",
-    Severity.INFO,
-    Subject.RESULT,
-    "Record at least {needed} messages for each result to see all of them.",
-)
+@note("few_samples", Subject.RESULT, "Record at least {needed} messages for each result to see all of them.")
 def few_samples(evidence: Evidence) -> Iterator[Observation]:
     """Too few messages for a percentile."""
     names, samples = evidence.group_names, evidence.summary.samples
@@ -138,9 +126,8 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 """Wait of the slowest hundredth that no busy processor explains: periods, and at least ns."""
 
 
-@check(
+@warning(
     "waits_in_reader",
-    Severity.WARNING,
     Subject.RESULT,
     "This is the {role}'s program, not the link: a free CPU, another -o executor or a fresh process may help.",
 )

@@ -12,11 +12,11 @@ import polars as pl
 
 from dds_trace.base.units import counted, format_duration
 
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
 from ..verdicts.judgements import exceeds_lossy_share
-from .evidence import Evidence, Observation, check, exchange_name, percent
+from .evidence import Evidence, Observation, error, exchange_name, percent, warning
 from .rows import Rows, in_result
 
 _LOST = {
@@ -52,9 +52,8 @@ def _lost_where(row: Mapping[str, int]) -> str:
     return ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
 
 
-@check(
+@error(
     "nothing_received",
-    Severity.ERROR,
     Subject.RESULT,
     "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
 )
@@ -67,7 +66,7 @@ def nothing_received(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check("loss", Severity.WARNING, Subject.RESULT, "Percentiles here are of the received messages only; {cure}.")
+@warning("loss", Subject.RESULT, "Percentiles here are of the received messages only; {cure}.")
 def losses(evidence: Evidence) -> Iterator[Observation]:
     """Messages were lost."""
     members: dict[int, list[_Member]] = defaultdict(list)
@@ -160,9 +159,8 @@ _CAUSES = (_lost_with_relay, _outlived_lifespan, _dropped_by_zenoh, _outlived_hi
 """The first one that the trace shows is named."""
 
 
-@check(
+@warning(
     "relay_joined_late",
-    Severity.WARNING,
     Subject.RELAY,
     "Start every relay first, and give the ping -o relays={relays}, which waits for them.",
 )

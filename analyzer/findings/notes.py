@@ -9,17 +9,16 @@ import polars as pl
 from dds_trace.base.units import counted
 
 from ..groups.batch import WHOLE_GROUP_EVENTS
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.percentiles import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
 from . import calls, clocks, groups, runs, sessions, shapes, surroundings
-from .evidence import Check, Evidence, Observation, check, some
+from .evidence import Check, Evidence, Observation, note, some
 
 
-@check(
+@note(
     "sketched",
-    Severity.INFO,
     Subject.ANALYSIS,
     "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
 )
@@ -33,9 +32,8 @@ def sketched(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@note(
     "earlier_rows",
-    Severity.INFO,
     Subject.FILE,
     "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
 )
@@ -48,7 +46,7 @@ def stale_rows(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check("group_in_parts", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer of their runs to see these.")
+@note("group_in_parts", Subject.RESULT, "Analyze a folder with fewer of their runs to see these.")
 def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
     """A result has no breakdown and no responses, as it is too large."""
     names, in_parts = evidence.group_names, evidence.in_parts
@@ -62,9 +60,7 @@ def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
-    "not_compared", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer runs of each result to compare them."
-)
+@note("not_compared", Subject.RESULT, "Analyze a folder with fewer runs of each result to compare them.")
 def cases_not_compared(evidence: Evidence) -> Iterator[Observation]:
     """A kind of message has too many rows for comparing results."""
     if not evidence.details.requested or not evidence.rows.has_rows:

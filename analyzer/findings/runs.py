@@ -14,11 +14,11 @@ from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import ping_boots, share_boot
 from ..groups.summary import Summary
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..model.setting import parse_setting, setting_of
 from ..pairing.exchanges import Exchange, Unplaced
 from ..pairing.one_way import fit_devices, segment_table
-from .evidence import Evidence, Observation, check, exchange_name, some
+from .evidence import Evidence, Observation, error, exchange_name, note, some, warning
 from .rows import Rows, frame_of, in_run, named
 
 
@@ -115,7 +115,7 @@ def _unplaced(evidence: Evidence) -> pl.DataFrame:
 UNPLACED = Rows(Subject.FILE, _unplaced, named)
 
 
-@check("no_schedule", Severity.INFO, Subject.RUN, "Record T0 (scheduled_ns of T1) to see what a late sender hides.")
+@note("no_schedule", Subject.RUN, "Record T0 (scheduled_ns of T1) to see what a late sender hides.")
 def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
     """Runs have no planned send times."""
     unscheduled = {
@@ -134,9 +134,8 @@ def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@error(
     "forged_or_foreign",
-    Severity.ERROR,
     Subject.RUN,
     "Do not use this result: somebody else answered in the relay's name, or two relays share its id; record where nobody else "
     "can send, with one relay for each id and every bridge described.",
@@ -164,9 +163,8 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
+@error(
     "reply_size",
-    Severity.ERROR,
     Subject.RUN,
     "Do not use this result: its times are of other messages than the run describes. Look for a relay or a bridge that cuts or "
     "fills messages, or, of calls, give both sides one -o response_size.",
@@ -192,9 +190,8 @@ def _is_direct(exchange: Exchange) -> bool:
     return exchange.run.bridge == "none" and far_id in (None, exchange.ping.domain_id)
 
 
-@check(
+@warning(
     "doubtful_replies",
-    Severity.WARNING,
     Subject.RUN,
     "Record the relay's whole trace as well, which says how many replies it sent, or repeat where nobody else can send.",
 )
@@ -246,9 +243,8 @@ def _is_whole(evidence: Evidence, session: Session) -> bool:
     )
 
 
-@check(
+@warning(
     "relay_restarted",
-    Severity.WARNING,
     Subject.RUN,
     "Repeat the run with one relay throughout; where both its traces are here, a message counts for the one that was there.",
 )
@@ -275,9 +271,8 @@ def _answered_together(exchanges: Sequence[Exchange]) -> bool:
     return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)
 
 
-@check(
+@warning(
     "unrequested_relay",
-    Severity.WARNING,
     Subject.RUN,
     "End the others and record again; where all are to answer, give the ping -o relays={relays}.",
 )

@@ -13,8 +13,8 @@ from dds_trace.tracefile.format.json_fields import number_of, object_of
 from ..clocks.boots import machine_of
 from ..groups.host_samples import node_percent
 from ..groups.sending import LATE_NS
-from ..model.finding import Severity, Subject
-from .evidence import Evidence, Observation, check, percent
+from ..model.finding import Subject
+from .evidence import Evidence, Observation, percent, warning
 from .rows import Rows, frame_of, in_result
 
 _RATE_TOLERANCE = 0.02
@@ -24,9 +24,8 @@ _LAG_NS = 10_000_000
 """Least lag of a run: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""
 
 
-@check(
+@warning(
     "schedule_not_held",
-    Severity.WARNING,
     Subject.RESULT,
     "Do not compare this result with others of the requested rate; a lower rate or a free CPU may help.",
 )
@@ -56,9 +55,8 @@ _LATE_MESSAGES = 3
 """One hiccup of a short run is no habit."""
 
 
-@check(
+@warning(
     "late_sends",
-    Severity.WARNING,
     Subject.RESULT,
     "Latency does not include that wait; read response (T2 - T0). A publish that blocks or a busy processor delays the sender: "
     "a lower rate or size, or a free CPU, may help.",
@@ -130,9 +128,8 @@ _SAMPLES_NS = 2_000_000_000
 """Time without a sample (one a second) in which the sampling thread stood still."""
 
 
-@check(
+@warning(
     "stood_still",
-    Severity.WARNING,
     Subject.RUN,
     "Latency does not include that time, response (T2 - T0) does. Repeat the run; a stopped process, a paused machine and a "
     "publish that blocks look alike to a subscriber.",

@@ -23,8 +23,8 @@ from ..model.applied import (
     words_not_applied,
 )
 from ..model.environment import FLEETING, flat_fields
-from ..model.finding import Severity, Subject
-from .evidence import Evidence, Observation, check, some
+from ..model.finding import Subject
+from .evidence import Evidence, Observation, error, note, some, warning
 from .rows import Rows, frame_of, in_recording, named
 
 if TYPE_CHECKING:
@@ -81,9 +81,8 @@ def _failed_bridge(session: Session) -> Mapping[str, object] | None:
     return bridge if isinstance(bridge, dict) and bridge.get("state") in _BRIDGE_FAILURES else None
 
 
-@check(
+@error(
     "bridge_failed",
-    Severity.ERROR,
     Subject.RECORDING,
     "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
 )
@@ -101,12 +100,7 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
-    "missing_files",
-    Severity.INFO,
-    Subject.RECORDING,
-    "If you need those runs, copy the missing files into this folder.",
-)
+@note("missing_files", Subject.RECORDING, "If you need those runs, copy the missing files into this folder.")
 def missing_files(evidence: Evidence) -> Iterator[Observation]:
     """Files of a rotating recording are missing."""
     parts: dict[int, dict[int, Session]] = defaultdict(dict)
@@ -133,7 +127,7 @@ def _missing_numbers(parts: Sequence[int]) -> Iterator[str]:
             yield str(first) if first == last else f"{first} to {last}"
 
 
-@check("doubtful_session", Severity.WARNING, Subject.RECORDING, "Keep each recording in its own file.")
+@warning("doubtful_session", Subject.RECORDING, "Keep each recording in its own file.")
 def doubtful_sessions(evidence: Evidence) -> Iterator[Observation]:
     """More than one session could have recorded a run."""
     runs = Counter((doubt.role, doubt.candidates) for doubt in evidence.exchanges.doubts)
@@ -149,9 +143,8 @@ _MIDDLEWARE_PARTS = ("versions", "configuration", "settings")
 """Parts of the fingerprint that are compared within one vendor only."""
 
 
-@check(
+@warning(
     "unlike_environments",
-    Severity.WARNING,
     Subject.RECORDING,
     "Compare numbers across these sessions with care, or record again under equal conditions.",
 )
@@ -222,7 +215,7 @@ TRACES = Rows(Subject.FILE, _traces, named)
 NOTES_OF_READERS = Rows(Subject.FILE, lambda evidence: evidence.frame(_traces).explode("notes"), named)
 
 
-@check("skipped_file", Severity.INFO, Subject.FILE, "Nothing to do, unless one of them should be a trace.")
+@note("skipped_file", Subject.FILE, "Nothing to do, unless one of them should be a trace.")
 def skipped_files(evidence: Evidence) -> Iterator[Observation]:
     """Other files were not used."""
     others = [
@@ -237,7 +230,7 @@ def skipped_files(evidence: Evidence) -> Iterator[Observation]:
         yield Observation(some(others, 10), what)
 
 
-@check("overlapping_files", Severity.INFO, Subject.FILE, "Nothing to do; keep the more complete file to save time.")
+@note("overlapping_files", Subject.FILE, "Nothing to do; keep the more complete file to save time.")
 def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
     """Files share events."""
     read = {source.path for source in evidence.campaign.sources if source.status != "duplicate"}
@@ -250,9 +243,8 @@ def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
             yield Observation(name, f"{copy.events} of its events {events} also in {others}; {once} counted once.")
 
 
-@check(
+@error(
     "not_applied",
-    Severity.ERROR,
     Subject.RESULT,
     "No answer, bridge cost, recommendation or gate uses this result: request what the middleware can do, and record again.",
 )
@@ -292,9 +284,8 @@ _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
 """Share of the payload that a carrying interface sends, and payload larger than discovery."""
 
 
-@check(
+@warning(
     "several_networks",
-    Severity.WARNING,
     Subject.RECORDING,
     "Name one interface on both sides: NetworkInterface in CYCLONEDDS_URI, interfaceWhiteList in a Fast DDS profile.",
 )

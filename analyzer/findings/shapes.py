@@ -18,16 +18,16 @@ from dds_trace.base.units import counted, format_duration, format_size
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
-from ..model.finding import Finding, Severity, Subject
+from ..model.finding import Finding, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
-from .evidence import Check, Evidence, Observation, check
+from .evidence import Check, Evidence, Observation, note, warning
 
 _HALF = 2
 """A result is reported if one in this many of its runs, or more, show the same."""
 
 
-@check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with -o warmup={messages}, which leaves them out.")
+@warning("short_warm_up", Subject.RESULT, "Record with -o warmup={messages}, which leaves them out.")
 def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
     """The first messages are not like the others.
 
@@ -49,9 +49,8 @@ def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@warning(
     "latency_rises",
-    Severity.WARNING,
     Subject.RESULT,
     "Look at the timeline: a queue that fills, a processor that gets hot, a link that degrades. Longer runs will give other "
     "percentiles.",
@@ -73,9 +72,8 @@ def rising_latency(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@note(
     "two_modes",
-    Severity.INFO,
     Subject.RESULT,
     "Do not read a median or a mean as typical; look for two paths: a retransmission, a sleeping core, two transports.",
 )
@@ -121,9 +119,8 @@ _JUMP = 2.0
 """Growth of latency over growth of size that no proportional cost explains."""
 
 
-@check(
+@note(
     "latency_falls_with_size",
-    Severity.INFO,
     Subject.RESULT,
     "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
 )
@@ -137,9 +134,8 @@ def falls_with_size(evidence: Evidence) -> Iterator[Observation]:
             yield pair.observation(evidence, "falls")
 
 
-@check(
+@note(
     "latency_jumps_with_size",
-    Severity.INFO,
     Subject.RESULT,
     "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
 )

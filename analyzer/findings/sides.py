@@ -9,16 +9,15 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..model.setting import flows_of
 from ..pairing.exchanges import Overlap, find_overlaps
 from ..verdicts.judgements import Claim, Reason
-from .evidence import Evidence, Observation, check, percent, some
+from .evidence import Evidence, Observation, percent, some, warning
 
 
-@check(
+@warning(
     "overlapping_pings",
-    Severity.WARNING,
     Subject.RESULT,
     "Each was the other's load: record one after the other, or read both as measured under load.",
 )
@@ -52,9 +51,8 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@warning(
     "recorded_in_sequence",
-    Severity.WARNING,
     Subject.RESULT,
     "Record the setups in turn (dds-trace sweep does, with repeats), or compare them as they are with --trust-order.",
 )
@@ -73,9 +71,8 @@ def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@warning(
     "dependent_passes",
-    Severity.WARNING,
     Subject.RESULT,
     "A pause between the passes, a restart of what runs on between them, or more passes may help.",
 )
@@ -92,9 +89,8 @@ def dependent_passes(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
+@warning(
     "unlike_versions",
-    Severity.WARNING,
     Subject.DEVICE,
     "Latency here is neither version's: install one version on both devices, unless you want to test the pair.",
 )
@@ -127,11 +123,8 @@ def _versions(session: Session) -> dict[str, str]:
     return versions | ({"dds-trace": recorder} if isinstance(recorder, str) else {})
 
 
-@check(
-    "wireless_on_one_machine",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Give -o connectivity=loopback, or run the relay on the other device.",
+@warning(
+    "wireless_on_one_machine", Subject.RESULT, "Give -o connectivity=loopback, or run the relay on the other device."
 )
 def wireless_on_one_machine(evidence: Evidence) -> Iterator[Observation]:
     """A link called wireless was within one machine."""

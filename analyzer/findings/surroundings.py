@@ -11,9 +11,9 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 
-from ..model.finding import Severity, Subject
+from ..model.finding import Subject
 from ..run_statistics.change import Verdict
-from .evidence import Evidence, Observation, check, percent
+from .evidence import Evidence, Observation, note, percent, warning
 from .rows import Rows, frame_of, in_recording, in_result
 
 _LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01, "awake": 0.01, "emulated-pi3": 0.5}
@@ -97,9 +97,8 @@ SLOW_MATCH_NS = 2 * SECOND_NS
 """More than the fastest discovery of 20 participants took on a busy machine."""
 
 
-@check(
+@warning(
     "interference",
-    Severity.WARNING,
     Subject.RESULT,
     "Read this flow's numbers by itself as its best case. A link or processors of its own, a priority, or a lower rate or size of the other "
     "may help: measure it as another setup.",
@@ -109,9 +108,8 @@ def disturbed_flows(evidence: Evidence) -> Iterator[Observation]:
     return _worse(evidence, pl.col("flow") != "")
 
 
-@check(
+@note(
     "slower_under_load",
-    Severity.INFO,
     Subject.RESULT,
     "Processors of its own (-o cpu_affinity) or real-time priority (-o realtime) may help: measure them as another setup under the same load.",
 )

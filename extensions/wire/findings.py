@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import polars as pl
 
-from dds_trace.analyzer.findings.evidence import SMALLER_DATAGRAMS, Evidence, Observation, check, percent
+from dds_trace.analyzer.findings.evidence import SMALLER_DATAGRAMS, Evidence, Observation, percent, warning
 from dds_trace.analyzer.findings.rows import Row, Rows, in_result
 from dds_trace.analyzer.model.applied import may_be_cut
-from dds_trace.analyzer.model.finding import Severity, Subject
+from dds_trace.analyzer.model.finding import Subject
 from dds_trace.base.units import counted, three_digits
 
 WIRE = Rows(Subject.RESULT, lambda evidence: evidence.details.wire, in_result)
@@ -19,12 +19,7 @@ def _complete_rows(evidence: Evidence) -> Iterator[Row]:
     return evidence.details.wire.filter("complete").iter_rows(named=True)
 
 
-@check(
-    "fragments_lost",
-    Severity.WARNING,
-    Subject.RESULT,
-    f"One lost fragment loses its whole datagram: {SMALLER_DATAGRAMS}.",
-)
+@warning("fragments_lost", Subject.RESULT, f"One lost fragment loses its whole datagram: {SMALLER_DATAGRAMS}.")
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A result's datagrams lost IP fragments."""
     cut = {
@@ -55,9 +50,8 @@ FEWEST_AGAIN = 5
 """Enough for a median, and more than the first ones after a match."""
 
 
-@check(
+@warning(
     "retransmission_storm",
-    Severity.WARNING,
     Subject.RESULT,
     "Repeats take the room of new messages, and latency waits for them: {remedy}.",
 )
@@ -100,9 +94,8 @@ DISCOVERY_SHARE, DISCOVERY_BYTES = 0.25, 100_000
 link feels: 13 kbit/s; two Fast DDS participants on one machine announce themselves with 64 KB."""
 
 
-@check(
+@warning(
     "discovery_traffic",
-    Severity.WARNING,
     Subject.RESULT,
     "A discovery server, fewer participants (nodes in one process) or a longer lease and announcement period may help.",
 )

@@ -9,14 +9,14 @@ from trace_files import Message, write_pair
 from wording import numbers, report_as
 
 from dds_trace.analyzer.findings import table
-from dds_trace.analyzer.findings.evidence import check
+from dds_trace.analyzer.findings.evidence import warning
 from dds_trace.analyzer.findings.rows import RESULTS
-from dds_trace.analyzer.model.finding import Severity, Subject
+from dds_trace.analyzer.model.finding import Subject
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.reporters import REPORT_MODULES
 
 
-@check("odd_count", Severity.WARNING, Subject.RESULT, "Send {more} message more.")
+@warning("odd_count", Subject.RESULT, "Send {more} message more.")
 def odd_counts(evidence):
     """A result has an odd number of messages."""  # the finding's title
     for group, published in enumerate(evidence.summary.frame["published"]):

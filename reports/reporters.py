@@ -33,11 +33,7 @@ class Reporter(Protocol):
 
 
 def load_reporter(kind: str) -> Reporter:
-    """Return the reporter of one kind.
-
-    Raises:
-        OptionError: there is no such kind.
-    """
+    """Return the reporter of one kind; an `OptionError` if there is no such kind."""
     if kind not in REPORT_MODULES:
         raise OptionError(f"no report of kind {kind!r}; choose from {', '.join(REPORT_MODULES)}")
     reporter: Reporter = import_module(REPORT_MODULES[kind])

@@ -290,11 +290,7 @@ def _half_way(publish_ns: T, rtt_ns: T) -> T:
 
 
 def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:
-    """Fit the relay's clock against the ping's; return each fit with the offset at each message.
-
-    Raises:
-        ValueError: a message has `rtt < intermediate`.
-    """
+    """Fit the relay's clock against the ping's, if no `rtt < intermediate`; return each fit with the offset at each message."""
     edges = np.cumsum([0, *(len(messages.publish_ns) for messages in fits)]).tolist()
     # One array: numpy asks for large pages, which fill faster.
     points = OffsetIntervals(*np.empty((3, edges[-1])))
@@ -338,11 +334,7 @@ class FittedWindows:
 
 
 def windows_of(messages: RelayedMessages) -> FittedWindows:
-    """Fit the windows of at least one message.
-
-    Raises:
-        ValueError: a message has `rtt < intermediate`.
-    """
+    """Fit the windows of at least one message; a `ValueError` for one with `rtt < intermediate`."""
     points = OffsetIntervals(*np.empty((3, len(messages.publish_ns))))
     ordered = _Points.of(messages, points)
     stretches = tuple(find_stretches(points))

@@ -25,11 +25,7 @@ def can_start_processes() -> bool:
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield processes that end with this one whatever ends it.
-
-    Raises:
-        TraceError: one of them was killed.
-    """
+    """Yield processes that end with this one whatever ends it; a `TraceError` where one of them was killed."""
     # A fork would copy locks that other threads, also in polars, have taken.
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
     with _as_spawned():

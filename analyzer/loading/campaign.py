@@ -101,11 +101,7 @@ def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
 
 
 def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
-    """Return the campaign of some traces of `path`, a folder or the only file.
-
-    Raises:
-        MissingEventsError: `loaded` is empty.
-    """
+    """Return the campaign of some traces, at least one, of `path`, a folder or the only file."""
     if not loaded:
         raise MissingEventsError(_nothing_found(path, skipped))
     sessions: dict[int, Session] = {}

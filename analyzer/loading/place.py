@@ -35,11 +35,7 @@ class Place:
 
     @classmethod
     def of(cls, paths: Paths) -> Place:
-        """Return the place of one path, or of several on this machine.
-
-        Raises:
-            OptionError: there is no path, or one of several is in object storage.
-        """
+        """Return the place of a path, or of several on this machine; several in object storage are an `OptionError`."""
         arguments = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
         parts = tuple(dict.fromkeys(Path(path) for path in arguments))
         if not parts:
@@ -54,11 +50,7 @@ class Place:
 
     @property
     def default_output(self) -> Path:
-        """`analysis/` in the folder, next to a trace, or in the working directory for a remote path.
-
-        Raises:
-            OptionError: several paths have only the root of the file system in common.
-        """
+        """Return `analysis/` in the folder, next to a trace, or in the working directory for a remote path."""
         if self._is_scattered:
             raise OptionError(
                 f"the {len(self.parts)} paths have no folder in common; give a folder for the results with --out"

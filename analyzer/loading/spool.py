@@ -56,11 +56,7 @@ class SpooledEvents:
         return sum(piece.count for piece in self.pieces)
 
     def load(self) -> EventColumns:
-        """Read the events.
-
-        Raises:
-            OSError: the file cannot be read, or has become shorter.
-        """
+        """Read the events; an `OSError` if the file cannot be read, or has become shorter."""
         with open_regular(self.file, follow_links=False) as stream:
             return EventColumns(**{name: _read_column(stream, name, self.pieces) for name in _FIELDS})
 

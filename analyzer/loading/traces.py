@@ -78,11 +78,7 @@ class TraceSpool:
 
 
 def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatError:
-    """Load one trace, its events into a file of `folder`, which other processes can read; one piece with `room` stays in memory.
-
-    Raises:
-        OutputError: the events cannot be written.
-    """
+    """Load one trace, its events into a file of `folder` for other processes; one piece with `room` stays in memory."""
     file = folder / f"{secrets.token_hex(8)}.events"
     in_memory: list[Mapping[Stage, EventColumns]] = []
     written: dict[EventKey, list[tuple[int, int, SpooledPiece]]] = {}
@@ -120,11 +116,7 @@ def load_some(paths: Sequence[Path], folder: Path) -> list[LoadedTrace | TraceFo
 
 
 def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read one trace, without its events, which `take` gets piece by piece.
-
-    Raises:
-        TraceFormatError: it is not a trace, cannot be read, or is empty.
-    """
+    """Read one trace, without its events, which `take` gets piece by piece; an empty one is a `TraceFormatError`, too."""
     has_events = False
 
     def take_and_note(piece: Mapping[Stage, EventColumns]) -> None:

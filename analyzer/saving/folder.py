@@ -89,11 +89,7 @@ def _write_files(
 
 
 def read_folder(folder: Path) -> dict[str, Path]:
-    """Check every file of a save, and return name -> path.
-
-    Raises:
-        TraceFormatError: this is not a save of this version, or one of its files was changed.
-    """
+    """Return name -> path of a save; a `TraceFormatError` if it is of another version, or one of its files was changed."""
     manifest = _read_manifest(folder)
     if manifest.version < VERSION:
         what = f"version {manifest.version} of a saved analysis; this program reads version {VERSION}: analyze the traces again"

@@ -30,11 +30,7 @@ _MOST_TRACES = 64
 
 
 class ClusterEngine(Engine):
-    """The workers of the Dask scheduler at an address such as `tcp://host:8786`.
-
-    Raises:
-        BackendUnavailableError: Dask is not installed, or no scheduler answers.
-    """
+    """The workers of the Dask scheduler at an address such as `tcp://host:8786`; a `BackendUnavailableError` without."""
 
     takes_large_batches = True
 
@@ -74,11 +70,7 @@ class _EventsOfTrace:
     key: EventKey
 
     def load(self) -> EventColumns:
-        """Read the events.
-
-        Raises:
-            TraceFormatError: the trace changed.
-        """
+        """Read the events; a `TraceFormatError` if the trace changed."""
         loaded, _ = _loaded(self.path, self.analysis)
         if isinstance(loaded, TraceFormatError) or self.key not in loaded.parts:
             raise TraceFormatError(self.path, "changed while it was analyzed; analyze again")

@@ -49,11 +49,7 @@ def find_remote(path: Path) -> list[Path]:
 
 @contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
-    """Yield a temporary copy of the trace on this machine.
-
-    Raises:
-        TraceFormatError: it cannot be read.
-    """
+    """Yield a temporary copy of the trace on this machine; a `TraceFormatError` if it cannot be read."""
     with tempfile.TemporaryDirectory(prefix="dds-analyze-") as name:
         with _storage(path) as (files, root):
             for remote in _files_of(files, root):

@@ -46,11 +46,7 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
 
 
 def write_slices(slices: Iterable[Slice], path: Path) -> None:
-    """Write a timeline.
-
-    Raises:
-        ModuleNotFoundError: the extra is not installed.
-    """
+    """Write a timeline; a `ModuleNotFoundError` without the extra."""
     from perfetto.protos.perfetto.trace.perfetto_trace_pb2 import TrackEvent  # noqa: PLC0415 - optional
     from perfetto.trace_builder.proto_builder import StreamingTraceProtoBuilder  # noqa: PLC0415 - optional
 

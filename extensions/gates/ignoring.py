@@ -26,11 +26,7 @@ _MOST_TRIED = 50
 
 
 def match_without(ignored: Iterable[str]) -> tuple[str, ...]:
-    """Return the match columns without some of `IGNORABLE_COLUMNS`.
-
-    Raises:
-        OptionError: a name is none of them.
-    """
+    """Return the match columns without some; an `OptionError` for one that is not of `IGNORABLE_COLUMNS`."""
     names = set(ignored)
     unknown = sorted(names - set(IGNORABLE_COLUMNS))
     if unknown:
@@ -39,11 +35,7 @@ def match_without(ignored: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
-    """Refuse a match by which two groups of one side are one.
-
-    Raises:
-        OptionError: two groups of the side differ only in what is not matched.
-    """
+    """Raise an `OptionError` for a match by which two groups of one side are one."""
     left_out = [name for name in MATCH_COLUMNS if name not in match]
     if not left_out:
         return

@@ -107,11 +107,7 @@ class Watcher:
     def __init__(
         self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0, names: Sequence[str] = ()
     ) -> None:
-        """Bind the address at once; nothing is analyzed before `refresh`.
-
-        Raises:
-            OutputError: the address cannot be bound.
-        """
+        """Bind the address at once, or raise an `OutputError`; nothing is analyzed before `refresh`."""
         self._options = options
         self._stamp: Stamp | None = None
         self._spool = TraceSpool()

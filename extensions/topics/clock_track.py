@@ -83,11 +83,7 @@ class ClockTrack:
 
 
 def track_clock(messages: RelayedMessages) -> ClockTrack:
-    """Fit the clocks of two devices by at least one message.
-
-    Raises:
-        ValueError: a message has `rtt < intermediate`.
-    """
+    """Fit the clocks of two devices by at least one message; a `ValueError` for one with `rtt < intermediate`."""
     fitted = windows_of(messages)
     windows, pieces = fitted.windows, []
     for start, stop in fitted.stretches:

@@ -216,11 +216,7 @@ class ClockRequest:
 
     @classmethod
     def parse(cls, text: str) -> ClockRequest:
-        """Read `FOLDER [stamped=DEVICE recorded=DEVICE] [topics=PATTERN]`.
-
-        Raises:
-            OptionError: this is not such a text.
-        """
+        """Read `FOLDER [stamped=DEVICE recorded=DEVICE] [topics=PATTERN]`; other texts are an `OptionError`."""
         words = text.split()
         arguments = dict(word.partition("=")[::2] for word in words if word.partition("=")[0] in _KEYS)
         folder = " ".join(word for word in words if word.partition("=")[0] not in _KEYS)

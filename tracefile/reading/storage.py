@@ -112,11 +112,7 @@ def _opener_suffix(file: Path) -> str | None:
 
 @contextmanager
 def unpacked(packed: Path, ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> Iterator[Path]:
-    """Yield a file, of a packed one a copy, unpacked as far as possible; the reader reports one that is cut off.
-
-    Raises:
-        OutputError: the temporary folder has no room for the copy.
-    """
+    """Yield a file, of a packed one a copy, unpacked as far as there is room; the reader reports one that is cut off."""
     if packed.suffix != ZSTD_SUFFIX:
         yield packed
         return

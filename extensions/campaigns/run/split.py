@@ -39,11 +39,7 @@ class CellPart:
 
 
 def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
-    """Write the file of each part that has events, and return run id -> number of its events in `segment`.
-
-    Raises:
-        TraceFormatError: `segment` is not a trace, or describes no session.
-    """
+    """Write the file of each part with events; return run id -> its events. Only a trace is no `TraceFormatError`."""
     trace = read_trace(segment)
     if not trace.sessions:
         raise TraceFormatError(segment, "names no session, so its events have no clock; record the cells again")

@@ -18,11 +18,7 @@ from dds_trace.extensions.gates.compare import STATISTIC_BY_NAME, CompareOptions
 
 
 def check_statistic(text: str) -> tuple[str, str]:
-    """Return metric and statistic of a text such as `latency_p99`.
-
-    Raises:
-        OptionError: there is no such metric or statistic.
-    """
+    """Return metric and statistic of a text such as `latency_p99`; an `OptionError` where there is none."""
     metric, _, statistic = text.partition("_")
     if metric not in METRICS or statistic not in STATISTIC_BY_NAME:
         raise OptionError(

@@ -54,11 +54,7 @@ def offers(kind: str) -> dict[str, Callable[[], Any]]:
 
 
 def load(kind: str, name: str) -> Any:
-    """Return the object `name` of the field `kind`.
-
-    Raises:
-        OptionError: no extension offers it.
-    """
+    """Return the object `name` of the field `kind`; an `OptionError` if no extension offers it."""
     offered = offers(kind)
     if name not in offered:
         raise OptionError(f"there is no {name!r} among the {kind}; choose one of {', '.join(offered)}")

@@ -135,11 +135,7 @@ _DRAFT_LOCK_S, _LOCK_PAUSE_S = 0.2, 0.01
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
-    """Open a regular file for reading; a pipe would wait for a writer, and a device may never end.
-
-    Raises:
-        OSError: as `open`; or it is not a regular file, or a symbolic link without `follow_links`.
-    """
+    """Open a regular file; any other is an `OSError`: a pipe would wait for a writer, and a device may never end."""
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow_links else os.O_NOFOLLOW)
     descriptor = os.open(path, flags)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -153,11 +149,7 @@ MOST_SETTINGS_BYTES = 16 << 20
 
 
 def read_regular(path: Path, check_owner: Callable[[int], object] = bool) -> bytes:
-    """Read a file of settings whole, once `check_owner` has taken the id of its owner.
-
-    Raises:
-        OSError: as `open_regular`, or it is larger than `MOST_SETTINGS_BYTES`.
-    """
+    """Read a file of at most `MOST_SETTINGS_BYTES`, once `check_owner` has taken its owner; errors as of `open_regular`."""
     with open_regular(path) as file:
         check_owner(os.fstat(file.fileno()).st_uid)
         data = file.read(MOST_SETTINGS_BYTES + 1)

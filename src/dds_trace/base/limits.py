@@ -131,11 +131,7 @@ class Flag:
 
 
 def check(limit: Limit, value: object, where: str) -> None:
-    """Refuse a value of the option `where`; None passes, as not given.
-
-    Raises:
-        OptionError: `<where> <value>: <what to write>`.
-    """
+    """Raise an `OptionError` that begins with the option `where` if its value is refused; None passes, as not given."""
     fault = None if value is None else limit.fault(value)
     if fault is not None:
         raise OptionError(f"{where} {shown(value)}: {fault}")

@@ -43,11 +43,7 @@ class RecordReader:
     takes_defaults: bool = False
 
     def read(self, kind: type[Record], value: object) -> Record:
-        """Return the record.
-
-        Raises:
-            ValueError: `value` is not of this kind; the message names the field.
-        """
+        """Return the record; a `ValueError` names the field that is not of its kind."""
         record = self.value(kind, value, kind.__name__)
         assert isinstance(record, kind)
         return record

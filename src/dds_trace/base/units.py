@@ -78,11 +78,7 @@ def format_number(value: float) -> str:
 
 
 def parse_duration(text: str, what: str = "duration") -> int:
-    """Read a duration (ns, us, µs, ms, s) in ns; `what` names the value in the error.
-
-    Raises:
-        OptionError: `text` is no duration, is shorter than half a nanosecond, or is `INFINITE_NS` or longer.
-    """
+    """Read a duration (ns, us, µs, ms, s) below `INFINITE_NS`, in ns; `what` names it in the `OptionError`."""
     value, unit = split_quantity(text) or (0.0, "")
     duration_ns = round(value * _READ_NS.get(unit, 0))
     if not 0 < duration_ns < INFINITE_NS:
@@ -100,11 +96,7 @@ def spell_duration(duration_ns: int, digits: int = 15) -> str:
 
 
 def parse_rate(text: str, what: str = "rate") -> float:
-    """Read a rate (no unit, Hz, kHz) in Hz; `what` names the value in the error.
-
-    Raises:
-        OptionError: `text` is no rate, or 0.
-    """
+    """Read a rate (no unit, Hz, kHz) above 0, in Hz; `what` names it in the `OptionError`."""
     value, unit = split_quantity(text) or (0.0, "")
     rate_hz = value * UNIT_HZ.get(unit, 0)
     if not rate_hz:
@@ -118,11 +110,7 @@ def format_rate(value_hz: float | None) -> str:
 
 
 def parse_size(text: str, what: str = "size") -> int:
-    """Read a size in bytes; KB is 1000, KiB 1024. `what` names the value in the error.
-
-    Raises:
-        OptionError: `text` is no size, or no whole number of bytes.
-    """
+    """Read a whole number of bytes; KB is 1000, KiB 1024. `what` names it in the `OptionError`."""
     value, unit = split_quantity(text) or (0.0, "?")
     if unit not in UNIT_BYTES:
         raise OptionError(

@@ -45,10 +45,7 @@ def collect_details(
     options: AnalysisOptions,
     judged: GroupRows,
 ) -> Details:
-    """Make the details of a campaign, empty ones if they are not requested.
-
-    `judged` are the messages by which groups are compared.
-    """
+    """Make the details of a campaign, empty if not requested; `judged` are the messages by which groups are compared."""
     host_samples = host_sample_frame(campaign.traces)
     if not options.details:
         return replace(details_not_requested(), host_samples=host_samples)

@@ -153,10 +153,7 @@ _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""
 
 
 def run_command(command: Callable[[], object], *, needs_stdout: bool = True, room: Room | None = None) -> None:
-    """Call a command's app; end the process with one line at a user's error, and where there is no `room` for it.
-
-    Words that stderr or stdout does not take are lost; for stdout that is an error where `needs_stdout`.
-    """
+    """Call a command's app; a user's error, too little `room`, or a needed stdout that is closed end it with one line."""
     ended: SystemExit | None = None
     with plain_streams() as stdout, _unwinding_at_sigterm() if needs_stdout else nullcontext():
         try:

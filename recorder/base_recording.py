@@ -55,12 +55,7 @@ LOOK_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """The result of a recording.
-
-    Attributes:
-        trace: None for a ping that was stopped before its echo, and for a tap or beacon that heard nothing.
-        error: why a run ended early, a relay recorded nothing for a while, or a tap heard nothing.
-    """
+    """The result of a recording: no `trace` where nothing was met; `error` is why it ended early or what it missed."""
 
     trace: ClosedTrace | None
     session: Session

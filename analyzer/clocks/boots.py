@@ -54,10 +54,7 @@ def session_boots(sessions: Iterable[Session]) -> dict[int, int]:
 
 
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the boot of each run's ping by run_id, 0 where the session is unknown.
-
-    Stamps of two boots must not be mixed.
-    """
+    """Return the boot of each run's ping by run_id, 0 if unknown: stamps of two boots must not be mixed."""
     boots = session_boots(sessions)
     return {run.run_id: boots.get(session_of_run(run), 0) for run in runs}
 

@@ -127,11 +127,7 @@ class ClockKnot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ClockSegment:
-    """A stretch of time in which neither clock was stepped; times on the ping's monotonic clock.
-
-    Attributes:
-        drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
-    """
+    """A stretch of the ping's time without a step; `drift_ppb` is the mean rate at which the relay's clock gains."""
 
     start_ns: int
     end_ns: int
@@ -185,11 +181,7 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelayedMessages:
-    """The messages of one fit: int64 arrays T1, T3, T4, T2 of one length, in any order; the rest as in `ClockFit`.
-
-    Attributes:
-        same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
-    """
+    """The messages of one fit, in any order; `same_boot` (`boots.share_boot`) is None where names decide."""
 
     publish_ns: Int64
     relay_in_ns: Int64

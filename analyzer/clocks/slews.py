@@ -159,10 +159,7 @@ def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int
 
 
 def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
-    """Return the fastest slew of a device's monotonic clock in parts per million, 0 if it ran steadily.
-
-    The arrays are the two clocks at each host sample, by time.
-    """
+    """Return the fastest slew of a monotonic clock, by host samples in time order, in parts per million; 0 if steady."""
     if len(monotonic_ns) < _STEPS:
         return 0.0
     elapsed_ns, gain_ns = (monotonic_ns - monotonic_ns[0], (monotonic_ns - monotonic_ns[0]) - (raw_ns - raw_ns[0]))

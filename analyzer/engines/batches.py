@@ -108,12 +108,7 @@ CopiesByKey = Mapping[EventKey, tuple[Copies, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchResult:
-    """What a batch gives in addition to its rows.
-
-    Attributes:
-        copies: events that were left out because another trace has them.
-        values: metric -> int64 values that are not null, for a part of a group; None for whole groups.
-    """
+    """What a batch gives besides rows: `copies` of events left out, and of a part of a group the `values` by metric."""
 
     frames: Frames
     counts: pl.DataFrame

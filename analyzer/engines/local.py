@@ -47,10 +47,7 @@ class Engine(ExitStack):
         return load_campaign(location, load_all, skip=skip, progress=progress)
 
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
-        """Yield rows and results of the batches, in their order.
-
-        Two threads measure a large batch while the caller writes its rows; its parts are computed in parallel.
-        """
+        """Yield rows and results of the batches, in their order; two threads measure while the caller writes rows."""
         if not any(map(is_large, batches)):  # a large one leaves no room
             keep_freed_memory()
         with (

@@ -33,10 +33,7 @@ class Merged:
 
 
 def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch: bool) -> Merged:
-    """Merge the results of batches as they come, in the order of groups.
-
-    A part of a group brings its values, unless it is a `sketch`, which takes percentiles from histograms.
-    """
+    """Merge results of batches as they come, by group; a part of one brings its values, or histograms for a `sketch`."""
     frames: list[Frames] = []
     counts: list[pl.DataFrame] = []
     copies: dict[EventKey, tuple[Copies, ...]] = {}  # T1 of a run may be in several batches

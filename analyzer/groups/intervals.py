@@ -172,10 +172,7 @@ def sample_columns(interval: Interval) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sending:
-    """T1 of messages, ascending in each run, and their indices in that order.
-
-    `order` is None if it changes nothing, as without several relays.
-    """
+    """T1 of messages, ascending in each run, and their indices in that order, None if it changes nothing."""
 
     times: SendTimes
     order: NDArray[np.intp] | None

@@ -23,10 +23,7 @@ LEVELS = (
 
 
 def curves(distributions: pl.DataFrame) -> dict[tuple[int, str], tuple[int, ...]]:
-    """Return by group and metric the times, ns, that the first of `LEVELS` do not exceed, within the histogram's 0.1 %.
-
-    Level q needs 1 / (1 - q) messages.
-    """
+    """Return by group and metric the times, ns, of the `LEVELS` for which there are messages enough, within 0.1 %."""
     ordered = distributions.sort("group", "metric", "value_ns")
     values_ns, counts = ordered["value_ns"].to_numpy(), ordered["count"].to_numpy().astype(np.int64)
     lengths = ordered.group_by("group", "metric", maintain_order=True).agg(buckets=pl.len())

@@ -35,11 +35,7 @@ _NAMED_AT_MOST = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """The content of the traces of a folder; traces by index, sessions and runs by id, their latest description.
-
-    Attributes:
-        session_traces: indices of the traces that name a session; `run_traces` likewise.
-    """
+    """The traces of a folder; sessions and runs by id, their latest description, and the indices of their traces."""
 
     folder: Path
     sources: tuple[Source, ...]

@@ -95,10 +95,7 @@ def split_events(columns: EventColumns, *, by_run: bool = True, by_relay: bool) 
 
 
 def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
-    """Return the events of one stage, run and relay, each once, and the copies that were left out.
-
-    Copies agree in sequence and instant, as two recorded events never do.
-    """
+    """Return the events of one stage, run and relay, each once, and the copies (of sequence and instant) left out."""
     if not parts:
         return EventColumns.empty(), ()
     loaded = [part.load() for part in parts]

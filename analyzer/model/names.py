@@ -66,10 +66,7 @@ _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectiv
 
 
 def name_groups(parameters: pl.DataFrame) -> list[str]:
-    """Name each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
-
-    Left out are settings that are the same everywhere or follow from others (domains from the bridge).
-    """
+    """Name each group, as in `binary 33000 B at 10 Hz, fastdds`, by the settings that differ and follow from no others."""
     groups = parameters.to_dicts()
     others = dict.fromkeys(("domain_mode", *SERIES_COLUMNS))
     parts = [

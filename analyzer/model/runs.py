@@ -34,10 +34,7 @@ def tap_run_id(topic: str, sender: str, session_id: int) -> int:
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:
-    """Append a row `UNSENT` for each message that never left (by run_id).
-
-    `publish_ns` is from the last row of the run and relay; other times are null.
-    """
+    """Append a row `UNSENT` for each message that never left (by run_id), at the last `publish_ns` of run and relay."""
     last = roundtrips.filter(pl.col("run_id").is_in(list(unsent))) if unsent else roundtrips.head(0)
     if last.is_empty():
         return roundtrips
@@ -72,10 +69,7 @@ class RunRows:
     rows: pl.DataFrame
 
     def delivered(self, metric: str) -> Run:
-        """Return a metric of every message in ns, infinite for a lost one.
-
-        A reply without the relay's stamps counts with half of its round trip: leaving it out would favour losses.
-        """
+        """Return a metric of every message in ns: infinite if lost, half of the round trip without the relay's stamps."""
         at_most = self._floats(f"{metric}_ns")
         if self.is_whole(metric):
             return Run(at_most, self.rows["publish_ns"].to_numpy())

@@ -97,10 +97,7 @@ def _is_ours(drafts: Path) -> bool:
 
 
 def _move_results(whole: Path) -> None:
-    """Move complete results to their names; wherever this ends, it can be done again.
-
-    Earlier files are moved away first: to delete a large one takes a while.
-    """
+    """Move complete results to their names, again if need be; earlier files are moved away first, as deleting is slow."""
     folder = whole.parent
     names = sorted(path.name for path in whole.iterdir() if path.name != _MARK and path.suffix != ".old")
     for name in names[1:]:  # a single one is replaced at once

@@ -82,10 +82,7 @@ PERCENTILES = tuple(
 
 
 def quantile_of(ordered: Values, quantile: float) -> float:
-    """Return a quantile of ascending values, interpolated; infinite if an order statistic of it is.
-
-    Definition 7 of R. Hyndman and Y. Fan, American Statistician 50, 1996.
-    """
+    """Return a quantile (Hyndman and Fan, 1996: definition 7) of ascending values, infinite if an order statistic is."""
     position = quantile * (len(ordered) - 1)
     below = math.floor(position)
     low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])

@@ -14,10 +14,7 @@ from .base import BridgeOptions, Half
 
 
 def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
-    """Return `mode`, `listen`, `connect` and `scouting` of a zenoh configuration.
-
-    The halves meet at the given addresses only: no other zenoh program of the network joins in. With keys the link is TLS.
-    """
+    """Return the part of a zenoh configuration by which halves meet at the given addresses only, with keys by TLS."""
     tls = None if options.keys is None else zenoh_tls(options.keys, listens=options.half is Half.RELAY)
     scheme = "tcp" if tls is None else "tls"
     return {

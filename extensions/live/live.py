@@ -133,10 +133,7 @@ class Watcher:
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
     def refresh(self) -> bool:
-        """Analyze the folder if a file changed, and return whether there is a new report.
-
-        A failed analysis leaves the previous report, under a line with the reason.
-        """
+        """Analyze the folder if a file changed; return whether there is a new report. A failure is said in the old one."""
         stamp = _stamp_of(self._options.folder, self._target())
         if stamp == self._stamp:
             return False

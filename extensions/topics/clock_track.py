@@ -57,10 +57,7 @@ class ClockTrack:
     same_clock: bool
 
     def at(self, ping_ns: Int64) -> ClockOffsets:
-        """Return the offset at instants of the ping's clock, with bound `UNKNOWN_NS` where no message is near.
-
-        Between the messages before and after a step it is not known either.
-        """
+        """Return the offset at instants of the ping's clock, bound by `UNKNOWN_NS` far from messages and around steps."""
         offset_ns = np.zeros(len(ping_ns), np.int64)
         if self.same_clock:
             return ClockOffsets(offset_ns, np.zeros(len(ping_ns), np.int64))

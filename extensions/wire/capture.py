@@ -109,10 +109,7 @@ class WireCapture:
         return self._process.pid
 
     def begin(self, run_id: int | None = None) -> None:
-        """Restart counting; returns when all earlier packets are counted, after a quarter of a second.
-
-        Messages of `run_id` get rows; with None, as a relay does not know it, messages of all runs do.
-        """
+        """Count from now, a quarter of a second later; messages of `run_id`, or with None of all runs, get rows."""
         self._process.say(json.dumps({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"}))
         self._answer()
 

@@ -62,10 +62,7 @@ _KINDS = {
 
 
 def class_of(kind: int, writer: int) -> WireClass | None:
-    """Return the class of a submessage's first sending; None for one that carries nothing by itself.
-
-    Acknowledgements of discovery, by the entity id of the writer, count as discovery.
-    """
+    """Return the class of a submessage's first sending, of discovery by its writer; None if it carries nothing."""
     if kind in rtps.CONTEXT_KINDS:
         return None
     if writer & _BUILTIN_KIND == _BUILTIN_KIND:

@@ -20,10 +20,7 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class FrameBatch:
-    """Frames in the ring's memory, one row each, in the order of their capture; valid until the ring's `release`.
-
-    `wall_ns` is CLOCK_REALTIME at the capture, ns since 1970.
-    """
+    """Frames in the ring's memory, by capture at `wall_ns` (CLOCK_REALTIME); valid until the ring's `release`."""
 
     memory: NDArray[np.uint8]
     position: Numbers

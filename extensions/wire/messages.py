@@ -28,10 +28,7 @@ Stream = TypeVar("Stream")
 
 
 class Copy(NamedTuple):
-    """One sample, or some fragments of it (1 for a whole one), sent to one destination.
-
-    `destination` is a number for address and port; MULTICAST for all groups.
-    """
+    """One sample, or fragments of it (1 for a whole one), to one `destination`: address and port, or MULTICAST."""
 
     sequence: int
     fragment: int
@@ -150,10 +147,7 @@ STAMP_OFFSETS = (16, 8)
 
 
 def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None:
-    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours.
-
-    Of other messages four bytes are compared and none is stored.
-    """
+    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours."""
     for offset in STAMP_OFFSETS:
         begin = payload_at + offset
         if begin + STAMP_BYTES <= seen_end and memory[begin : begin + len(STAMP_PREFIX)] == STAMP_PREFIX:

@@ -180,10 +180,7 @@ class _Datagram(Generic[Owner]):
 
 
 class FragmentTable(Generic[Owner]):
-    """Datagrams by what their fragments have in common: addresses, identification, direction.
-
-    In `lost_trails` of them a submessage header was not seen, as a fragment was missing or out of order.
-    """
+    """Datagrams by what their fragments share; in `lost_trails` of them a header was lost with a fragment."""
 
     def __init__(self) -> None:
         self.lost_trails = 0

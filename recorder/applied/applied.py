@@ -52,10 +52,7 @@ class Applied:
         return self.begin if self.end is None else self.end
 
     def socket_drops(self) -> int | None:
-        """Return the datagrams dropped at the process's own UDP sockets during the run; None before the end, and if unknown.
-
-        A socket that was closed before the end counts nothing.
-        """
+        """Return the datagrams dropped at its open UDP sockets during the run; None before the end, or if unknown."""
         if self.end is None or self.end.sockets is None or self.begin.sockets is None:
             return None
         before = {socket.inode: socket.dropped for socket in self.begin.sockets}
@@ -150,10 +147,7 @@ def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
 
 
 def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
-    """Return whether an interface counted too little to have carried the payload, whatever the other traffic.
-
-    Only received messages are proof: what was sent may have been for nobody.
-    """
+    """Return whether an interface received too little to have carried the payload; what was sent may be for nobody."""
     if applied.end is None or traffic.received < MIN_MESSAGES or traffic.received_bytes < MIN_PAYLOAD_BYTES / 2:
         return False
     delta = interface_deltas(applied).get(interface)

@@ -63,10 +63,7 @@ def asked_settings(
     buffer_bytes: int | None = None,
     segment_bytes: int | None = None,
 ) -> Asked:
-    """Return what options and the user's configuration request.
-
-    `settings` are the node's (`Middleware.settings`), with the recorder's part; `environment` is as the user set it.
-    """
+    """Return what options (`Middleware.settings`) and the user's configuration and `environment` request."""
     facts = vendor_facts(vendor)
     uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
     requested = Asked(

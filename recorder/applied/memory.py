@@ -111,10 +111,7 @@ def parse_maps(text: str) -> dict[str, _Mapped]:
 
 
 def ports_of_others(ports: range, folder: Path = SHM) -> dict[str, int]:
-    """Return the receivers' queues of RTPS ports that belong to another user: name -> user id.
-
-    Only their owner can write to them.
-    """
+    """Return the receivers' queues of RTPS ports to which only another user can write: name -> user id."""
     owners: dict[str, int] = {}
     with suppress(OSError):
         for path in folder.iterdir():

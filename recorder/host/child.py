@@ -15,10 +15,7 @@ _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 
 
 def ending_with_parent() -> list[str]:
-    """Return the words before a command that make the kernel end it by SIGTERM with this process.
-
-    Empty without `setpriv` (util-linux). Before `setpriv` runs the parent may have ended, so a shell compares it first.
-    """
+    """Return the words before a command by which the kernel ends it with this process; none without `setpriv`."""
     setpriv = shutil.which("setpriv")
     if setpriv is None:
         return []
@@ -26,11 +23,7 @@ def ending_with_parent() -> list[str]:
 
 
 class Child(subprocess.Popen[bytes]):
-    """A program in a session of its own, as Ctrl-C is for this process, which ends it in order.
-
-    It ends by SIGTERM, also from the kernel when this process ends, or with `ends_by_input` when its standard input closes.
-    `lost` makes the error of `say` and `answer` where it has ended by itself.
-    """
+    """A program that ends with this process, by SIGTERM or its input's end; Ctrl-C is for this one, as sessions differ."""
 
     def __init__(
         self,

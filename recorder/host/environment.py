@@ -90,10 +90,7 @@ def _hashed(entry: str) -> dict[str, str | None]:
 
 @contextmanager
 def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Iterator[None]:
-    """Open a node in the block; raise an `OptionError` with what the middleware prints of a configuration that it refuses.
-
-    Without a configuration of the user's nothing is redirected.
-    """
+    """Open a node in the block; an `OptionError` has what the middleware prints of a configuration that it refuses."""
     if not (sources := environment.sources()):
         yield
         return

@@ -59,10 +59,7 @@ class MachineLoad:
 
 @contextmanager
 def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Iterator[MachineLoad]:
-    """Load the machine within the block: `network` sends to `host`; `emulated-pi3` takes four fifths of the last processor, the relay's.
-
-    An `OptionError` if this user may not keep processors from sleeping, or take one, or there is only one.
-    """
+    """Load the machine within the block (`load_program.py`); an `OptionError` where this user or machine cannot."""
     if kind == "none" or (kind == "network" and host is None):
         yield MachineLoad()
         return

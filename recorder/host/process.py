@@ -202,10 +202,7 @@ def stop_at_signals() -> StopEvent:
 
 
 def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:
-    """End the process with `exit_code` after this time; return what calls that off.
-
-    A timer of the C library calls its `_exit`, also while a thread keeps the interpreter's lock.
-    """
+    """End the process with `exit_code` after this time, whoever has the GIL; return what calls that off."""
     libc = library = ctypes.CDLL(None)
     if not hasattr(library, "timer_create"):  # glibc before 2.34
         library = ctypes.CDLL("librt.so.1")

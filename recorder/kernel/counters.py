@@ -76,10 +76,7 @@ def read_interfaces(root: Path = PROC) -> dict[str, InterfaceCounters]:
 
 
 def read_kernel_counters(root: Path = PROC) -> dict[str, int]:
-    """Return lost fragments and datagrams (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
-
-    UDP's names also occur in lines of other protocols, so each is taken from its own line.
-    """
+    """Return lost fragments and datagrams from the lines of IP and UDP in `/proc/net/snmp`; others have the same names."""
     names_of = {"Ip:": _FRAGMENT_COUNTERS, "Udp:": _UDP_COUNTERS}
     counters: dict[str, int] = {}
     rows = [line.split() for line in _lines(root / "self/net/snmp")]

@@ -36,10 +36,7 @@ def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None
 
 
 def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield the letters of `random.Random(seed).choices(alphabet, k=size)` in pieces, ten times as fast.
-
-    Python and numpy draw the same numbers from the same state of the Mersenne Twister.
-    """
+    """Yield `random.Random(seed).choices(alphabet, k=size)` ten times as fast: numpy draws the same numbers."""
     import numpy as np  # noqa: PLC0415 - the help of every command loads this module without numpy
 
     alphabet = np.frombuffer(_ALPHABET, np.uint8)

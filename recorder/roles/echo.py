@@ -61,10 +61,7 @@ def look_for_relays(node: Node, data_type: DataType) -> RelayView:
 def find_loss(
     node: Node, data_type: DataType, silence: Silence, *, ended: bool, patience_s: float = 0.0
 ) -> RelayLostError | None:
-    """Return the error of a relay that no longer answers, None while it may come back.
-
-    During the run, a visible relay, or one that has been silent for less than `patience_s`, is not lost: an outage is to be measured.
-    """
+    """Return the error of a lost relay: during the run one that is not visible, and silent for `patience_s`."""
     if not silence.is_lasting:
         return None
     if not ended and (silence.duration_ns < patience_s * SECOND_NS or look_for_relays(node, data_type).publishers):

@@ -29,10 +29,7 @@ MOST_TIMED_MESSAGES = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """The messages of a run and their schedule; no statistic counts the first `warmup` ones.
-
-    An infinite `rate_hz` sends as fast as the middleware takes them; `wake_ns` after a probe its message follows, 0 for no probes.
-    """
+    """The messages of a run and their schedule; `warmup` of them do not count, without probes `wake_ns` is 0."""
 
     payload: Payload
     rate_hz: float

@@ -25,10 +25,7 @@ CHANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class PingProgress:
-    """The progress of a ping's run, in messages, warm-up included; round trips so far.
-
-    `lost` are messages without a reply although a later one has one; at the end, all without one.
-    """
+    """Messages of a ping's run, warm-up included; `lost` lack a reply that a later one has, at the end any reply."""
 
     planned: int
     sent: int

@@ -87,10 +87,7 @@ class ReadBack:
         return self._node_differences + self._bridge
 
     def wait(self, stop: threading.Event, seconds: float) -> bool:
-        """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.
-
-        A relay reads at its first probe, 0.2 s before the first message: until then it polls.
-        """
+        """Wait for `stop`, or until there is something to `report` (a relay's first probe); return whether it is set."""
         left_s = seconds
         while self._applied is None and left_s > 0:
             slice_s = min(NEWS_S, left_s)

@@ -26,10 +26,7 @@ def tls_context(keys: str, *, listens: bool) -> ssl.SSLContext:
 
 
 class TlsSocket:
-    """A connected socket in TLS: one thread reads while others write.
-
-    `ssl.SSLSocket` is not for two threads: a blocked read keeps writers waiting, or both break its state.
-    """
+    """A TLS socket that one thread reads while others write: `ssl.SSLSocket` would block them, or break its state."""
 
     def __init__(self, connection: socket.socket, context: ssl.SSLContext, *, listens: bool) -> None:
         """Shake hands; an `OSError` means that the peer has no TLS, or no certificate of this authority."""

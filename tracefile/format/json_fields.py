@@ -55,10 +55,7 @@ def _encodable(value: Json) -> Json:
 
 
 class DescriptionFields:
-    """JSON object from a trace, taken field by field; the rest is unknown to this version.
-
-    A method that takes a field raises `TraceFormatError` if it is missing or of another type.
-    """
+    """JSON object from a trace, taken field by field; one that is missing or of another type is a `TraceFormatError`."""
 
     def __init__(self, fields: dict[str, Json], path: Path | str, what: str) -> None:
         self._unread = fields

@@ -184,12 +184,7 @@ class Text:
 
 @dataclass(slots=True)
 class Batch:
-    """Consecutive messages of a trace.
-
-    Attributes:
-        events: (stage, contiguous array of `EVENT_DTYPE`) pairs; each stage's events are in file order.
-        truncated: why the source ends early, in its last batch; else None.
-    """
+    """Consecutive messages; `events` are arrays of `EVENT_DTYPE` in file order, `truncated` why the source ends early."""
 
     events: list[tuple[Stage, Records]] = field(default_factory=list)
     texts: list[Text] = field(default_factory=list)
@@ -229,10 +224,7 @@ def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
 
 
 def unpack_message(data: bytes, most_bytes: int = _MESSAGE_BYTES) -> bytes:
-    """Unpack a message that rosbag2 has compressed by itself; return any other, or a damaged one, unchanged.
-
-    Serialized CDR begins with a zero byte, so it is never taken for a zstd frame.
-    """
+    """Unpack a message that rosbag2 compressed by itself; any other (CDR begins with zero), or a damaged one, stays."""
     if data[:4] != ZSTD_MAGIC:
         return data
     try:

@@ -45,12 +45,7 @@ class TraceDestination:
 
 @dataclass(frozen=True, slots=True)
 class ClosedTrace:
-    """Result of a recording.
-
-    Attributes:
-        error: why writing failed; None if everything is in a closed file.
-        ring_events: events that stayed in the ring because of `error`; readers use them, `recover` joins both.
-    """
+    """Result of a recording; `error` is why writing failed and left `ring_events` to readers and `recover`."""
 
     path: Path
     events: int

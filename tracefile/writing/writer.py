@@ -111,10 +111,7 @@ class TraceWriter:
         write_bag_metadata(trace.parent, "mcap", [file], self.topics, mode=mode, fsync=fsync)
 
     def write_events(self, slots: Slots) -> None:
-        """Append any number of events in the order of `slots`, in chunks of at most `MAX_CHUNK_EVENTS`.
-
-        After an error the chunks before it are in the file.
-        """
+        """Append events in the order of `slots`, in chunks; after an error the chunks before it are in the file."""
         for first in range(0, len(slots), MAX_CHUNK_EVENTS):
             chunk = slots[first : first + MAX_CHUNK_EVENTS]
             by_channel = positions_by_channel(chunk)
@@ -295,11 +292,7 @@ class TraceWriter:
 
 
 class TraceFiles:
-    """A new trace file with its session's description, and its empty ring.
-
-    Attributes:
-        drained: number of events in the file; all tickets below.
-    """
+    """A new trace file with its session's description, and its empty ring; `drained` events are in the file."""
 
     def __init__(self, destination: TraceDestination, session: Session, time_ns: int) -> None:
         self.destination = destination

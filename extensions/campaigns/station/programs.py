@@ -43,10 +43,7 @@ def local_program(name: str) -> list[str]:
 
 
 def environment_program(folder: Path, name: str) -> tuple[str, ...]:
-    """Return the words that run a command of another Python environment.
-
-    They remove our ROS 2 variables, with which the other ROS 2 would load ours.
-    """
+    """Return the words that run a command of another Python environment, without our ROS 2 variables."""
     program = folder / "bin" / name
     if not program.exists():
         raise OptionError(f"{folder} has no bin/{name}; install dds-trace there, or give another folder")

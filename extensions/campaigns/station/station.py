@@ -28,12 +28,7 @@ PERSON_WAIT_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Where the two roles of a sweep run.
-
-    Attributes:
-        lock: file descriptor of the folder's lock, for the programs to inherit.
-        relay_address: address of the relay's device, None on one machine; `further` of the other hosts.
-    """
+    """Where the roles of a sweep run; programs inherit the folder's `lock`, `relay_address` is None on one machine."""
 
     ping_command: Sequence[str]
     device: RelayDevice

@@ -87,10 +87,7 @@ def asset(package: str, name: str) -> str:
 
 @contextmanager
 def folder_lock(folder: Path, kind: int, wait_s: float = 0.0) -> Iterator[bool]:
-    """Lock a folder (`fcntl.LOCK_SH` or `LOCK_EX`) within the block; yield whether that succeeded within `wait_s`.
-
-    It fails where the folder is missing, its file system has no locks, or a stranger keeps one.
-    """
+    """Lock a folder (`fcntl.LOCK_SH` or `LOCK_EX`) within the block; yield whether that is possible, within `wait_s`."""
     descriptor, has_lock = None, False
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -179,10 +176,7 @@ def read_into(descriptor: int, target: memoryview, offset: int) -> int:
 
 
 def expand_home(text: str) -> Path:
-    """Return a path with the home folder in place of `~` or `~user`, or as it is if that user does not exist.
-
-    `Path.expanduser` raises there, though it may be a folder's name.
-    """
+    """Return a path with `~` or `~user` expanded; a name of no user's stays, where `Path.expanduser` raises."""
     return Path(os.path.expanduser(text))  # noqa: PTH111
 
 

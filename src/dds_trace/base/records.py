@@ -32,12 +32,7 @@ def to_json(value: object, not_finite: Callable[[float], object] = str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class RecordReader:
-    """Reader of what `to_json` returned, fields that its record lacks left out.
-
-    Attributes:
-        names: types that a record's module imports for type checkers only.
-        takes_defaults: a field that is missing may have its default.
-    """
+    """Reader of what `to_json` returned, without unknown fields; `names` are types imported for type checkers only."""
 
     names: Mapping[str, object] = field(default_factory=dict)
     takes_defaults: bool = False

@@ -43,11 +43,7 @@ def _without_command(line: str) -> str:
 
 
 class PlainStream:
-    """A text stream that is written plainly; where it cannot be written, only words are lost.
-
-    Attributes:
-        failure: why something could not be written, or None.
-    """
+    """A text stream that is written plainly; what cannot be written is lost, and `failure` says why."""
 
     def __init__(self, stream: Any, *, has_escapes: bool = False) -> None:
         self._stream = stream

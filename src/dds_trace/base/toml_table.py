@@ -93,10 +93,7 @@ class TomlTable:
                 raise OptionError(f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}")
 
     def fill(self, defaults: _Record, *others: str) -> _Record:
-        """Return a dataclass with the table's values, and with `defaults` where a key is missing.
-
-        A value has the type of its default; None means a text, a tuple one or several texts. `others` are allowed, too.
-        """
+        """Return `defaults` with the table's values, of their types (None: a text, a tuple: texts); `others` may be there."""
         names = [field.name for field in fields(defaults)]
         self.allow(*names, *others)
         return replace(

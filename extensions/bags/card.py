@@ -55,14 +55,15 @@ TOPIC_SCHEMA = frame_schema(
 HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 missing_low:u64 inside:bool")
 
 
-def timing(log_ns: Int64) -> Row:
+def timing(log_ns: Int64, recorded_ns: int) -> Row:
+    """Return the times of a topic; `recorded_ns` is 0 for a steady one, since messages without a rhythm may be one burst."""
     duration_ns = int(log_ns[-1] - log_ns[0])
     row: Row = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
     if duration_ns:
         period_ns = np.diff(log_ns)
         median = float(np.median(period_ns))
         row |= {
-            "rate_hz": len(period_ns) / (duration_ns / SECOND_NS),
+            "rate_hz": len(period_ns) / (max(duration_ns, recorded_ns) / SECOND_NS),
             "period_p50_ns": median,
             "period_p99_ns": float(np.quantile(period_ns, _P99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
             "gaps": int((period_ns > GAP_PERIODS * median).sum()),
@@ -288,7 +289,7 @@ class Card:
             "message_type": about.message_type,
             "encoding": about.encoding,
             "messages": len(topic),
-            **timing(times.log_ns),
+            **timing(times.log_ns, 0 if regularity else self._end_ns - self._start_ns),
             "jitter_ns": spread(times.log_ns[lag:] - times.log_ns[:-lag]) if len(times.log_ns) > lag else None,
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
             **ages(times.log_ns, times.publish_ns, times.stamp_ns, no_age),

@@ -46,8 +46,8 @@ TopicRow = Mapping[str, Any]
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
-    "Missing: messages that should be there, judged by stamps, numbers or the usual rate; a range where these disagree, - where none of them "
-    "can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
+    "Rate: the mean, holes included. Missing: messages that should be there, judged by stamps, numbers or the usual rate; "
+    "a range where these disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
@@ -172,13 +172,11 @@ def _age_words(row: TopicRow) -> str:
     return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
 
 
-def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tuple[str, ...]:
-    # Without a rhythm, messages may be one burst.
-    rate_hz = row["expected_rate_hz"] or (row["rate_hz"] and row["messages"] * SECOND_NS / health.duration_ns)
+def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",
-        "" if rate_hz is None else format_rate(rate_hz),
+        "" if row["rate_hz"] is None else format_rate(row["rate_hz"]),
         missing_words(row),
         "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
         _share_words(sum(strip) / len(strip)) if row["expected_rate_hz"] else "",
@@ -189,6 +187,8 @@ def cells(row: TopicRow, strip: Sequence[float], health: RecordingHealth) -> tup
 
 
 def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
+    if row["missing_low"] and row["expected_rate_hz"]:
+        yield f"{format_rate(row['expected_rate_hz'])} while no message is missing"
     if row["missing_low"] and row["missing_from"] != "period":
         yield f"{counted(row['missing'], 'message')} missing {READ_BY[row['missing_from']]}"
     if row["missing_inside"] and row["missing_low"]:
@@ -320,7 +320,7 @@ def _end(health: RecordingHealth) -> str:
 
 def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]) -> Row:
     lines = [*hole_lines(row, holes, health), *topic_notes(row, health)]
-    first, *others = cells(row, strip, health)
+    first, *others = cells(row, strip)
     words = f"{first}: time from 00:00 to {_end(health)}, {'; '.join(lines) or 'without holes'}"
     is_periodic = row["missing_from"] != ""
     text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)

@@ -1,12 +1,14 @@
 import pytest
-from card_bags import START_NS, write
+from card_bags import START_NS, timer, write
 from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 from typer.testing import CliRunner
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
+from dds_trace.base.units import format_duration, format_rate
 from dds_trace.extensions.bags.analyze import analyze_topics
-from dds_trace.extensions.bags.limits import judge_tap
+from dds_trace.extensions.bags.limits import judge_tap, judge_topics
+from dds_trace.extensions.bags.report import COLUMNS, cells
 from dds_trace.extensions.gates.command import app
 from dds_trace.extensions.gates.compare import CompareOptions, compare
 from dds_trace.extensions.gates.gate import Against, GateOutcome, parse_gate
@@ -177,3 +179,17 @@ def test_only_taps_can_be_judged(tmp_path):
     assert result.exit_code == 0, result.output
     result = CliRunner().invoke(app, [str(folder), "--fail-if", "age_p50(/camera/image) > 3ms", "--strict"])
     assert result.exit_code == 21, result.output
+
+
+def test_a_gate_judges_the_number_of_the_table(tmp_path):
+    steady, burst = {"/camera": timer(20, 30, without=[(10, 12)])}, [(START_NS + n * MS // 2, 0) for n in range(10)]
+    report = analyze_topics(write(tmp_path / "drive.mcap", steady | {"/imu": timer(100, 30), "/rosout": burst}))
+    (limits := tmp_path / "limits.toml").write_text(
+        "[thresholds.'/*']\nrate = '> 1 Hz'\nmissing = '< 99 %'\njitter = '< 10 s'\n"
+    )
+    judged = [*judge_topics(report.topics, report.holes, read_limits(limits, of_recording=True))]
+    for row, strip in zip(report.topics.rows(named=True), report.strips, strict=True):
+        shown = dict(zip(COLUMNS, cells(row, strip), strict=True))
+        rate, missing, jitter = (topic.result.value for topic in judged if topic.where == row["topic"])
+        assert (format_rate(rate), format_duration(jitter)) == (shown["Rate"], shown["Jitter"])
+        assert shown["Missing"] in {"0", "-"} or f"({missing:.1%})".replace("%", " %") in shown["Missing"]

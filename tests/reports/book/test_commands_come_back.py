@@ -101,14 +101,13 @@ def printed(parameters, **changes):
 @pytest.mark.parametrize(
     ("link", "axes", "sent"),
     [
-        (link, axes, [*SENT][(row + column) % len(SENT)])
+        (link, axes, sent)
         for row, link in enumerate(LINKS)
         for column, axes in enumerate(AXES)
+        if (axes, sent := [*SENT][(row + column) % len(SENT)]) != ("outage", "imu")  # an outage has a rate
     ],
 )
 def test_a_plan_that_is_printed_has_the_settings_of_its_result(link, axes, sent):
-    if (sent, axes) == ("imu", "outage"):
-        pytest.skip("an outage has a rate")
     text = f"{HERE}{LINKS[link]}[axes]\n{AXES[axes]}[[matrix]]\n{SENT[sent]}"
     plan = parse_plan(text, "one", "one.toml")
     parameters, cell = result_of(plan)

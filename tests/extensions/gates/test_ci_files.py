@@ -85,7 +85,7 @@ class Job:
         files = {"GITHUB_OUTPUT": str(output), "GITHUB_STEP_SUMMARY": str(self.folder / "summary.md")}
         done = bash(STEPS[step]["run"], self.folder, env | files | environment)
         if output.exists():
-            said = dict(line.split("=", 1) for line in output.read_text().splitlines())
+            said = dict(line.split("=", 1) for line in output.read_text().rstrip("\n").split("\n"))
             self._values |= {f"steps.{step}.outputs.{name}": value for name, value in said.items()}
         return done
 
@@ -194,6 +194,8 @@ def test_a_comment_comes_where_something_changed_and_only_an_own_one_is_updated(
     [
         ({"looks": "99"}, 2, "looks"),
         ({"strict": "yes"}, 2, "strict"),
+        ({"out": "dds-trace\nstatus=0"}, 2, "one line"),
+        ({"base": "gone.toml\n::error::forged"}, 2, "one line"),
         ({"new": "missing.toml"}, 2, "missing.toml"),
         ({"base": "main/other.toml"}, 0, "No base yet"),
         ({"fail_if": "latncy_p50 > +10%"}, 2, "did you mean"),
@@ -216,6 +218,32 @@ def test_an_input_that_is_refused_and_a_first_pull_request_are_one_line(desk, in
         assert (job.run("verdict").returncode, job.run("comment").returncode) == (0, 0)
         assert "No base yet" in (job.folder / "summary.md").read_text()
         assert not (job.folder / "calls.log").exists()
+
+
+@pytest.mark.parametrize(
+    "odd", ['a "quoted" \\ name', "it's $(touch made) `touch made`; *", "tab\t{}[]:,#&", "\u2028 ü ↯"]
+)
+def test_what_the_action_writes_is_whole_for_any_name(desk, odd):
+    folder = desk(repeats=1)
+    stub(
+        folder,
+        "dds-trace",
+        f'''[ "$1" = sweep ] || exec "{stand_ins()}/dds-trace" "$@"
+for side in base new; do mkdir -p "$6/$NAME" && cp -r "{ROOT}/sample_traces/same_domain" "$6/$NAME/$side"; done; exit 21''',
+    )
+    gates = "latency_p50 > 10s\n\nlatency_p99 > +1000%"
+    job = Job(folder, base="main/plan.toml", new=odd, fail_if=gates, looks="1", out=f"out {odd}")
+    done = job.run("compare", NAME=f"plan {odd}", PATH=f"{folder / 'bin'}:{os.environ['PATH']}")
+    assert done.returncode == 0, done.stderr
+    said = dict(line.split("=", 1) for line in (folder / "output-compare").read_text().rstrip("\n").split("\n"))
+    assert {"base", "new", "outcome", "status"} == said.keys()
+    assert (folder / said["base"]).samefile(folder / f"out {odd}" / f"plan {odd}" / "base")
+    out = folder / f"out {odd}"
+    compared, badge = (json.loads((out / f"{name}.json").read_text()) for name in ("comparison", "badge"))
+    assert ({gate["gate"] for gate in compared["gates"]}, badge["schemaVersion"]) == ({*gates.split("\n\n")}, 1)
+    assert ET.parse(out / "gates.xml").getroot().get("tests") == str(len(compared["gates"]))
+    assert all(line.startswith("::") for line in (out / "annotations.txt").read_text().splitlines())
+    assert not list(folder.rglob("made"))
 
 
 DRIVER = """

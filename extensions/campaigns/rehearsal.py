@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceError
-from dds_trace.base.files import expand_home
 from dds_trace.extensions.bridges.base import load_bridge
 from dds_trace.recorder.options import DEFAULT_WAIT_S
 from dds_trace.recorder.payloads import is_live
@@ -20,7 +19,7 @@ from .plan.commands import half_arguments, ping_arguments, relay_arguments
 from .plan.schedule import group_by_relay
 from .run.runner import middlewares_of, missing_here
 from .run.state import SweepState
-from .station.programs import environment_program, rehearse_program
+from .station.programs import missing_environment, rehearse_program
 from .station.station import open_station
 
 if TYPE_CHECKING:
@@ -60,11 +59,7 @@ def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dic
 def _not_here(needed: Middlewares, bridge: str, *, is_remote: bool) -> str | None:
     environment, backend, rmw, relay_backend, relay_rmw, _ = needed
     if environment:
-        try:
-            environment_program(expand_home(environment).absolute(), "dds-record")
-        except TraceError as err:
-            return str(err)
-        return None
+        return missing_environment(environment)
     reason = missing_here(backend, rmw) or (None if is_remote else missing_here(relay_backend, relay_rmw))
     if reason is None and bridge != DEFAULTS["bridge"] and load_bridge(bridge).find() is None:
         reason = f"{bridge} is not here: {load_bridge(bridge).install}"
@@ -131,7 +126,10 @@ class _Rehearsal:
     _too_old: set[str] = field(default_factory=set, init=False)  # environments
 
     def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
-        reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
+        reasons = {
+            cell: missing_environment(cell.environment) or self._refusal(self._ping_arguments(cell))
+            for cell in group.cells
+        }
         accepted = [cell for cell, reason in reasons.items() if reason is None]
         relay_reason = self._rehearse_relay(group) if accepted else None
         reasons |= {cell: relay_reason or self._rehearse_ping(cell) for cell in accepted}

@@ -27,7 +27,7 @@ from ..plan.cells import Cell
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.flows import is_crowded, recorded_together, relay_places
 from ..plan.schedule import Estimate, start_lead_s
-from ..station.programs import Program
+from ..station.programs import Program, missing_environment
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
 from .outage import Outage
 from .result import read_result
@@ -414,6 +414,8 @@ def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, st
     for needed in dict.fromkeys(map(middlewares_of, plan.cells)):
         environment, backend, rmw, relay_backend, relay_rmw, environment_name = needed
         if environment:
+            if reason := missing_environment(environment):
+                missing[needed] = reason
             continue
         relay = reason_of(relay_backend, relay_rmw, environment_name, is_remote=plan.has_two_devices)
         if reason := reason_of(backend, rmw, environment_name, is_remote=False) or relay:

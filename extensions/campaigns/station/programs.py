@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError
-from dds_trace.base.files import create_file
+from dds_trace.base.files import create_file, expand_home
 from dds_trace.extensions.bridges.programs import program_environment
 from dds_trace.extensions.bridges.supervise import describe_end
 from dds_trace.recorder.host.child import Child
@@ -52,6 +52,15 @@ def environment_program(folder: Path, name: str) -> tuple[str, ...]:
     words = [word for key in changed if key not in variables for word in ("-u", key)]
     words += [f"{key}={variables[key]}" for key in changed if key in variables]
     return ("env", *words, str(program))
+
+
+def missing_environment(environment: str) -> str | None:
+    try:
+        if environment:
+            environment_program(expand_home(environment).absolute(), "dds-record")
+    except OptionError as err:
+        return str(err)
+    return None
 
 
 class Program:

@@ -14,7 +14,7 @@ from dds_trace.recorder.security.keys import shared_keys
 from ..folder import make_parts
 from .devices import LocalDevice, PrintedDevice, SpreadDevice
 from .namespaces import NamespacePair
-from .programs import environment_program, local_program
+from .programs import environment_program, local_program, missing_environment
 from .ssh import SshDevice, folder_there
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def open_station(
     others = {
         environment: environment_program(expand_home(environment).absolute(), "dds-record")
         for environment in dict.fromkeys(cell.environment for cell in plan.cells)
-        if environment
+        if environment and missing_environment(environment) is None
     }
     if plan.by_hand:
         yield Station(recorder, PrintedDevice(show), lock, PERSON_WAIT_S, plan.relay.reached_at)

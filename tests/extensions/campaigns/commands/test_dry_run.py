@@ -276,15 +276,20 @@ def test_generated_plans_that_pass_start_their_cells(tmp_path, domains, examples
     assert started > 0
 
 
-def test_an_environment_that_is_not_there_is_left_out(tmp_path, capsys):
+@pytest.mark.middleware
+def test_an_environment_that_is_not_there_is_left_out(tmp_path, domain_id, capsys):
     path = tmp_path / "plan.toml"
     path.write_text(
-        HEAD.format(10, 5) + "[axes]\nbackend = 'socket'\nenvironment = ['', 'gone']\n[[matrix]]\nsize = '1KB'\n"
+        HEAD.format(domain_id, 5) + "[axes]\nbackend = 'socket'\nenvironment = ['', 'gone']\n[[matrix]]\nsize = '1KB'\n"
     )
-    assert run_trace("sweep", path, "--out", tmp_path / "runs", "--dry-run") == 10
-    said = capsys.readouterr()
-    assert "1 left out" in said.out
-    assert "gone has no bin/dds-record" in said.err
+    for more in (["--dry-run"], ["--rehearse"], []):
+        assert run_trace("sweep", path, "--out", tmp_path / "runs", *more) == 10
+        said = capsys.readouterr()
+        assert ("1 left out" in said.out) == bool(more)
+        assert "gone has no bin/dds-record" in said.err
+    assert [trace.name for trace in (tmp_path / "runs/plan").glob("*.ping.mcap")] == [
+        "socket_same_binary-1KB_10Hz.ping.mcap"
+    ]
 
 
 def test_a_search_is_promised_by_its_own_bisection(tmp_path, capsys):

@@ -5,6 +5,7 @@ python scripts/quoted.py runs/paper-claims   # keeps the rows of that sweep, and
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from statistics import median
@@ -258,17 +259,18 @@ FUTURE = (
         "more QoS",
         "`sweep`, axes {}; `record -o deadline`, `-o lifespan`",
         ("reliability", "durability", "history", "depth"),
-        "done",
     ),
-    ("stress", "`sweep`, axes {}", ("load", "relays", "pings"), "done"),
-    ("moving nodes", "`sweep plans/drive.toml`, axes {}", ("outage", "outage_by"), "emulated"),
-    ("5G", "`sweep`, link {}", ("5g",), "emulated"),
-    ("security", "`sweep`, axis {}", ("security",), "done"),
-    ("a recommender", "`choose`, `advise`", (), "done"),
-    ("a GUI that learns", "", (), "not done"),
-    ("why 502 KB", "`explain size 145KB..1MB plans/paper-explain-size.toml`", (), "in part"),
+    ("stress", "`sweep`, axes {}", ("load", "relays", "pings")),
+    ("moving nodes", "`sweep plans/drive.toml`, axes {}", ("outage", "outage_by")),
+    ("5G", "`sweep`, link {}", ("5g",)),
+    ("security", "`sweep`, axis {}", ("security",)),
+    ("a recommender", "`choose`, `advise`", ()),
+    ("a GUI that learns", "", ()),
+    ("why 502 KB", "`explain size 145KB..1MB plans/paper-explain-size.toml`", ()),
 )
-"""What it is, the command with the axes or link that it has, and what is done."""
+"""What it is, and the command with the axes or link that it has."""
+EMULATED = {*PRESETS, "outage", "outage_by"}
+PAGE = STUDY.with_suffix(".md")
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,17 +360,35 @@ def participants_answer(_runs: Runs) -> tuple[str, str]:
     return words, "as calculated" if usual == PARTICIPANTS else CONTRADICTED
 
 
+def causes_found() -> list[str | None]:
+    """Return what moves the jump in each setup, None where it is not known, as the block of `explain size` on the page has it."""
+    causes = re.findall(r"what moves it: (.+)", PAGE.read_text())
+    return [None if cause == "not known" else cause for cause in causes]
+
+
+def state_of(how: str, names: Sequence[str]) -> str:
+    """Return how far a work is done: by its command, and for a question by the answers that its traces give."""
+    if "`explain" in how:
+        found = [cause is not None for cause in causes_found()]
+        return "done" if found and all(found) else "in part" if any(found) else "not done"
+    return "emulated" if EMULATED & {*names} else "done" if how else "not done"
+
+
 def future_answer(_runs: Runs) -> tuple[str, str]:
     """Return what is done of each future work, with its command; a named axis or link that is not there is an error."""
-    missing = [name for _, _, names, _ in FUTURE for name in names if name not in {**AXES, **PRESETS}]
+    missing = [name for _, _, names in FUTURE for name in names if name not in {**AXES, **PRESETS}]
     if missing:
         raise KeyError(*missing)
+    causes = Counter(cause or "not known" for cause in causes_found())
+    answers = ", ".join(f"{cause} {count} of {causes.total()}" for cause, count in causes.items())
     commands = [
-        f"{what}: {how.format(', '.join(f'`{name}`' for name in names))}" for what, how, names, _ in FUTURE if how
+        f"{what}: {how.format(', '.join(f'`{name}`' for name in names))}" + f" ({answers})" * ("`explain" in how)
+        for what, how, names in FUTURE
+        if how
     ]
     done: dict[str, list[str]] = defaultdict(list)
-    for what, _, _, state in FUTURE:
-        done[state].append(what)
+    for what, how, names in FUTURE:
+        done[state_of(how, names)].append(what)
     return "; ".join(commands), "; ".join(f"{state}: {', '.join(work)}" for state, work in done.items())
 
 

@@ -2,12 +2,16 @@
 
 import csv
 import math
+import re
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from commands import run_trace
 from trace_files import Message, ping_session, relay_session, run, write_pair
+
+from dds_trace.recorder.option_table import OPTIONS
 
 ROOT = Path(__file__).parents[2]
 MS = 1_000_000
@@ -143,3 +147,27 @@ def test_a_ratio_above_its_bar_is_bold_and_a_throughput_has_its_finding(quoted):
     table = [line.split(" | ")[1:] for line in quoted.ratio_table(rows).splitlines()[2:]]
     assert table == [["bare", "**1.30**<br>1.20-1.40", "1.2 |"], ["C", "1.30<br>1.20-1.40", " |"]]
     assert quoted.ratio_table(rows, is_throughput=True).count("max | 1.30<br>1.20-1.40<br>`client_bound` in 2 |") == 1
+
+
+def test_each_future_work_has_the_state_of_its_command_or_of_the_answers_to_it(quoted, tmp_path, monkeypatch):
+    claims = sys.modules[quoted.claim_table.__module__]
+    commands = [command for _, how, _ in claims.FUTURE for command in re.findall("`([^`]+)`", how)]
+    for command in (command for command in commands if not command.startswith("-")):
+        words = command.replace("{}", "").split()
+        assert run_trace(*words[:1], "--help") == 0
+        if plans := [word for word in words if word.endswith(".toml")]:
+            monkeypatch.chdir(ROOT)
+            assert run_trace(*words, "--dry-run", "--out", tmp_path) in (0, 10), plans
+    options = [word for command in commands for word in re.findall(r"-o (\w+)", command)]
+    assert {*options} <= OPTIONS.keys()
+    monkeypatch.setattr(claims, "PAGE", page := tmp_path / "study.md")
+    states = []
+    for causes in (("buffer", "queue"), ("buffer", "not known"), ("not known",), ()):
+        page.write_text("".join(f"  what moves it: {cause}\n" for cause in causes))
+        states.append(claims.state_of("`explain size`", ()))
+    assert states == ["done", "in part", "not done", "not done"]
+    assert [claims.state_of(*work) for work in (("`sweep`", ("5g",)), ("`sweep`", ("load",)), ("", ()))] == [
+        "emulated",
+        "done",
+        "not done",
+    ]

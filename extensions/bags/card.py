@@ -30,7 +30,8 @@ from .losses import NONE, Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .neighbours import find_silences
 from .observations import Observation, explained, has_losses, observe
-from .periods import Int64, spread
+from .periods import Int64
+from .quantiles import median, quantile, spread
 from .read import copied_messages
 from .weighing import Source, weigh
 
@@ -61,12 +62,12 @@ def timing(log_ns: Int64, recorded_ns: int) -> Row:
     row: Row = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
     if duration_ns:
         period_ns = np.diff(log_ns)
-        median = float(np.median(period_ns))
+        median_ns = median(period_ns)
         row |= {
             "rate_hz": len(period_ns) / (max(duration_ns, recorded_ns) / SECOND_NS),
-            "period_p50_ns": median,
-            "period_p99_ns": float(np.quantile(period_ns, _P99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
-            "gaps": int((period_ns > GAP_PERIODS * median).sum()),
+            "period_p50_ns": median_ns,
+            "period_p99_ns": quantile(period_ns, _P99) if len(period_ns) >= _FEWEST_FOR_P99 else None,
+            "gaps": int((period_ns > GAP_PERIODS * median_ns).sum()),
             "gap_max_ns": int(period_ns.max()),
         }
     return row
@@ -106,8 +107,8 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, no_age: str | None) 
         "age_messages": len(age_ns),
         "age_negative": int((age_ns < 0).sum()),
         "age_min_ns": int(age_ns.min()),
-        "age_p50_ns": float(np.median(age_ns)),
-        "age_p99_ns": float(np.quantile(age_ns, _P99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
+        "age_p50_ns": median(age_ns),
+        "age_p99_ns": quantile(age_ns, _P99) if len(age_ns) >= _FEWEST_FOR_P99 else None,
         "age_max_ns": int(age_ns.max()),
         "age_start_ns": start_ns,
         "age_end_ns": end_ns,
@@ -123,14 +124,14 @@ def bursts(log_ns: Int64) -> Row:
     mean_ns = float(steps_ns.mean())
     pauses = np.flatnonzero(steps_ns > mean_ns)
     counts = np.diff(pauses)
-    if 2 * len(counts) < FEWEST or np.median(steps_ns[steps_ns <= mean_ns]) > mean_ns / (2 * 2):
+    if 2 * len(counts) < FEWEST or median(steps_ns[steps_ns <= mean_ns]) > mean_ns / (2 * 2):
         return {}
-    size = int(np.median(counts))
+    size = int(median(counts))
     if size <= 2 or 2 * (counts == size).sum() < len(counts):
         return {}
-    pause_ns = float(np.median(steps_ns[pauses]))
+    pause_ns = median(steps_ns[pauses])
     lasting_ns = log_ns[pauses[1:]] - log_ns[pauses[:-1] + 1]
-    return {"burst_messages": size, "burst_ns": float(np.median(lasting_ns)), "burst_pause_ns": pause_ns}
+    return {"burst_messages": size, "burst_ns": median(lasting_ns), "burst_pause_ns": pause_ns}
 
 
 _QOS_KEYS = re.compile(r"^[-\s]*(reliability|durability|history|depth): *(\S+)", re.MULTILINE)
@@ -262,7 +263,7 @@ class Card:
         is_of_clock = of_one_clock(logged)
         if not is_of_clock.all():
             others = logged[~is_of_clock]
-            away_ns = float(np.abs(np.median(others) - np.median(logged[is_of_clock])))
+            away_ns = abs(median(others) - median(logged[is_of_clock]))
             is_earlier = others[-1] < logged[is_of_clock][0]
             which = (
                 "of another clock (a simulation before its first /clock?)"

@@ -12,7 +12,8 @@ from dds_trace.base.units import UNIT_NS, clock_words, counted, format_duration
 
 from .bounds import FEW, FEWEST, LONG, MOST, NOTICED_NS, OFF, SECOND_NS, STEADY, WINDOW
 from .holes import Holes
-from .periods import Bools, Int64, spread
+from .periods import Bools, Int64
+from .quantiles import median, quantile, spread
 
 DAY_NS = 86_400 * SECOND_NS
 """Ages below may be of a queue; stamps farther away are of another clock."""
@@ -112,7 +113,7 @@ class Stamps:
         if is_one.sum() < FEWEST // 2:
             return None
         speeds = (stamp_ns[lag:] - stamp_ns[:-lag])[is_one] / (log_ns[lag:] - log_ns[:-lag])[is_one]
-        typical = float(np.median(speeds))
+        typical = median(speeds)
         agree = np.abs(speeds - typical) <= OFF * abs(typical)
         return typical if 2 * agree.sum() > len(speeds) else None
 
@@ -135,7 +136,7 @@ def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
     is_soon = stamps.log_ns < start_ns + 2 * SECOND_NS
     is_live = ~is_soon & (stamps.frame == stamps.frame[0])  # of the same publisher
     is_live = is_live if is_live.any() else ~is_soon
-    live_ns = float(np.median(stamps.age_ns[is_live])) if is_live.any() else usual_ns
+    live_ns = median(stamps.age_ns[is_live]) if is_live.any() else usual_ns
     older_ns = np.where(is_soon, stamps.age_ns - live_ns, 0)
     is_early = (older_ns > NOTICED_NS) & (older_ns < WINDOW * DAY_NS * FEWEST)
     count = len(is_early) if is_early.all() else int(np.argmin(is_early))
@@ -213,21 +214,21 @@ def read_clocks(topics: Mapping[str, Stamps], unstamped: Sequence[Int64], start_
 
 def _shared_offset(topics: Mapping[str, Stamps]) -> float | None:
     """Return the age that all topics have to within a hundredth of it and jitter: of another clock."""
-    ages_ns = [float(np.median(stamps.age_ns)) for stamps in topics.values() if len(stamps.log_ns) >= FEWEST]
+    ages_ns = [median(stamps.age_ns) for stamps in topics.values() if len(stamps.log_ns) >= FEWEST]
     if len(ages_ns) < 2 or any(_width_ns(stamps.age_ns) > NOTICED_NS for stamps in topics.values()):
         return None
-    shared_ns = float(np.median(ages_ns))
+    shared_ns = median(ages_ns)
     is_shared = abs(shared_ns) > SECOND_NS and np.ptp(ages_ns) < min(NOTICED_NS, FEW / 2 * abs(shared_ns))
     return shared_ns if is_shared else None
 
 
 def _width_ns(ages_ns: Int64) -> float:
-    return float(np.ptp(np.quantile(ages_ns, [1 - MOST, MOST])))
+    return quantile(ages_ns, MOST) - quantile(ages_ns, 1 - MOST)
 
 
 def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None) -> str:
     ages_ns = stamps.age_ns
-    age_ns = float(np.median(ages_ns))
+    age_ns = median(ages_ns)
     if (ages_ns == 0).sum() >= MOST * len(ages_ns) and len(ages_ns) >= FEWEST:
         return "copy"
     if start_ns < SIMULATED_BEFORE_NS and -age_ns > DAY_NS:
@@ -249,7 +250,7 @@ def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None
 
 
 def _of_offset(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
-    ages_ns = {name: float(np.median(topics[name].age_ns)) for name in names}
+    ages_ns = {name: median(topics[name].age_ns) for name in names}
     ordered = sorted(names, key=lambda name: -abs(ages_ns[name]))
     age_ns = ages_ns[ordered[0]]
     way = "older than" if age_ns > 0 else "ahead of"
@@ -261,7 +262,7 @@ def _of_offset(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
 
 
 def _of_speed(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
-    speed = f"{float(np.median([topics[name].speed or 0.0 for name in names])):.3g}"
+    speed = f"{median([topics[name].speed or 0.0 for name in names]):.3g}"
     return f"stamps of {and_more(names)} advance {speed} s a second: a simulation that runs at {speed} of real time?"
 
 
@@ -342,7 +343,7 @@ def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
     if len(log_ns) < FEWEST:
         return
     ages_ns = stamps.age_ns
-    age_ns = float(np.median(ages_ns))
+    age_ns = median(ages_ns)
     steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
     jumps = steps_ns[np.abs(steps_ns) > SECOND_NS]
     over = {
@@ -377,7 +378,7 @@ def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
     apart_ns = int(ordered[at + 1] - ordered[at])
     widths = int(ordered[at] - ordered[0]), int(ordered[-1] - ordered[at + 1])
     if apart_ns > max(NOTICED_NS, *widths) and fewer >= FEWEST // 2 and switches > max(FEWEST, fewer / 2):
-        old, new = (format_duration(float(np.median(ages_ns[part]))) for part in (is_old, ~is_old))
+        old, new = (format_duration(median(ages_ns[part])) for part in (is_old, ~is_old))
         yield (
             f"{topic} has messages of two kinds by turns, perhaps of two publishers: {int(is_old.sum()):,} with an age of {old}, "
             f"{int((~is_old).sum()):,} of {new}"
@@ -394,7 +395,7 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     if len(jumps) > FEWEST * WINDOW:  # more than a clock is set
         return []
     edges = [0, *jumps, len(ages_ns)]
-    levels = [float(np.median(ages_ns[start:stop])) for start, stop in pairwise(edges)]
+    levels = [median(ages_ns[start:stop]) for start, stop in pairwise(edges)]
     return [
         _Step(
             topic,
@@ -427,12 +428,14 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
     A steady age and a straight rise are fitted to the medians of parts (least squares), for each part in which the rise may begin.
     """
     ages_ns = log_ns - stamp_ns
-    if len(ages_ns) < 2 * LONG or abs(float(np.median(ages_ns))) > DAY_NS:
+    if len(ages_ns) < 2 * LONG or abs(median(ages_ns)) > DAY_NS:
         return None
     start_ns, end_ns = age_course(ages_ns)
-    levels_ns = np.array([np.median(part) for part in np.array_split(ages_ns, LONG)])
     noise_ns = max(FEWEST * spread(np.diff(ages_ns)), NOTICED_NS / FEWEST)
-    if end_ns < max(2 * start_ns, start_ns + noise_ns) or levels_ns[-1] < levels_ns[0] + noise_ns:
+    if end_ns < max(2 * start_ns, start_ns + noise_ns):
+        return None
+    levels_ns = np.array([median(part) for part in np.array_split(ages_ns, LONG)])
+    if levels_ns[-1] < levels_ns[0] + noise_ns:
         return None
     middles, firsts = np.arange(LONG) + 1 / 2, np.arange(0, LONG - FEWEST, 1 / 2)
     fits = [float(np.corrcoef(levels_ns, np.maximum(middles - first, 0))[0, 1]) for first in firsts]
@@ -443,4 +446,4 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
 def age_course(age_ns: Int64) -> tuple[float, float]:
     """Return the ages at the start and at the end: medians of up to five messages."""
     count = min(max(len(age_ns) // LONG, 1), FEWEST // 2 + 1)
-    return float(np.median(age_ns[:count])), float(np.median(age_ns[-count:]))
+    return median(age_ns[:count]), median(age_ns[-count:])

@@ -22,10 +22,10 @@ from .periods import (
     find_regularity,
     joined,
     levels_around,
-    spread,
     still_holes,
     usual_steps,
 )
+from .quantiles import median, spread
 
 Stretches: TypeAlias = Holes
 """Times over which a clock was set, or no topic has a message; their counts are 0."""
@@ -145,7 +145,7 @@ class TopicTimes:
                 steps, logged_ns = np.diff(numbers), self.log_ns[part[first]]
                 if len(steps) > 1 and 2 * (steps == 1).sum() >= len(steps):
                     waits_ns = np.diff(logged_ns)
-                    usual_ns = max(float(np.median(np.abs(waits_ns))), 1.0)
+                    usual_ns = max(median(np.abs(waits_ns)), 1.0)
                     is_possible = (waits_ns >= 0) & (steps < PATTERN * (waits_ns / usual_ns + 1))
                     is_jump = (steps > 1) & (steps < LARGEST) & is_possible
                     usual = usual_steps(steps)
@@ -186,9 +186,7 @@ class TopicTimes:
         steps_ns, log_steps_ns = np.diff(stamps_ns), np.diff(log_ns)
         is_short = steps <= LONG
         span_ns, log_span_ns = float(steps_ns[is_short].sum()), float(log_steps_ns[is_short].sum())
-        is_same_clock = (
-            log_span_ns < 2 * span_ns < 2 * 2 * log_span_ns and abs(float(np.median(log_ns - stamps_ns))) < DAY_NS
-        )
+        is_same_clock = log_span_ns < 2 * span_ns < 2 * 2 * log_span_ns and abs(median(log_ns - stamps_ns)) < DAY_NS
         period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns
         at = np.flatnonzero(steps > 1)
         left_out = np.searchsorted(np.sort(self.left_out_ns), stamps_ns)

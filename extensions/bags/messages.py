@@ -27,6 +27,7 @@ from .kinds import RECORDING_KINDS
 from .losses import COMMANDS, LOST_TYPE, TopicTimes
 from .message_stamps import StampReader, stamps_of
 from .periods import Int64
+from .quantiles import median
 from .read import content_hash
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ class TopicMessages:
         if (stamp_ns == NONE).any() or not 0 <= stamp_ns[middle] - stamp_ns[middle - 1] < DAY_NS:
             return None
         age_ns = log_ns - stamp_ns
-        return float(np.median(age_ns[middle:]) - np.median(age_ns[:middle]))
+        return median(age_ns[middle:]) - median(age_ns[:middle])
 
     def move(self, start: int, by_ns: int, *, with_stamps: bool) -> None:
         for name in ("log_ns", "publish_ns", "stamp_ns"):
@@ -370,10 +371,10 @@ def run_on_after_resets(columns: Sequence[TopicMessages]) -> Iterator[tuple[int,
         shared = [(topic, start) for topic, start in parts if 0 < start < len(topic)]
         if 2 * sum(len(topic) - start for topic, start in shared) < len(stored) - at:
             continue  # files of several recorders
-        back_ns = int(in_order_ns[at - 1] - in_order_ns[at] + np.median(np.abs(np.diff(in_order_ns))))
+        back_ns = int(in_order_ns[at - 1] - in_order_ns[at] + median(np.abs(np.diff(in_order_ns))))
         younger_ns = [-change_ns for topic, start in shared if (change_ns := topic.change_of_age_ns(start)) is not None]
         going_on_ns = [change_ns for change_ns in younger_ns if back_ns / 2 < change_ns < 2 * back_ns]
-        back_ns = round(float(np.median(going_on_ns))) if going_on_ns else back_ns
+        back_ns = round(median(going_on_ns)) if going_on_ns else back_ns
         for topic, start in parts:
             topic.move(start, back_ns, with_stamps=not going_on_ns)
         moved_ns += back_ns

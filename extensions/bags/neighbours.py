@@ -14,6 +14,7 @@ from .clocks import Note
 from .holes import Holes
 from .losses import Losses, Reading, TopicTimes
 from .periods import Bools, Int64
+from .quantiles import median
 
 
 def find_silent(logged: Int64, topics: int) -> Holes:
@@ -21,7 +22,7 @@ def find_silent(logged: Int64, topics: int) -> Holes:
     steps_ns = np.diff(logged)
     if topics < 2 or not len(steps_ns):
         return Holes()
-    gaps = np.flatnonzero(steps_ns > max(2 * NOTICED_NS, LONG * float(np.median(steps_ns))))
+    gaps = np.flatnonzero(steps_ns > max(2 * NOTICED_NS, LONG * median(steps_ns)))
     return Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
 
 

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .bounds import FEW, FEWEST, LARGEST, LONG, MOST, NEAR, NORMAL, OFF, PATTERN, PHASES, REGULAR, SECOND_NS, WINDOW
+from .bounds import FEW, FEWEST, LARGEST, LONG, MOST, NEAR, OFF, PATTERN, PHASES, REGULAR, SECOND_NS, WINDOW
 from .holes import Holes
+from .quantiles import median, quantile, row_medians, spread
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
@@ -51,16 +52,12 @@ class Regularity:
         return replace(self, low=max(self.low - less, 0), holes=holes) if less else self
 
 
-def spread(values: Int64 | Float64) -> float:
-    return NORMAL * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
-
-
 def levels_around(values: Float64 | Int64, at: Int64) -> tuple[Float64, Float64]:
     """Return medians of `FEWEST` values before each index, and from it on."""
     offsets = np.arange(FEWEST)
     last = max(len(values) - 1, 0)
-    before = np.median(values[np.clip(at[:, None] - 1 - offsets, 0, last)], axis=1)
-    return before, np.median(values[np.clip(at[:, None] + offsets, 0, last)], axis=1)
+    before = row_medians(values[np.clip(at[:, None] - 1 - offsets, 0, last)])
+    return before, row_medians(values[np.clip(at[:, None] + offsets, 0, last)])
 
 
 def find_regularity(times_ns: Int64) -> Regularity | None:
@@ -106,7 +103,7 @@ def joined(parts: Sequence[Regularity]) -> Regularity:
     return replace(
         slowest,
         in_pattern=max(round(rate * slowest.period_ns / SECOND_NS), 1),
-        jitter_ns=float(np.median([part.jitter_ns for part in parts])),
+        jitter_ns=median([part.jitter_ns for part in parts]),
         missing=sum(part.missing for part in parts),
         low=sum(part.low for part in parts),
         high=sum(part.high for part in parts),
@@ -126,7 +123,7 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
     if len(times_ns) < max(FEWEST, 2 * 2 * m):
         return None
     periods_ns = times_ns[m:] - times_ns[:-m]
-    typical_ns = float(np.median(periods_ns))
+    typical_ns = median(periods_ns)
     if typical_ns <= 0:
         return None
     regular = np.abs(periods_ns - typical_ns) < REGULAR * typical_ns / m
@@ -168,7 +165,7 @@ def find_grid(stamps_ns: Int64) -> tuple[float, Int64, Float64] | None:
     positive_ns = steps_ns[steps_ns > 0]
     if len(stamps_ns) < FEWEST or len(positive_ns) < (1 - OFF) * len(steps_ns):
         return None
-    period_ns = float(np.median(positive_ns[positive_ns < (1 + 1 / 2) * np.quantile(positive_ns, 1 - MOST)]))
+    period_ns = median(positive_ns[positive_ns < (1 + 1 / 2) * quantile(positive_ns, 1 - MOST)])
     for _ in range(2 + 1):
         ratio = positive_ns / period_ns
         steps = np.rint(ratio)
@@ -199,9 +196,9 @@ def usual_steps(steps: Int64) -> Int64 | None:
 
     Two of three, three of five, or a throttle's messages: never off by more than one. Losses at random are soon.
     """
-    changes = _rate_changes(steps / max(float(np.median(steps)), 1.0))
+    changes = _rate_changes(steps / max(median(steps), 1.0))
     parts = np.split(steps, changes)
-    usual = np.repeat([round(float(np.median(part))) for part in parts], [len(part) for part in parts])
+    usual = np.repeat([round(median(part)) for part in parts], [len(part) for part in parts])
     if changes and (len(changes) <= 2 or usual.max() > 2):
         return usual
     gaps = int((steps > 1).sum())
@@ -211,12 +208,10 @@ def usual_steps(steps: Int64) -> Int64 | None:
     blocks = steps[: len(steps) // length * length].reshape(-1, length)
     ahead = np.cumsum(blocks - blocks.mean(axis=1, keepdims=True), axis=1)
     in_block = (blocks > 1).sum(axis=1)
-    is_even = np.median(np.abs(in_block - PATTERN)) <= 2
+    is_even = median(np.abs(in_block - PATTERN)) <= 2
     is_common = np.bincount(np.minimum(steps, LARGEST)) > FEW * len(steps)
     return (
-        np.full(len(steps), np.flatnonzero(is_common).max())
-        if is_even and np.median(np.ptp(ahead, axis=1)) <= 2
-        else None
+        np.full(len(steps), np.flatnonzero(is_common).max()) if is_even and median(np.ptp(ahead, axis=1)) <= 2 else None
     )
 
 
@@ -231,7 +226,7 @@ def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Re
         return whole
     parts = []
     for start, stop in pairwise([0, *edges, len(ratio)]):
-        own_ns = float(np.median(ratio[start:stop])) * period_ns
+        own_ns = median(ratio[start:stop]) * period_ns
         parts.append(_one_rate(times_ns[start : stop + 1], ratio[start:stop] * period_ns / own_ns, own_ns))
     fastest = max(parts, key=lambda part: part.rate_hz)
     rival = whole
@@ -276,18 +271,18 @@ def _rate_changes(ratio: Float64) -> list[int]:
     """Return where stretches of another rate begin and end: losses at random leave unequal intervals."""
     if len(ratio) <= LONG:
         return []
-    blocks = np.median(np.lib.stride_tricks.sliding_window_view(ratio, LONG)[::LONG], axis=1)
-    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(np.median(ratio[-LONG:]) - 1) <= NEAR:
+    blocks = row_medians(np.lib.stride_tricks.sliding_window_view(ratio, LONG)[::LONG])
+    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(median(ratio[-LONG:]) - 1) <= NEAR:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, LONG, mode="reflect"), 2 * LONG + 1)
-    typical = np.concatenate([np.median(windows[at : at + PHASES], axis=1) for at in range(0, len(windows), PHASES)])
+    typical = np.concatenate([row_medians(windows[at : at + PHASES]) for at in range(0, len(windows), PHASES)])
     is_other = np.abs(typical - 1) > NEAR
     changes = np.flatnonzero(np.diff(is_other.astype(np.int8))) + 1
     edges = []
     for start, stop in pairwise([0, *changes.tolist(), len(ratio)]):
         part = ratio[start:stop]
         if is_other[start] and len(part) >= LONG:
-            is_equal = np.abs(part - np.median(part)) < REGULAR * np.median(part)
+            is_equal = np.abs(part - median(part)) < REGULAR * median(part)
             if is_equal.mean() >= 1 - OFF:
                 edges += [start, stop]
     return sorted({edge for edge in edges if 0 < edge < len(ratio)})
@@ -369,7 +364,7 @@ def _extremes(regular: Float64) -> tuple[float, float]:
     if len(regular) < 2 * WINDOW:
         return 1.0, 1.0
     means = regular[: len(regular) // WINDOW * WINDOW].reshape(-1, WINDOW).mean(axis=1)
-    return float(np.quantile(means, MOST)), float(np.quantile(means, 1 - MOST))
+    return quantile(means, MOST), quantile(means, 1 - MOST)
 
 
 def _settled(ratio: Float64) -> Int64:
@@ -396,7 +391,7 @@ def _settled(ratio: Float64) -> Int64:
 def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
     intervals_ns = np.diff(times_ns)
     largest = np.sort(intervals_ns)[-max(len(intervals_ns) // in_pattern, 1) :]
-    usual_ns = float(np.median(largest))
+    usual_ns = median(largest)
     periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
     # One of several publishers may begin later or end earlier.
     is_regular = np.abs(periods_ns - period_ns) < REGULAR * period_ns / in_pattern

@@ -15,6 +15,7 @@ from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, re
 from .losses import NONE, Losses, TopicTimes, agreed
 from .neighbours import doubted, find_silent, moved_on, set_clocks, stood_still, without_stretches
 from .periods import Int64
+from .quantiles import median
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,14 +84,14 @@ def _take_history(evidence: Evidence, sources: Sequence[Source], start_ns: int) 
         if has_stamp.any():
             keys = topic.frame ^ topic.publisher
             stamped[number] = Stamps(topic.log_ns[has_stamp], topic.stamp_ns[has_stamp], keys[has_stamp])
-    ages_ns = [float(np.median(topic.age_ns)) for topic in stamped.values() if len(topic.log_ns) >= FEWEST]
-    usual_ns = float(np.median(ages_ns)) if ages_ns else 0.0
+    ages_ns = [median(topic.age_ns) for topic in stamped.values() if len(topic.log_ns) >= FEWEST]
+    usual_ns = median(ages_ns) if ages_ns else 0.0
     for number, stamps in stamped.items():
         count = 0 if sources[number].is_volatile else count_history(stamps, start_ns, usual_ns)
         if not count:
             continue
         evidence.history[number] = count
-        live_ns = float(np.median(stamps.age_ns[count:])) if count < len(stamps.log_ns) else usual_ns
+        live_ns = median(stamps.age_ns[count:]) if count < len(stamps.log_ns) else usual_ns
         oldest, was = format_duration(float(stamps.age_ns[:count].max()) - live_ns), "was" if count == 1 else "were"
         words = (
             f"{counted(count, 'message')} of {sources[number].name} {was} sent up to {oldest} earlier: history of transient-local topics "

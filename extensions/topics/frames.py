@@ -23,7 +23,7 @@ from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, ParameterValu
 from dds_trace.analyzer.model.runs import tap_run_id
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.units import SECOND_NS
-from dds_trace.extensions.bags.periods import spread
+from dds_trace.extensions.bags.quantiles import spread
 from dds_trace.tracefile.format.json_fields import number_of
 
 from .device_clocks import DeviceClocks, Machine, follow_wall_clocks

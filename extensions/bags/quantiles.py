@@ -1,0 +1,39 @@
+"""Medians and quantiles of many short arrays: the numbers of `np.median` and `np.quantile`, at a tenth of their cost a call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bounds import NORMAL
+
+Values = NDArray[np.int64] | NDArray[np.float64]
+
+
+def median(values: Values | Sequence[float]) -> float:
+    if not len(values):
+        return float("nan")
+    low, high = (len(values) - 1) // 2, len(values) // 2
+    ordered = np.partition(values, (low, high))
+    return (float(ordered[low]) + float(ordered[high])) / 2
+
+
+def row_medians(rows: Values) -> NDArray[np.float64]:
+    low, high = (rows.shape[1] - 1) // 2, rows.shape[1] // 2
+    medians: NDArray[np.float64] = np.partition(rows, (low, high), axis=1)[:, low : high + 1].mean(axis=1)
+    return medians
+
+
+def quantile(values: Values, share: float) -> float:
+    at = share * (len(values) - 1)
+    low = int(at)
+    high = min(low + 1, len(values) - 1)
+    ordered = np.partition(values, (low, high))
+    before, after, part = ordered[low].item(), ordered[high].item(), at - low
+    return float(before + (after - before) * part if part < 1 / 2 else after - (after - before) * (1 - part))
+
+
+def spread(values: Values) -> float:
+    return NORMAL * median(np.abs(values - median(values))) if len(values) else 0.0

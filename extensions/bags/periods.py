@@ -78,8 +78,10 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
     if in_pattern == 1:
         regularity = _by_phase(times_ns, best) or _single(times_ns, period_ns)
     else:
+        intervals_ns = np.diff(times_ns)
+        ordered_ns = np.sort(intervals_ns)
         rivals = [
-            _several(times_ns, rival.period_ns, rival.length)
+            _several(times_ns, intervals_ns, ordered_ns, rival.period_ns, rival.length)
             for rival in near
             if rival is best or (rival.length > in_pattern and rival.share > most - OFF)
         ]
@@ -87,7 +89,8 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
         regularity = next(rival for rival in rivals if rival.in_pattern == in_pattern)
         if grid := find_grid(times_ns):  # of one publisher that loses some messages of each pattern
             high = max(high, int((grid[1] - 1).sum()))
-        regularity = replace(regularity, low=low, high=high)
+        jitter_ns = spread(times_ns[in_pattern:] - times_ns[:-in_pattern])
+        regularity = replace(regularity, low=low, high=high, jitter_ns=jitter_ns)
     pauses = len(regularity.holes) > 2 and regularity.missing > (1 + 1 / 2) * len(times_ns)
     return None if pauses else replace(regularity, share=best.share)
 
@@ -388,10 +391,9 @@ def _settled(ratio: Float64) -> Int64:
     return steps
 
 
-def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
-    intervals_ns = np.diff(times_ns)
-    largest = np.sort(intervals_ns)[-max(len(intervals_ns) // in_pattern, 1) :]
-    usual_ns = median(largest)
+def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
+    """Count what a pattern lacks; without its jitter."""
+    usual_ns = median(ordered_ns[-max(len(ordered_ns) // in_pattern, 1) :])
     periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
     # One of several publishers may begin later or end earlier.
     is_regular = np.abs(periods_ns - period_ns) < REGULAR * period_ns / in_pattern
@@ -401,12 +403,14 @@ def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
     gaps = np.flatnonzero(intervals_ns > usual_ns + (1 - OFF) * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
     unsure = in_pattern + round(missing ** (1 / 2))
-    slow, fast = _extremes(periods_ns[is_regular] / period_ns)
-    seen = missing if slow - fast < FEW else int(lost.sum())  # a pattern that drifts is of no clock
+    seen = int(lost.sum())
+    if seen < missing > unsure:
+        slow, fast = _extremes(periods_ns[is_regular] / period_ns)
+        seen = missing if slow - fast < FEW else seen  # a pattern that drifts is of no clock
     return Regularity(
         period_ns,
         in_pattern,
-        spread(periods_ns),
+        0.0,
         missing,
         max(min(missing, seen) - unsure, 0),
         max(most, missing) + unsure,

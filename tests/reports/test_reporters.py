@@ -1,6 +1,7 @@
 import base64
 import hashlib
 import html
+import io
 import json
 import math
 import re
@@ -8,6 +9,7 @@ import unicodedata
 from dataclasses import fields, replace
 from itertools import pairwise
 
+import numpy as np
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
@@ -21,8 +23,10 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_ratio
 from dds_trace.reports import document, terminal
+from dds_trace.reports.blocks import Column, Row, Section, Span, Table
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, markdown
 from dds_trace.reports.book.numbers import intervals_info
@@ -203,6 +207,27 @@ def test_the_terminal_report_fits_80_columns_and_has_no_control_character(name):
     text = rendered(name, "terminal")
     assert max(len(line) for line in text.splitlines()) <= 80
     assert {c for c in text if unicodedata.category(c) in {"Cc", "Cf", "Zl", "Zp"}} <= {"\n"}
+
+
+def test_rows_of_one_line_are_drawn_as_a_grid_draws_them(monkeypatch):
+    columns = [
+        Column("Name"),
+        Column("Value", right=True),
+        Column("", is_cut=True, width=5),
+        Column("Unit", right=True),
+    ]
+    texts = ["", "a", "b ", " c", "1.2 ms", "日本", "words that wrap " * 3, "d\ne", "\x1b[3m", [Span("f", "strong")]]
+    for seed in range(40):
+        cells = np.random.default_rng(seed).integers(0, len(texts), (6, 4)).tolist()
+        table = Table(columns, [Row([texts[at] for at in row], part="p" * (row[0] % 2)) for row in cells])
+        drawn = {}
+        for is_short in (terminal._is_short, lambda *_: False):
+            for width in (20, 80):
+                monkeypatch.setattr(terminal, "_is_short", is_short)
+                stream = io.StringIO()
+                plain_console(file=stream, force_terminal=True, width=width).print(terminal._drawn([Section([table])]))
+                drawn.setdefault(width, set()).add(stream.getvalue())
+        assert [*map(len, drawn.values())] == [1, 1]
 
 
 def test_a_sparkline_shows_where_the_messages_lie():

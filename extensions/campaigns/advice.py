@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.ros2.fastdds_profile import profile_xml, xml_text
-from dds_trace.recorder.backends.ros2.installation import package_version
+from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.kernel.counters import read_limits
 
 from .folder import replace_text
@@ -77,10 +77,7 @@ def _receive_bytes() -> int:
 
 
 def _fastdds(largest_bytes: int, rate_byte_s: float) -> dict[str, str]:
-    names = ("heartbeatPeriod", "nackResponseDelay", "heartbeatResponseDelay")
-    if package_version("fastdds") is not None:  # Fast DDS 3
-        names = ("heartbeat_period", "nack_response_delay", "heartbeat_response_delay")
-    heartbeat, nack, answer = names
+    heartbeat, nack, answer = fast_dds().times
     writer, reader = (
         f'{kind} profile_name="dds_trace_{kind}" is_default_profile="true"' for kind in ("data_writer", "data_reader")
     )

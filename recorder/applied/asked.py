@@ -13,9 +13,7 @@ import psutil
 from dds_trace.base.files import read_regular
 from dds_trace.base.units import UNIT_BYTES
 
-from .vendors import VENDORS, vendor_facts
-
-PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
+from .vendors import vendor_facts
 
 _BUILTIN_TRANSPORTS = {"UDPv4": "udp", "UDPv6": "udp", "SHM": "shm", "LARGE_DATA": "large-data"}
 _SOCKETS_SIZE = re.compile(r"\bsockets_size=(\d+)([A-Za-z]*)")
@@ -60,10 +58,11 @@ def asked_settings(
     congestion_control: str | None = None,
     environment: Mapping[str, str] | None = None,
     settings: Mapping[str, str] | None = None,
+    profile: str = "",
     buffer_bytes: int | None = None,
     segment_bytes: int | None = None,
 ) -> Asked:
-    """Return what options (`Middleware.settings`) and the user's configuration and `environment` request."""
+    """Return what options (`Middleware.settings`) and the user's configuration, `environment` and Fast DDS `profile` request."""
     facts = vendor_facts(vendor)
     uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
     requested = Asked(
@@ -76,10 +75,10 @@ def asked_settings(
         shared_memory=facts.shared_memory.get(transport),
         interface=interface_named(uri) if vendor == "cyclonedds" else "",
         congestion_control=congestion_control or "",
-        segment_bytes=segment_bytes or 0,
+        segment_bytes=segment_bytes or int((settings or {}).get("segment_bytes", 0)),
     )
     if vendor == "fastdds" and requested.transport == "default":
-        requested = _asked_by_environment(requested, environment or {})
+        requested = _asked_by_environment(requested, environment or {}, profile)
     if buffer_bytes is not None:
         sending_bytes = buffer_bytes if facts.tcp_has_both_buffers and transport != "udp" else 0
         requested = replace(
@@ -98,17 +97,17 @@ def configuration_texts(cyclonedds_uri: str) -> list[str]:
     return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 
 
-def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> Asked:
-    path = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
-    if path:
-        request = read_profile_request(_file_text(path))
+def _asked_by_environment(requested: Asked, environment: Mapping[str, str], profile: str) -> Asked:
+    if profile:
+        request = read_profile_request(_file_text(profile))
         return replace(
             requested,
             transport=request.transport,
             receive_buffer_bytes=request.receive_buffer_bytes,
             send_buffer_bytes=request.send_buffer_bytes,
             interface=_interface_at(*request.interfaces) if len(request.interfaces) == 1 else "",
-            profile=Path(path).name,
+            profile=Path(profile).name,
+            segment_bytes=request.segment_bytes,
         )
     name, _, options = environment.get("FASTDDS_BUILTIN_TRANSPORTS", "").partition("?")
     size = _SOCKETS_SIZE.search(options)
@@ -148,6 +147,7 @@ class ProfileRequest:
     send_buffer_bytes: int = 0
     replaces_builtin: bool = False
     interfaces: tuple[str, ...] = ()
+    segment_bytes: int = 0
 
     @property
     def transport(self) -> str:
@@ -170,13 +170,17 @@ def read_profile_request(text: str) -> ProfileRequest:
         if (name := (node.text or "").strip()) in descriptors
     ]
     kinds = [_KINDS.get(_text(transport, "type"), "") for transport in transports]
-    over_udp = [transport for transport, kind in zip(transports, kinds, strict=True) if kind == "udp"]
+    over_udp, in_memory = (
+        [transport for transport, kind in zip(transports, kinds, strict=True) if kind == wanted]
+        for wanted in ("udp", "shm")
+    )
     return ProfileRequest(
         protocols=tuple(sorted({*kinds} - {""})),
         receive_buffer_bytes=_smallest(over_udp, "receiveBufferSize"),
         send_buffer_bytes=_smallest(over_udp, "sendBufferSize"),
         replaces_builtin=_text(participants[0], "useBuiltinTransports").lower() == "false",
         interfaces=tuple(sorted({name for transport in transports for name in _whitelist(transport)})),
+        segment_bytes=_smallest(in_memory, "segment_size"),
     )
 
 

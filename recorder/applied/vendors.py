@@ -1,7 +1,7 @@
 """All facts about a vendor, in two tables: the middlewares, and the ROS 2 RMWs on top.
 
-Determined with Fast DDS 2.14.5 (rmw_fastrtps of Jazzy), Cyclone DDS 11.0.1 and zenoh 1.10; Fast DDS 3 differs only in
-file names (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so nothing is expected of it.
+Determined with Fast DDS 2.14.5 and 3.2.3 (rmw_fastrtps of Jazzy and Kilted; how they differ is in `backends.ros2.installation`), Cyclone
+DDS 11.0.1 and zenoh 1.10. Connext was not tried (no licence), so nothing is expected of it.
 """
 
 from __future__ import annotations
@@ -54,9 +54,7 @@ class VendorFacts:
     transports: Mapping[str, TransportFacts] = field(default_factory=dict)
     shared_memory: Mapping[str, bool] = field(default_factory=dict)
     tuned: TunedFacts = TunedFacts()
-    profile_variables: tuple[str, ...] = ()
     variables: tuple[str, ...] = ()
-    files: tuple[str, ...] = ()
     builtin_transports: Mapping[tuple[str, bool], str | None] = field(default_factory=dict)
     tcp_has_both_buffers: bool = False
 
@@ -76,7 +74,11 @@ VENDORS: Mapping[str, VendorFacts] = {
                 SEGMENT: re.compile(r"((fastrtps|fastdds)_[0-9a-f]{16}|fast_datasharing_.+)"),
             },
             locks_own_files=True,
-            libraries={r"libfast(rtps|dds)\.so": "ros-fastrtps", r"librmw_fastrtps_cpp\.so": "ros-rmw-fastrtps-cpp"},
+            libraries={
+                r"libfastrtps\.so": "ros-fastrtps",
+                r"libfastdds\.so": "ros-fastdds",
+                r"librmw_fastrtps_cpp\.so": "ros-rmw-fastrtps-cpp",
+            },
             transports={
                 "udp": UDP,
                 "shm": TransportFacts("shared memory", shared_memory=True),
@@ -84,9 +86,7 @@ VENDORS: Mapping[str, VendorFacts] = {
                 "large-data": TransportFacts("LARGE_DATA", "tcp"),
             },
             tuned=TunedFacts(BUFFER_BYTES, transport="udp"),
-            profile_variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
             variables=("FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_PUBLICATION_MODE", "RMW_FASTRTPS_USE_QOS_FROM_XML"),
-            files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
             builtin_transports={
                 ("default", False): None,
                 ("udp", False): "UDPv4",
@@ -154,10 +154,8 @@ class RosMiddleware:
 
 
 ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
-    "rmw_fastrtps_cpp": RosMiddleware("fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_cpp")),
-    "rmw_fastrtps_dynamic_cpp": RosMiddleware(
-        "fastdds", "Fast DDS", ("fastrtps", "fastdds", "rmw_fastrtps_dynamic_cpp")
-    ),
+    "rmw_fastrtps_cpp": RosMiddleware("fastdds", "Fast DDS", ("rmw_fastrtps_cpp",)),
+    "rmw_fastrtps_dynamic_cpp": RosMiddleware("fastdds", "Fast DDS", ("rmw_fastrtps_dynamic_cpp",)),
     # Its source fills `received_timestamp` when the message is taken (a TODO in rmw_node.cpp, take_with_info).
     "rmw_cyclonedds_cpp": RosMiddleware(
         "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False

@@ -56,6 +56,7 @@ class Backend:
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
         variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
+        profile_of: returns for a ROS middleware and environment variables the path of the profile in effect, and in words what is not read.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.
     """
@@ -81,6 +82,7 @@ class Backend:
     calls: tuple[Call, ...] = ()
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
+    profile_of: Callable[[str | None, Mapping[str, str]], tuple[str, str]] = lambda _rmw, _environment: ("", "")
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None
 

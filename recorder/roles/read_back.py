@@ -12,6 +12,7 @@ from dds_trace.base.records import to_json
 from ..applied.applied import Applied, Traffic, read_applied, with_path
 from ..applied.asked import Asked, asked_settings
 from ..applied.differences import Difference, Setting, differences, publisher_differences
+from ..backends import load_backend
 from ..choices import Security, WhenFull
 from ..errors import NotAppliedError
 
@@ -34,6 +35,9 @@ class ReadBack:
         self, node: Node, environment: Mapping[str, str], *, strict: bool, note: Callable[[str], None]
     ) -> None:
         options, middleware = node.options, node.middleware
+        profile, ignored = load_backend(middleware.backend).profile_of(middleware.rmw, environment)
+        if ignored:
+            note(ignored)
         self.requested: Asked = asked_settings(
             middleware.vendor,
             domain_id=options.domain_id,
@@ -43,6 +47,7 @@ class ReadBack:
             congestion_control=options.congestion_control,
             environment=environment,
             settings=middleware.settings,
+            profile=profile,
             buffer_bytes=options.buffer_bytes,
             segment_bytes=options.segment_bytes,
         )

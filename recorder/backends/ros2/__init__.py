@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.files import read_regular
 
-from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
@@ -21,10 +20,11 @@ from .installation import (
     check_installed,
     check_settings,
     check_vendor,
+    fast_dds,
     find_rmws,
     missing_rmw,
     open_router,
-    package_version,
+    profile_of,
     set_discovery_range,
     set_security,
 )
@@ -66,10 +66,12 @@ def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
     variables = {"cyclonedds": {"CYCLONEDDS_URI": path.as_uri()}, "zenoh": {"ZENOH_SESSION_CONFIG_URI": str(path)}}
     if vendor != "fastdds":
         return variables.get(vendor, {})
-    name = PROFILE_VARIABLES[package_version("fastdds") is not None]  # Fast DDS 3 has the second
     # By default the RMW publishes in a way that no flow controller takes.
     is_paced = b"flow_controller_name" in read_regular(path)
-    return {name: str(path), **({"RMW_FASTRTPS_PUBLICATION_MODE": "ASYNCHRONOUS"} if is_paced else {})}
+    return {
+        fast_dds().profile_variables[0]: str(path),
+        **({"RMW_FASTRTPS_PUBLICATION_MODE": "ASYNCHRONOUS"} if is_paced else {}),
+    }
 
 
 BACKEND = Backend(
@@ -95,12 +97,13 @@ BACKEND = Backend(
     environment=MiddlewareEnvironment(
         settings=(*_ROS_VARIABLES, *(name for facts in VENDORS.values() for name in facts.variables)),
         configuration=(
-            *(ConfigurationVariable(name) for name in PROFILE_VARIABLES),
+            *(ConfigurationVariable(name) for name in fast_dds().profile_variables),
             ConfigurationVariable("CYCLONEDDS_URI", ","),
         ),
-        files=tuple(name for facts in VENDORS.values() for name in facts.files),
+        files=(fast_dds().profile_file,),
     ),
     variables_of=_variables_of,
+    profile_of=profile_of,
     check_settings=check_settings,
     missing_rmw=missing_rmw,
 )

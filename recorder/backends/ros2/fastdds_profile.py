@@ -26,11 +26,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
-from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import BUFFER_BYTES, ros_middleware
 from ...choices import Discovery, Transport
 from ..sizes import VENDORS_SIZES, Sizes
-from .installation import NO_TUNING, package_version, set_transport
+from .installation import NO_TUNING, fast_dds, set_transport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -131,7 +130,11 @@ def _transports(names: Sequence[str], sizes: Sizes) -> dict[str, Settings]:
     udp = {"type": "UDPv4", **{name: size for name, size in buffers.items() if size is not None}}
     tcp = {"listening_ports": {"port": 0}, "calculate_crc": "false", "check_crc": "false", "enable_tcp_nodelay": "true"}
     descriptors: dict[str, Settings] = {
-        _SHM: {"type": "SHM", **({} if sizes.segment is None else {"segment_size": sizes.segment})},
+        _SHM: {
+            "type": "SHM",
+            **(fast_dds().large_data if _TCP in names else {}),
+            **({} if sizes.segment is None else {"segment_size": sizes.segment}),
+        },
         _TCP: {"type": "TCPv4", **_LOOPBACK, **tcp},  # as Fast DDS sets up TCP for LARGE_DATA
         _UDP: {**udp, **_LOOPBACK, "maxInitialPeersRange": MAX_PEERS},
         _NETWORK_UDP: udp,
@@ -167,15 +170,13 @@ def requested_profile(
 def profile_environment(
     path: Path, environment: Mapping[str, str] = os.environ, *, is_local: bool = True
 ) -> dict[str, str]:
-    for name in PROFILE_VARIABLES:
+    for name in fast_dds().profile_variables:
         if environment.get(name):
             raise OptionError(
                 f"{name} already names a profile, and Fast DDS only loads one: set the transports there, or unset it to use "
                 "-o transport and --tuned"
             )
-    # Fast DDS 3 warns of the older variable, and loads the same profile twice.
-    variables = PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]
-    return {**(RANGE if is_local else {}), **dict.fromkeys(variables, str(path))}
+    return {**(RANGE if is_local else {}), fast_dds().profile_variables[0]: str(path)}
 
 
 @contextmanager

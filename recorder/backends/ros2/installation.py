@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -176,6 +176,61 @@ def _debian_version(package: str) -> str | None:
     return None
 
 
+@dataclass(frozen=True, slots=True)
+class FastDds:
+    """What differs between Fast DDS 2 (Jazzy and before) and 3.
+
+    Attributes:
+        package: of ROS 2, which contains it.
+        profile_variables: which can name a profile, the first that is set counts; rmw_fastrtps of Kilted also passes on the older one.
+        profile_file: read from the current folder if no variable names one.
+        times: tags of the heartbeats' period, and of the delays of requests and answers.
+        large_data: settings of shared memory in LARGE_DATA, empty for the default segment.
+    """
+
+    package: str
+    profile_variables: tuple[str, ...]
+    profile_file: str
+    times: tuple[str, str, str]
+    large_data: Mapping[str, int]
+
+
+FAST_DDS_2 = FastDds(
+    "fastrtps",
+    ("FASTRTPS_DEFAULT_PROFILES_FILE",),
+    "DEFAULT_FASTRTPS_PROFILES.xml",
+    ("heartbeatPeriod", "nackResponseDelay", "heartbeatResponseDelay"),
+    {},
+)
+FAST_DDS_3 = FastDds(
+    "fastdds",
+    ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"),
+    "DEFAULT_FASTDDS_PROFILES.xml",
+    ("heartbeat_period", "nack_response_delay", "heartbeat_response_delay"),
+    {"segment_size": 8_704_000, "port_queue_capacity": 8_500},
+)
+
+
+@cache
+def fast_dds() -> FastDds:
+    return FAST_DDS_2 if package_version(FAST_DDS_3.package) is None else FAST_DDS_3
+
+
+def profile_of(rmw: str | None, environment: Mapping[str, str]) -> tuple[str, str]:
+    """Return the path of the profile that Fast DDS reads, and in words what it does not read; empty if there is none."""
+    if ros_middleware(rmw or WHEELS_RMW).vendor != "fastdds":
+        return "", ""
+    running, other = (FAST_DDS_2, FAST_DDS_3) if fast_dds() is FAST_DDS_2 else (FAST_DDS_3, FAST_DDS_2)
+    for path in (*map(environment.get, running.profile_variables), running.profile_file):
+        if path and (path != running.profile_file or Path(path).is_file()):
+            return path, ""
+    ignored = [name for name in other.profile_variables if environment.get(name)]
+    ignored += [f"./{other.profile_file}"] if Path(other.profile_file).is_file() else []
+    names = f"{running.profile_variables[0]} or ./{running.profile_file}"
+    version = package_version(running.package) or ""
+    return "", f"{ignored[0]} is ignored: Fast DDS {version} reads {names}" if ignored else ""
+
+
 _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-9]{0,99}")
 
 
@@ -278,12 +333,18 @@ def _start(program: Path, port: int) -> Child:
 def describe_middleware(options: NodeOptions, rmw: str, executor: str, further: Mapping[str, str]) -> Middleware:
     facts = ros_middleware(rmw)
     versions = {name: package_version(name) for name in ("rclpy", *facts.packages)}
+    segment_bytes = None
+    if facts.vendor == "fastdds":
+        versions["fastdds"] = package_version(fast_dds().package)  # one name for what two packages contain
+        if options.transport is Transport.LARGE_DATA:
+            segment_bytes = fast_dds().large_data.get("segment_size")
     settings = {
         "executor": executor,
         "discovery": options.discovery.value,
         "transport": options.transport.value,
         "tuned": str(options.tuned).lower(),
         "FASTDDS_BUILTIN_TRANSPORTS": os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", ""),
+        "segment_bytes": "" if segment_bytes is None else str(segment_bytes),
         **further,
     }
     return Middleware(

@@ -195,8 +195,8 @@ class Ros2Node(ThreadedNode):
         self._further += (node,)
         return node
 
-    def publisher_of(self, source: Hashable) -> str | None:  # noqa: ARG002 - rclpy does not report it
-        return None
+    def publisher_of(self, source: Hashable) -> str | None:
+        return source.hex() if isinstance(source, bytes) else None  # rclpy before Kilted does not report it
 
     def members(self, type_name: str) -> Mapping[str, str] | None:
         return cast("Mapping[str, str]", message_class(type_name).get_fields_and_field_types())
@@ -407,7 +407,8 @@ def _with_sequence(receive: TapReceive, *, stamps_reception: bool) -> Callable[.
         sequence = info.get("publication_sequence_number", UNKNOWN_SEQUENCE)
         sequence = 0 if sequence == UNKNOWN_SEQUENCE else sequence
         received_ns = info["received_timestamp"] if stamps_reception else 0
-        receive(message, info["source_timestamp"], received_ns, sequence, None)
+        source = info.get("publisher_gid", {}).get("data")
+        receive(message, info["source_timestamp"], received_ns, sequence, source)
 
     return _of_two_parameters(on_message)
 

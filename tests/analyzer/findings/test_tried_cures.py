@@ -15,6 +15,7 @@ from wording import numbers
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip, tc
 from dds_trace.recorder.backends.ros2.fastdds_profile import requested_profile
+from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.choices import Transport
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
@@ -259,7 +260,7 @@ def test_without_a_larger_send_buffer_the_own_queue_takes_the_burst(tmp_path, do
         for name, text in (("both", both), ("receive", only_receive)):
             path = tmp_path / f"{name}.xml"
             path.write_text(text)
-            profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)}
+            profile = {fast_dds().profile_variables[0]: str(path)}
             folders.append(
                 record_over(devices, tmp_path / name, domain_id, size=1_400_000, rate=10, messages=40, **profile)
             )
@@ -320,7 +321,7 @@ def test_a_message_crosses_one_network_if_one_is_named(tmp_path, domain_id):
         one.mkdir()
         sides = ("--domain", domain_id, "--discovery", "subnet")
         sent = ("--size", 100_000, "--rate", 50, "--messages", 100)
-        variable = "FASTRTPS_DEFAULT_PROFILES_FILE"
+        variable = fast_dds().profile_variables[0]
         with (
             relaying(devices["relay"].start, one, *sides, **{variable: str(profiles["relay"])}),
             pinging(devices["ping"].start, one, *sides, *sent, **{variable: str(profiles["ping"])}),

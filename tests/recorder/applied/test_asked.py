@@ -111,13 +111,9 @@ def test_the_users_own_variable(value, expected):
 def test_the_users_profile_wins_over_the_variable_and_an_option_over_both(tmp_path):
     path = tmp_path / "mine.xml"
     path.write_text(profile("a"))
-    environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(path), "FASTDDS_BUILTIN_TRANSPORTS": "SHM"}
-    assert asked_settings("fastdds", domain_id=5, environment=environment) == Asked(
-        "fastdds", 5, "udp", profile="mine.xml"
-    )
-    assert asked_settings("fastdds", domain_id=5, transport="shm", environment=environment) == Asked(
-        "fastdds", 5, "shm"
-    )
+    given = {"environment": {"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, "profile": str(path)}
+    assert asked_settings("fastdds", domain_id=5, **given) == Asked("fastdds", 5, "udp", profile="mine.xml")
+    assert asked_settings("fastdds", domain_id=5, transport="shm", **given) == Asked("fastdds", 5, "shm")
 
 
 @pytest.mark.parametrize(
@@ -136,13 +132,19 @@ def test_the_users_profile_wins_over_the_variable_and_an_option_over_both(tmp_pa
 def test_the_interface_that_a_profile_names(tmp_path, whitelist, interface):
     path = tmp_path / "mine.xml"
     path.write_text(profile("a", buffers=f"<interfaceWhiteList>{whitelist}</interfaceWhiteList>"))
-    environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)}
-    assert asked_settings("fastdds", domain_id=5, environment=environment).interface == interface
+    assert asked_settings("fastdds", domain_id=5, profile=str(path)).interface == interface
 
 
 def test_a_profile_that_cannot_be_read_asks_for_nothing(tmp_path):
-    environment = {"FASTDDS_DEFAULT_PROFILES_FILE": str(tmp_path / "none.xml")}
-    assert asked_settings("fastdds", domain_id=5, environment=environment) == Asked("fastdds", 5, profile="none.xml")
+    missing = str(tmp_path / "none.xml")
+    assert asked_settings("fastdds", domain_id=5, profile=missing) == Asked("fastdds", 5, profile="none.xml")
+
+
+def test_the_segment_of_a_profile_is_read_back(tmp_path):
+    path = tmp_path / "mine.xml"
+    path.write_text(profile("b").replace("SHM</type>", "SHM</type><segment_size>2097152</segment_size>"))
+    asked = asked_settings("fastdds", domain_id=5, profile=str(path))
+    assert (asked.transport, asked.segment_bytes) == ("shm", 2_097_152)
 
 
 def test_the_interface_that_cyclone_is_told(tmp_path):

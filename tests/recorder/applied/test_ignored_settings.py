@@ -12,6 +12,7 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     requested_profile,
     written_profile,
 )
+from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.choices import Transport
 
 pytestmark = pytest.mark.middleware
@@ -26,7 +27,7 @@ def localhost(value):
 def run_under_profile(text, domain_id, prefix=()):
     with written_profile(text) as path:
         environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
-        variables = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(path)}
+        variables = {fast_dds().profile_variables[0]: str(path)}
         return path.name, run_pair("ros2", domain_id, environment=environment, variables=variables, prefix=prefix)
 
 

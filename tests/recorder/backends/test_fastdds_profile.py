@@ -19,8 +19,10 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     send_when_free,
     written_profile,
 )
+from dds_trace.recorder.backends.ros2.installation import FAST_DDS_2, fast_dds
 from dds_trace.recorder.choices import Discovery, Transport
 
+VARIABLE = fast_dds().profile_variables[0]
 TIMES_S = [0.0, 0.1, 0.1, 0.2, 0.2, 0.2]
 GOLDEN = Path(__file__).parents[2] / "data" / "fastdds_profiles"
 ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}
@@ -36,7 +38,8 @@ ON_THIS_MACHINE = {"127.0.0.1", "239.255.0.1"}
         ("large-data", Transport.LARGE_DATA, False),
     ],
 )
-def test_the_text_by_transport(name, transport, tuned):
+def test_the_text_by_transport(monkeypatch, name, transport, tuned):
+    monkeypatch.setattr(fastdds_profile, "fast_dds", lambda: FAST_DDS_2)
     assert requested_profile(transport, tuned=tuned) == (GOLDEN / f"{name}.xml").read_text()
 
 
@@ -69,15 +72,11 @@ def test_transports_that_cannot_be_tuned_are_refused(transport):
 def test_where_it_is_written_and_what_names_it():
     with written_profile("<dds/>") as path:
         assert path.read_text() == "<dds/>"
-        assert profile_environment(path, {}) == {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(path),
-            "FASTDDS_DEFAULT_PROFILES_FILE": str(path),
-        }
+        assert profile_environment(path, {}) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", VARIABLE: str(path)}
     assert not path.exists()
 
 
-@pytest.mark.parametrize("name", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+@pytest.mark.parametrize("name", fast_dds().profile_variables)
 def test_a_profile_of_the_users_own_excludes_ours(name, tmp_path):
     with pytest.raises(OptionError, match=f"{name} already names a profile"):
         profile_environment(tmp_path / "ours.xml", {name: "/home/me/mine.xml"})
@@ -87,20 +86,19 @@ def test_the_environment_is_as_before_behind_the_block(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for _ in range(2):  # a process opens several nodes one after the other
         with loaded_profile("<dds/>") as path:
-            assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(path)
+            assert os.environ[VARIABLE] == str(path)
             assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
             assert path.exists()
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-        assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
-        assert "FASTDDS_DEFAULT_PROFILES_FILE" not in os.environ
+        assert VARIABLE not in os.environ
         assert not path.exists()
 
 
 def test_the_block_leaves_a_profile_of_the_users_own_alone(monkeypatch):
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "mine.xml")
+    monkeypatch.setenv(VARIABLE, "mine.xml")
     with pytest.raises(OptionError, match="already names a profile"), loaded_profile("<dds/>"):
         pass
-    assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == "mine.xml"
+    assert os.environ[VARIABLE] == "mine.xml"
 
 
 @pytest.fixture
@@ -214,7 +212,7 @@ def test_the_subnet_leaves_the_transport_to_the_variable(monkeypatch):
     with applied_transport(replace(LOCAL, discovery=Discovery.SUBNET), "rmw_fastrtps_cpp") as settings:
         assert settings == {}
         assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
-        assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
+        assert VARIABLE not in os.environ
 
 
 @pytest.mark.usefixtures("fresh")
@@ -223,7 +221,7 @@ def test_tuning_beyond_this_machine_enlarges_receive_buffers_only(monkeypatch, t
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     subnet = replace(LOCAL, discovery=Discovery.SUBNET, transport=transport, tuned=True)
     with applied_transport(subnet, "rmw_fastrtps_cpp") as settings:
-        text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+        text = Path(os.environ[VARIABLE]).read_text()
         assert settings == {"profile": "written by dds-trace"}
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     assert "<receiveBufferSize>4000000<" in text

@@ -1,4 +1,6 @@
+import re
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
@@ -95,13 +97,60 @@ def test_settings_of_one_vendor_are_refused_on_the_others_before_anything_is_ope
 
 
 @pytest.mark.parametrize(
-    ("version", "variables"),
+    ("version", "variable"),
     [
-        (None, ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]),
-        ("3.2.3", ["FASTDDS_DEFAULT_PROFILES_FILE"]),  # which warns of the other one, and then loads the profile twice
+        (None, "FASTRTPS_DEFAULT_PROFILES_FILE"),
+        ("3.2.3", "FASTDDS_DEFAULT_PROFILES_FILE"),  # which warns of the other one, and then loads the profile twice
     ],
 )
-def test_a_profile_of_ours_is_named_by_the_variables_that_the_installed_fast_dds_reads(monkeypatch, version, variables):
-    monkeypatch.setattr(fastdds_profile, "package_version", lambda package: {"fastdds": version}[package])
-    told = fastdds_profile.profile_environment(fastdds_profile.Path("/x.xml"), {})
-    assert [name for name in told if "PROFILES" in name] == variables
+def test_a_profile_of_ours_is_named_by_the_variable_that_the_installed_fast_dds_reads(monkeypatch, version, variable):
+    monkeypatch.setattr(installation, "package_version", lambda package: {"fastdds": version}[package])
+    running = installation.fast_dds.__wrapped__()
+    monkeypatch.setattr(fastdds_profile, "fast_dds", lambda: running)
+    environment = fastdds_profile.profile_environment(fastdds_profile.Path("/x.xml"), {})
+    assert [name for name in environment if "PROFILES" in name] == [variable]
+
+
+OLD, NEW = ((one.profile_variables[0], one.profile_file) for one in (installation.FAST_DDS_2, installation.FAST_DDS_3))
+
+
+@pytest.mark.parametrize(
+    ("running", "variables", "files", "path", "ignored"),
+    [
+        (2, {OLD[0]: "old", NEW[0]: "new"}, [], "old", ""),
+        (2, {NEW[0]: "new"}, [OLD[1]], OLD[1], ""),
+        (2, {NEW[0]: "new"}, [], "", NEW[0]),
+        (2, {}, [NEW[1]], "", f"./{NEW[1]}"),
+        (3, {OLD[0]: "old", NEW[0]: "new"}, [], "new", ""),
+        (3, {OLD[0]: "old"}, [NEW[1]], "old", ""),  # rmw_fastrtps passes it on
+        (3, {}, [OLD[1]], "", f"./{OLD[1]}"),
+        (3, {}, [], "", ""),
+    ],
+)
+def test_a_profile_counts_only_where_the_running_fast_dds_reads_it(
+    monkeypatch, tmp_path, running, variables, files, path, ignored
+):
+    monkeypatch.chdir(tmp_path)
+    for name in files:
+        Path(name).touch()
+    facts = installation.FAST_DDS_2 if running == 2 else installation.FAST_DDS_3
+    monkeypatch.setattr(installation, "fast_dds", lambda: facts)
+    monkeypatch.setattr(installation, "package_version", lambda _: f"{running}.1")
+    read, words = installation.profile_of(None, variables)
+    assert (read, words.partition(" is ignored: ")[0]) == (path, ignored)
+    assert not words or words.endswith(
+        f"Fast DDS {running}.1 reads {facts.profile_variables[0]} or ./{facts.profile_file}"
+    )
+    assert installation.profile_of("rmw_cyclonedds_cpp", variables) == ("", "")
+
+
+@pytest.mark.parametrize(("facts", "segment"), [(installation.FAST_DDS_2, ""), (installation.FAST_DDS_3, "8704000")])
+def test_large_data_has_the_segment_of_its_generation(monkeypatch, facts, segment):
+    monkeypatch.setattr(fastdds_profile, "fast_dds", lambda: facts)
+    monkeypatch.setattr(installation, "fast_dds", lambda: facts)
+    text = fastdds_profile.localhost_profile(Transport.LARGE_DATA)
+    assert "".join(re.findall("<segment_size>(.*)<", text)) == segment
+    assert "segment_size" not in fastdds_profile.localhost_profile(Transport.SHM)
+    options = NodeOptions(transport=Transport.LARGE_DATA)
+    described = installation.describe_middleware(options, "rmw_fastrtps_cpp", "single", {})
+    assert described.settings.get("segment_bytes", "") == segment

@@ -4,16 +4,18 @@ import platform
 import socket
 
 from dds_trace.recorder.backends import load_backends
+from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.host import fingerprint as host
 from dds_trace.recorder.host.environment import ConfigurationVariable, MiddlewareEnvironment, join_environments
 from dds_trace.recorder.host.fingerprint import host_fingerprint, read_text
 
+VARIABLE = fast_dds().profile_variables[0]
 ENVIRONMENT = join_environments(backend.environment for backend in load_backends())
 
 
 def test_every_middleware_is_looked_at_and_each_variable_once():
     names = [variable.name for variable in ENVIRONMENT.configuration]
-    assert {"FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI", "NDDS_QOS_PROFILES", "ZENOH_CONFIG"} < set(names)
+    assert {fast_dds().profile_variables[0], "CYCLONEDDS_URI", "NDDS_QOS_PROFILES", "ZENOH_CONFIG"} < set(names)
     one = MiddlewareEnvironment(("A",), (ConfigurationVariable("B", ","),), ("c.xml",))
     two = MiddlewareEnvironment(("A", "D"), (ConfigurationVariable("B", ","),), ("c.xml", "e.xml"))
     assert join_environments([one, two]) == MiddlewareEnvironment(
@@ -31,7 +33,7 @@ def test_configuration_files_are_hashed_and_their_folders_left_out(tmp_path):
     profiles.write_text("<profiles/>")
     found = ENVIRONMENT.hash_configuration(
         {
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles),
+            VARIABLE: str(profiles),
             "CYCLONEDDS_URI": f"file://{profiles},{tmp_path}/missing.xml",
             "NDDS_QOS_PROFILES": "",
         },
@@ -39,7 +41,7 @@ def test_configuration_files_are_hashed_and_their_folders_left_out(tmp_path):
     )
     digest = hashlib.sha256(b"<profiles/>").hexdigest()
     assert found == {
-        "FASTRTPS_DEFAULT_PROFILES_FILE": [{"name": "profiles.xml", "sha256": digest}],
+        VARIABLE: [{"name": "profiles.xml", "sha256": digest}],
         "CYCLONEDDS_URI": [{"name": "profiles.xml", "sha256": digest}, {"name": "missing.xml", "sha256": None}],
     }
 
@@ -51,8 +53,9 @@ def test_inline_configuration_is_one_entry_even_with_the_separator_inside(tmp_pa
 
 
 def test_profile_in_the_working_directory_counts_though_no_variable_names_it(tmp_path):
-    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("x")
-    assert list(ENVIRONMENT.hash_configuration({}, tmp_path)) == ["./DEFAULT_FASTRTPS_PROFILES.xml"]
+    file = fast_dds().profile_file
+    (tmp_path / file).write_text("x")
+    assert list(ENVIRONMENT.hash_configuration({}, tmp_path)) == [f"./{file}"]
 
 
 # As Linux prints it; columns are status, quality, level, noise, then discarded packets.

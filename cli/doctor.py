@@ -78,7 +78,8 @@ def _middlewares() -> Iterator[Check]:
 
     for backend in load_backends():
         installed = backend.find_installed()
-        detail = ", ".join(filter(None, installed)) or "installed" if installed else backend.install
+        describe = backend.describe_installed or (lambda: "installed")
+        detail = describe() if installed else backend.install
         yield Check("middlewares", f"--backend {backend.name}", bool(installed), detail)
 
 

@@ -22,7 +22,7 @@ from ..model.applied import (
     socket_drops,
     words_not_applied,
 )
-from ..model.environment import FLEETING, flat_fields
+from ..model.environment import FLEETING, flat_fields, versions_of
 from ..model.finding import Subject
 from .evidence import Evidence, Observation, error, note, some, warning
 from .rows import Rows, frame_of, in_recording, named
@@ -168,7 +168,7 @@ def unlike_environments(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _middleware(session: Session) -> dict[str, object]:
-    parts = {name: session.host.get(name, {}) for name in _MIDDLEWARE_PARTS}
+    parts = {name: session.host.get(name, {}) for name in _MIDDLEWARE_PARTS} | {"versions": versions_of(session)}
     return {"rmw": session.rmw, **dict(flat_fields(parts))}
 
 
@@ -302,7 +302,8 @@ def several_networks(evidence: Evidence) -> Iterator[Observation]:
             payload_bytes[exchange.relay.session_id][run.run_id] = counts["reached"] * run.payload_bytes
     for session_id, by_run in payload_bytes.items():
         session, payload = evidence.campaign.sessions[session_id], sum(by_run.values())
-        names = [name for name, sent in interface_bytes(session).items() if sent >= _SENT_SHARE * payload]
+        sent_bytes = interface_bytes(session).items()
+        names = [name for name, sent in sent_bytes if name != "lo" and sent >= _SENT_SHARE * payload]
         if len(names) > 1 and payload >= _LEAST_PAYLOAD_BYTES:
             yield evidence.recording(
                 session, f"Each of {' and '.join(names)} sent as many bytes as all its messages have ({payload:,} B)."

@@ -9,6 +9,8 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
+from ..model.applied import interface_bytes, maps_foreign_memory
+from ..model.environment import middleware_version, versions_of
 from ..model.finding import Subject
 from ..model.setting import flows_of
 from ..pairing.exchanges import Overlap, find_overlaps
@@ -116,11 +118,38 @@ def unlike_versions(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
+@warning(
+    "mixed_versions",
+    Subject.RESULT,
+    "One ROS 2 distribution on both sides gives them shared memory; where that is not possible, --tuned on both sides may help.",
+)
+def mixed_versions(evidence: Evidence) -> Iterator[Observation]:
+    """Two generations of Fast DDS on one machine share no memory."""
+    for group, members in enumerate(evidence.grouping.members()):
+        for exchange in (evidence.grouping.exchanges[member] for member in members[:1]):
+            sides = [session for session in (exchange.ping, exchange.relay) if session and session.vendor == "fastdds"]
+            versions = [middleware_version(session) for session in sides]
+            if len({version.partition(".")[0] for version in versions if version}) < 2 or not share_boot(*sides):
+                continue
+            if any(maps_foreign_memory(session) is not False for session in sides):
+                continue
+            payload_bytes = 2 * exchange.counts[0] * exchange.run.payload_bytes
+            sent_bytes = interface_bytes(exchange.ping).get("lo", 0)
+            times = (
+                f"; loopback carried {sent_bytes / payload_bytes:.2g} times their bytes"
+                if sent_bytes > payload_bytes
+                else ""
+            )
+            yield evidence.result(
+                group,
+                f"Ping and relay are on one machine with Fast DDS {' and '.join(versions)}, which name their shared memory "
+                f"differently: neither mapped the other's, so every message went over UDP{times}.",
+            )
+
+
 def _versions(session: Session) -> dict[str, str]:
-    recorded = session.host.get("versions")
-    versions = {name: str(version) for name, version in recorded.items()} if isinstance(recorded, dict) else {}
     recorder = session.extra.get("recorder_version")
-    return versions | ({"dds-trace": recorder} if isinstance(recorder, str) else {})
+    return versions_of(session) | ({"dds-trace": recorder} if isinstance(recorder, str) else {})
 
 
 @warning(

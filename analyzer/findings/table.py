@@ -286,6 +286,7 @@ CHECKS: tuple[Check, ...] = (
     sides.recorded_in_sequence,
     sides.dependent_passes,
     sides.unlike_versions,
+    sides.mixed_versions,
     sides.wireless_on_one_machine,
     groups.mixed_labels,
     groups.unlike_group_environments,

@@ -64,14 +64,18 @@ def is_tuned(session: Session) -> bool:
     return object_of(session.extra.get("asked")).get("tuned") is True
 
 
+def maps_foreign_memory(session: Session) -> bool | None:
+    """Return whether the process mapped a segment of another one at the end of its run; None if unknown."""
+    memory = _instant(session, "end").get("memory")
+    if not isinstance(memory, list):
+        return None
+    return any(file.get("is_own") is not True and file.get("is_deleted") is False for file in objects_of(memory))
+
+
 def interface_bytes(session: Session) -> dict[str, int]:
-    """Return the bytes that each interface but loopback sent."""
+    """Return the bytes that each interface sent."""
     begin, end = (object_of(_instant(session, name).get("interfaces")) for name in ("begin", "end"))
-    sent = {
-        name: [_integer(object_of(totals.get(name)), "sent_bytes") for totals in (begin, end)]
-        for name in end
-        if name != "lo"
-    }
+    sent = {name: [_integer(object_of(totals.get(name)), "sent_bytes") for totals in (begin, end)] for name in end}
     return {name: now - (then or 0) for name, (then, now) in sent.items() if now is not None}
 
 

@@ -27,6 +27,22 @@ def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[
             yield f"{prefix}{key}", value
 
 
+_OLD_NAMES = {"fastrtps": "fastdds"}
+"""Packages of Fast DDS up to version 2, by which older recorders name it."""
+
+
+def versions_of(session: Session) -> dict[str, str]:
+    """Return package -> version of the middleware and its client library."""
+    recorded = session.host.get("versions")
+    versions = {name: str(version) for name, version in recorded.items()} if isinstance(recorded, dict) else {}
+    return {_OLD_NAMES.get(name, name): version for name, version in versions.items()}
+
+
+def middleware_version(session: Session) -> str:
+    versions = versions_of(session)
+    return versions.get(session.vendor) or next((versions[name] for name in versions if session.vendor in name), "")
+
+
 _NOT_LASTING = (*FLEETING, "middleware", "configuration")
 """Fleeting parts, and what follows from the settings."""
 
@@ -36,6 +52,8 @@ _BY_BOOT = "udp_mem"
 
 def lasting_parts(session: Session) -> dict[str, object]:
     host = {name: value for name, value in session.host.items() if name not in _NOT_LASTING}
+    if "versions" in host:
+        host["versions"] = {**versions_of(session)}
     if isinstance(mtus := host.pop("mtu", None), dict):
         # Interfaces come and go with containers; possible sizes of packets last.
         host["mtu"] = sorted({mtu for mtu in mtus.values() if isinstance(mtu, int)})

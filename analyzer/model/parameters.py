@@ -95,7 +95,15 @@ class Parameters:
         return tuple((value is None, by_number(value) if isinstance(value, str) else value) for value in self.values())
 
 
-def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> Parameters:
+def parameters_of(
+    run: Run,
+    ping: Session,
+    relay: Session | None,
+    *,
+    relays: int = 1,
+    flows: int = 1,
+    versions: tuple[str, str] = ("", ""),
+) -> Parameters:
     """Return the key of a run and a relay (None without its trace)."""
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
@@ -120,7 +128,7 @@ def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int
         ping_device=ping.device,
         relay_device=relay.device if relay else None,
         connectivity=ping.connectivity,
-        setting=setting_of(run, ping, relay, relays=relays, flows=flows),
+        setting=setting_of(run, ping, relay, relays=relays, flows=flows, versions=versions),
     )
 
 

@@ -31,8 +31,16 @@ _BOTH_SIDES = ("reliability", "durability", "history", "depth", "serialization")
 """The run has the ping's, only the session the relay's."""
 
 
-def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> str:
-    """Return `key=value,...`, sorted by key, defaults left out.
+def setting_of(
+    run: Run,
+    ping: Session,
+    relay: Session | None,
+    *,
+    relays: int = 1,
+    flows: int = 1,
+    versions: tuple[str, str] = ("", ""),
+) -> str:
+    """Return `key=value,...`, sorted by key, defaults left out; with versions of both sides these, too.
 
     Where the relay's differs it is `relay.key=value`, `default` for one that only the ping has.
     """
@@ -43,6 +51,8 @@ def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 
         values.setdefault("relays", str(relays))
     if flows > 1:
         values[FLOWS] = str(flows)
+    if versions[0]:
+        values |= {"version": versions[0]} | ({"relay.version": versions[1]} if versions[0] != versions[1] else {})
     if relay is not None:
         values |= _relay_differences(ping, ping_settings, relay)
     return write_setting(values)

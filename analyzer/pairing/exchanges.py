@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from dds_trace.tracefile.format.events import Stage
 from ..clocks.boots import machine_of, session_of_run
 from ..loading.campaign import Campaign
 from ..loading.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
-from ..model.environment import environment_of
+from ..model.environment import environment_of, middleware_version
 from ..model.parameters import Parameters, parameters_of
 
 OVERLAP_NS = 1_000_000_000
@@ -108,6 +108,7 @@ class Exchange:
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the ping's anchor; `end_ns` its last.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
+        versions: of the middleware of ping and relay, where exchanges of the same parameters differ in them.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 
@@ -121,6 +122,7 @@ class Exchange:
     relays: int = 1
     flows: int = 1
     replied_ns: tuple[int, int] | None = None
+    versions: tuple[str, str] = ("", "")
 
     @property
     def took_part(self) -> bool:
@@ -144,7 +146,9 @@ class Exchange:
         )
 
     def parameters(self) -> Parameters:
-        return parameters_of(self.run, self.ping, self.relay, relays=self.relays, flows=self.flows)
+        return parameters_of(
+            self.run, self.ping, self.relay, relays=self.relays, flows=self.flows, versions=self.versions
+        )
 
     def environment(self) -> str:
         return environment_of(self.ping, self.relay)
@@ -231,8 +235,28 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
     flows = count_flows(exchange.span() for exchange in placed)
     placed = [replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed]
+    placed = _apart_by_version(placed)
     placed.sort(key=lambda exchange: (exchange.start_ns, exchange.run.run_id, exchange.relay_id))
     return Exchanges(tuple(placed), tuple(unplaced), tuple(doubts), tuple(copies))
+
+
+def _apart_by_version(exchanges: Sequence[Exchange]) -> list[Exchange]:
+    versions = [
+        (middleware_version(exchange.ping), middleware_version(exchange.relay) if exchange.relay else "")
+        for exchange in exchanges
+    ]
+    vendors = [(exchange.ping.vendor, exchange.relay and exchange.relay.vendor) for exchange in exchanges]
+    if len(set(zip(vendors, versions, strict=True))) == len(set(vendors)):
+        return [*exchanges]
+    by_parameters: dict[Parameters, set[tuple[str, str]]] = defaultdict(set)
+    keys = [exchange.parameters() for exchange in exchanges]
+    for key, pair in zip(keys, versions, strict=True):
+        if all(pair):
+            by_parameters[key].add(pair)
+    return [
+        replace(exchange, versions=pair) if len(by_parameters[key]) > 1 and all(pair) else exchange
+        for exchange, key, pair in zip(exchanges, keys, versions, strict=True)
+    ]
 
 
 def _within_bounds(

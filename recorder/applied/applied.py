@@ -133,9 +133,18 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
         return SHARED_MEMORY
     # Memory of another or an unknown process could explain the payload as well. On one machine own memory could too:
     # its reader may be gone, and other programs count on loopback.
-    if any(file.is_own is not True for file in memory) or (memory and explaining == [LOOPBACK]):
-        return UNKNOWN
+    if any(file.is_own is not True for file in memory):
+        explaining = []
+    elif memory and explaining in ([], [LOOPBACK]):
+        explaining = [LOOPBACK] if _only_loopback_is_left(applied, traffic) else []
     return explaining[0] if len(explaining) == 1 else UNKNOWN
+
+
+def _only_loopback_is_left(applied: Applied, traffic: Traffic) -> bool:
+    """Return whether messages came, at both snapshots no memory of others was mapped, and no other interface had enough bytes."""
+    mapped = [*(applied.begin.memory or ()), *(applied.latest.memory or ())]
+    possible = [name for name in applied.begin.interfaces if not is_excluded(applied, name, traffic)]
+    return traffic.received >= MIN_MESSAGES and possible == [LOOPBACK] and all(file.is_own is True for file in mapped)
 
 
 def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:

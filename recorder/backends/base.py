@@ -45,6 +45,7 @@ class Backend:
     Attributes:
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
         find_installed: returns the ROS middlewares here, `[None]` for a backend without, empty if it cannot run.
+        describe_installed: returns their versions in words.
         install: how to install the middleware, for the end of a message.
         meeting_needs: what ping and relay need to meet, with `{port}` of the relay, `{ports}` of the domain and `{dds_backends}`.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
@@ -82,6 +83,7 @@ class Backend:
     calls: tuple[Call, ...] = ()
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
+    describe_installed: Callable[[], str] | None = None
     profile_of: Callable[[str | None, Mapping[str, str]], tuple[str, str]] = lambda _rmw, _environment: ("", "")
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None

@@ -70,7 +70,11 @@ def read_mhz(path: str) -> float | None:
 
 
 def read_boot_id() -> str | None:
-    return read_text("/proc/sys/kernel/random/boot_id") or None
+    """Return what identifies this process's monotonic clock: the boot, in a time namespace with its offset in seconds and ns."""
+    boot_id = read_text("/proc/sys/kernel/random/boot_id") or None
+    offset = re.search(r"^monotonic\s+(-?\d+)\s+(\d+)", read_text("/proc/self/timens_offsets") or "", re.MULTILINE)
+    is_elsewhere = offset is not None and offset.groups() != ("0", "0")
+    return f"{boot_id} monotonic {offset[1]} {offset[2]}" if boot_id and offset and is_elsewhere else boot_id
 
 
 def _socket_buffers() -> dict[str, int]:

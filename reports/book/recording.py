@@ -17,6 +17,7 @@ from dds_trace.analyzer.model.applied import (
     payload_path,
     udp_receive_buffer_bytes,
 )
+from dds_trace.analyzer.model.environment import versions_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_ratio
 from dds_trace.tracefile.format.descriptions import Session
@@ -163,7 +164,7 @@ def setting_words(analysis: Analysis) -> str:
 
 
 def version_words(analysis: Analysis) -> str:
-    versions = [object_of(session.host.get("versions")).items() for session in analysis.sessions]
+    versions = [versions_of(session).items() for session in analysis.sessions]
     return ", ".join(_each((printable(name), printable(value)) for packages in versions for name, value in packages))
 
 

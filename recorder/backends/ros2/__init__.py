@@ -20,6 +20,7 @@ from .installation import (
     check_installed,
     check_settings,
     check_vendor,
+    describe_installed,
     fast_dds,
     find_rmws,
     missing_rmw,
@@ -79,6 +80,7 @@ BACKEND = Backend(
     label="ROS 2",
     make_node=_make_node,
     find_installed=find_rmws,
+    describe_installed=describe_installed,
     install=INSTALL,
     meeting=Meeting.DISCOVERY,
     meeting_needs=(

@@ -57,6 +57,23 @@ def find_rmws() -> Sequence[str | None]:
     return sorted(names) or [None]  # wheels have no index
 
 
+def describe_installed() -> str:
+    """Return the distribution, and each middleware with its versions, in words."""
+    names = (re.fullmatch(r"ros-([a-z]+)-rclpy", dist.metadata["Name"] or "") for dist in metadata.distributions())
+    distro = os.environ.get("ROS_DISTRO") or next((match[1] for match in names if match), "")
+    rmws = [_described(rmw or WHEELS_RMW) for rmw in find_rmws()]
+    return f"{distro.capitalize()}, rclpy {package_version('rclpy') or 'of unknown version'}; {', '.join(rmws)}".lstrip(
+        ", "
+    )
+
+
+def _described(rmw: str) -> str:
+    facts = ros_middleware(rmw)
+    package = fast_dds().package if facts.vendor == "fastdds" else facts.packages[0]
+    versions = {rmw: package_version(rmw), facts.label: package_version(package) if package != rmw else None}
+    return " on ".join(f"{name} {version}" for name, version in versions.items() if version) or rmw
+
+
 def missing_rmw(rmw: str) -> str | None:
     installed = find_rmws()
     if rmw in installed or (None in installed and rmw == WHEELS_RMW):

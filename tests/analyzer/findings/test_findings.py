@@ -596,6 +596,33 @@ def test_two_names_of_one_boot_are_one_device(tmp_path):
     assert "overlapping_pings" in findings(tmp_path)
 
 
+def fast_dds_side(make, package, version, is_own=True, boot="b", path="lo"):
+    memory = [{"name": "x", "middleware": "fastdds", "is_own": is_own, "is_deleted": False}]
+    counted = (
+        {"interfaces": {"lo": {"sent_bytes": 0}}},
+        {"interfaces": {"lo": {"sent_bytes": 450_000_000}}, "memory": memory},
+    )
+    applied = {"begin": counted[0], "end": counted[1], "path": path}
+    return make(vendor="fastdds", host={"versions": {package: version}}, extra={"boot_id": boot, "applied": applied})
+
+
+def test_two_generations_of_fast_dds_on_one_machine_share_no_memory(tmp_path, sentences):
+    old = fast_dds_side(ping_session, "fastrtps", "2.14.5")
+    new = fast_dds_side(relay_session, "fastdds", "3.2.3")
+    write_pair(tmp_path, sound(), ping=old, relay=new)
+    found = findings(tmp_path)
+    sentences(found["mixed_versions"].what)
+    assert "Fast DDS 2.14.5 and 3.2.3" in found["mixed_versions"].what
+    assert "fastdds 2.14.5 and 3.2.3" in found["unlike_versions"].what
+    for other in (
+        fast_dds_side(relay_session, "fastdds", "2.14.6"),  # as newer recorders name it
+        fast_dds_side(relay_session, "fastdds", "3.2.3", is_own=False),
+        fast_dds_side(relay_session, "fastdds", "3.2.3", boot="another"),
+    ):
+        write_pair(tmp_path, sound(), ping=old, relay=other)
+        assert "mixed_versions" not in findings(tmp_path)
+
+
 def test_a_ping_and_a_relay_of_unlike_versions(tmp_path, sentences):
     old = {"host": {"versions": {"rmw_fastrtps_cpp": "8.4.1", "rclpy": "7"}}, "extra": {"recorder_version": "0.1.0"}}
     new = {"host": {"versions": {"rmw_fastrtps_cpp": "8.4.2", "rclpy": "7"}}, "extra": {"recorder_version": "0.2.0"}}

@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 from trace_files import (
@@ -48,6 +49,42 @@ def test_columns_and_types_are_those_of_the_format(tmp_path):
     analysis = analyze(tmp_path)
     assert dict(analysis.load_roundtrips().schema) == {column.name: column.dtype for column in ROUNDTRIP_COLUMNS}
     assert dict(analysis.summary.schema) == {column.name: column.dtype for column in SUMMARY_COLUMNS}
+
+
+def test_runs_of_two_versions_are_two_results_and_of_one_version_one(tmp_path):
+    def write(name, number, versions):
+        sides = [
+            make(
+                session_id=session_id + number,
+                vendor="fastdds",
+                relay_id=relay_id,
+                host={"versions": dict(pair)},
+                extra={"session_id": f"{session_id + number:016x}"},
+            )
+            for make, session_id, relay_id, pair in (
+                (ping_session, 10, None, versions[:1]),
+                (relay_session, 30, RELAY_ID, versions[-1:]),
+            )
+        ]
+        of_run = run(run_id=number, extra={"session_id": f"{10 + number:016x}"})
+        folder = tmp_path / name
+        folder.mkdir(exist_ok=True)
+        for side, events in zip(
+            sides, (ping_events(TWO, run_id=number), relay_events(TWO, run_id=number)), strict=True
+        ):
+            runs = [of_run] if side.role == "ping" else []
+            write_trace(folder / f"{number}.{side.role}.mcap", side, runs, events)
+
+    def settings(name):
+        return [re.sub(r"^flows=\d,?", "", text) for text in analyze(tmp_path / name).summary["setting"]]
+
+    jazzy, kilted = [("fastrtps", "2.14.5")], [("fastdds", "3.2.3")]
+    for number, versions in enumerate((jazzy, kilted, jazzy, kilted + jazzy), start=1):
+        write("both", number, versions)
+    assert settings("both") == ["relay.version=2.14.5,version=3.2.3", "version=2.14.5", "version=3.2.3"]
+    write("one", 1, jazzy)
+    write("one", 2, [("fastdds", "2.14.5")])  # as newer recorders name it
+    assert settings("one") == [""]
 
 
 def test_parameters_come_from_run_and_sessions(tmp_path):

@@ -30,7 +30,9 @@ def path(traffic=TRAFFIC, begin=None, end=None, **more):
         ({"lo": (20 * MB, 20 * MB)}, (OWN, THEIRS), "unknown"),  # others' traffic, or this one's
         ({"lo": (20 * MB, 20 * MB)}, (OWN, port(is_own=False)), "unknown"),  # a peer in memory has been there
         ({"lo": (7 * MB, 7 * MB)}, (OWN, THEIRS), "unknown"),  # neither enough nor too little
-        ({"lo": (20 * MB, 20 * MB)}, (OWN,), "unknown"),  # a peer that is gone may have read the memory
+        ({"lo": (20 * MB, 20 * MB)}, (OWN,), "lo"),  # a peer's memory was never mapped
+        ({"lo": (90 * MB, 90 * MB)}, (OWN,), "lo"),  # also where others count
+        ({"lo": (20 * MB, 20 * MB)}, (OWN, segment(is_own=False, is_deleted=True)), "unknown"),  # it is gone
         ({"lo": (7 * MB, 7 * MB)}, (), "unknown"),
         ({"lo": (20 * MB, 20 * MB), "eth0": (10 * MB, 10 * MB)}, (), "unknown"),  # two could have been it
         ({"lo": (500 * MB, 500 * MB)}, (), "unknown"),  # mostly others'

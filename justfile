@@ -6,6 +6,7 @@ python := env("DDS_TRACE_PYTHON", ">=3.10,<3.14")
 venv := justfile_directory() / ".venv"
 bin := venv / "bin"
 lowest := justfile_directory() / ".venv-lowest"
+kilted := justfile_directory() / ".venv-kilted"
 
 # Everything below runs on this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := "LOCALHOST"
@@ -82,6 +83,13 @@ test-lowest *args:
     {{lowest}}/bin/pytest -m 'not slow and not middleware and not browser' -n 2 -q {{args}} \
         tests/base tests/tracefile/reading tests/tracefile/mcapfile tests/analyzer/test_sample_traces.py tests/analyzer/groups \
         tests/extensions/exports tests/extensions/wire/test_analyze.py tests/analyzer/saving tests/cli/test_analyze_options.py tests/cli/test_help.py
+
+# The tests with real middlewares on ROS 2 Kilted, in an environment of its own; pairs of both distributions with that of `just setup`
+test-kilted *args:
+    @test -x {{kilted}}/bin/python || uv venv --quiet --python '{{python}}' {{kilted}}
+    @uv pip install --quiet --compile-bytecode --python {{kilted}}/bin/python -e '.[ros2-kilted,cyclonedds,zenoh,analyze,test]'
+    DDS_TRACE_JAZZY={{bin}}/dds-record {{kilted}}/bin/pytest -m 'not slow' -n 3 --dist worksteal \
+        {{ if args == "" { "$(grep -rl --include='test_*.py' mark.middleware tests | sort)" } else { args } }}
 
 # Record sample_traces/ again
 samples: setup

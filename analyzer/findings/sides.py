@@ -9,7 +9,7 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
-from ..model.applied import interface_bytes, maps_foreign_memory
+from ..model.applied import interface_bytes, maps_foreign_memory, maps_memory
 from ..model.environment import middleware_version, versions_of
 from ..model.finding import Subject
 from ..model.setting import flows_of
@@ -131,7 +131,7 @@ def mixed_versions(evidence: Evidence) -> Iterator[Observation]:
             versions = [middleware_version(session) for session in sides]
             if len({version.partition(".")[0] for version in versions if version}) < 2 or not share_boot(*sides):
                 continue
-            if any(maps_foreign_memory(session) is not False for session in sides):
+            if not all(maps_memory(side) and maps_foreign_memory(side) is False for side in sides):
                 continue
             payload_bytes = 2 * exchange.counts[0] * exchange.run.payload_bytes
             sent_bytes = interface_bytes(exchange.ping).get("lo", 0)

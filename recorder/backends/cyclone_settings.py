@@ -51,6 +51,17 @@ CYCLONE_TUNED = (
 )
 
 
+# Cyclone DDS 11 drops endpoints whose type objects it rejects: of Fast DDS 3 (vendor 1.15) all with an array or sequence.
+_IGNORED_TYPES = "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility></Domain></CycloneDDS>"
+
+
+def ignored_types(version: str, environment: Mapping[str, str] = os.environ) -> str:
+    """Return the setting that lets endpoints of Fast DDS 3 match; empty where this version has none, or the user set it."""
+    texts = configuration_texts(environment.get("CYCLONEDDS_URI", ""))
+    is_set = any("IgnoreTypeInformation" in text for text in texts)
+    return "" if is_set or version.startswith("0.") else _IGNORED_TYPES
+
+
 def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.environ) -> str:
     """Return the setting that keeps Cyclone DDS on the loopback interface, to precede `cyclone_settings`.
 

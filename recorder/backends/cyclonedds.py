@@ -25,6 +25,7 @@ from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_settings import (
     cyclone_qos,
     cyclone_settings,
+    ignored_types,
     library_version,
     loaded_plugins,
     opaque_type,
@@ -81,7 +82,8 @@ class CycloneNode(ThreadedNode):
         settings = cyclone_settings(
             options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes, on_loopback=True
         )
-        parts = (settings, security_settings(options))
+        ignored = ignored_types(version)
+        parts = (settings, ignored, security_settings(options))
         try:
             self._domain = _configured_domain(options.domain_id, ",".join(filter(None, parts)))
             qos = CycloneQos(Policy.EntityName(name_of_participant(options.name, options.security)))
@@ -106,6 +108,7 @@ class CycloneNode(ThreadedNode):
                 "discovery": options.discovery.value,
                 "tuned": str(options.tuned).lower(),
                 **({"CYCLONEDDS_URI": settings} if settings else {}),
+                **({"type_information": "of Fast DDS ignored (IgnoreTypeInformation 1.15)"} if ignored else {}),
             },
         )
 

@@ -599,7 +599,7 @@ def test_two_names_of_one_boot_are_one_device(tmp_path):
 def fast_dds_side(make, package, version, is_own=True, boot="b", path="lo"):
     memory = [{"name": "x", "middleware": "fastdds", "is_own": is_own, "is_deleted": False}]
     counted = (
-        {"interfaces": {"lo": {"sent_bytes": 0}}},
+        {"interfaces": {"lo": {"sent_bytes": 0}}, "memory": memory},
         {"interfaces": {"lo": {"sent_bytes": 450_000_000}}, "memory": memory},
     )
     applied = {"begin": counted[0], "end": counted[1], "path": path}

@@ -109,12 +109,13 @@ TOPIC_STATISTICS = ("p50", "p90", "p99", "max")
 
 TOPIC_SCHEMA = frame_schema(
     "topic:str message_type:str ping_device:str relay_device:str clock:str publishers:u32 runs:u64 published:u64 received:u64 "
-    "lost_outbound:u64 lost_unknown:u64 duplicates:u64 reordered:u64 received_ratio:f64 duration_ns:i64 rate_hz:f64 "
+    "lost_outbound:u64 lost_unknown:u64 offered:str subscribed:str duplicates:u64 reordered:u64 received_ratio:f64 duration_ns:i64 rate_hz:f64 "
     "message_bytes:f64 transfer_rate_bytes_per_s:f64 period_p50_ns:f64 period_p99_ns:f64 jitter_ns:f64 "
     + " ".join(f"{metric}_{statistic}_ns:f64" for metric in TOPIC_METRICS for statistic in TOPIC_STATISTICS)
     + " bound_ns:i64"
 )
-"""`ping_device` is the publisher's, `relay_device` the tap's; `bound_ns` the largest. `jitter_ns` is 1.4826 times the
+"""`ping_device` is the publisher's, `relay_device` the tap's; `bound_ns` the largest. `rate_hz` is what was published, heard or not.
+`offered` is the reliability of the publishers, `subscribed` that of the taps. `jitter_ns` is 1.4826 times the
 median absolute deviation of the intervals between arrivals."""
 
 

@@ -24,7 +24,7 @@ from dds_trace.analyzer.model.runs import tap_run_id
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.units import SECOND_NS
 from dds_trace.extensions.bags.quantiles import spread
-from dds_trace.tracefile.format.json_fields import number_of
+from dds_trace.tracefile.format.json_fields import JsonObject, number_of
 
 from .device_clocks import DeviceClocks, Machine, follow_wall_clocks
 from .join import Delivery, deliver, find_streams, heard_by_taps, with_ages
@@ -167,14 +167,22 @@ def _with_parameters(delivery: Delivery) -> pl.DataFrame:
     return messages.with_columns(missing).select(*TOPIC_MESSAGE_SCHEMA)
 
 
-def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
-    messages = pl.concat([delivery.messages for delivery in deliveries])
+def _by_session(deliveries: Sequence[Delivery], name: str) -> list[Int64]:
     sessions: dict[int, list[pl.Series]] = defaultdict(list)
     for delivery in deliveries:
-        sessions[delivery.heard.session.session_id].append(delivery.messages["relay_in_ns"].drop_nulls())
-    arrivals = [np.sort(pl.concat(parts).to_numpy()) for parts in sessions.values()]
+        sessions[delivery.heard.session.session_id].append(delivery.messages[name].drop_nulls())
+    return [np.sort(pl.concat(parts).to_numpy()) for parts in sessions.values()]
+
+
+def _reliability(asked: Sequence[JsonObject]) -> str:
+    return ", ".join(sorted({str(qos.get("reliability", "unknown")) for qos in asked}))
+
+
+def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
+    messages = pl.concat([delivery.messages for delivery in deliveries])
+    arrivals, sent = (_by_session(deliveries, name) for name in ("relay_in_ns", "publish_ns"))
     periods = np.concatenate([np.diff(part) for part in arrivals])
-    lasted_ns = int(sum(part[-1] - part[0] for part in arrivals))
+    lasted_ns, sending_ns = (int(sum(part[-1] - part[0] for part in times)) for times in (arrivals, sent))
     outcomes = dict(messages["outcome"].value_counts().iter_rows())
     received = outcomes.get("completed", 0)
     received_bytes = messages.filter(outcome="completed")["message_bytes"]
@@ -189,10 +197,12 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
         "published": len(messages),
         "received": received,
         **{name: outcomes.get(name, 0) for name in ("lost_outbound", "lost_unknown")},
+        "offered": _reliability([delivery.heard.qos for delivery in deliveries]),
+        "subscribed": _reliability([delivery.heard.subscribed for delivery in deliveries]),
         **{name: int(messages[name].sum()) for name in ("duplicates", "reordered")},
         "received_ratio": received / len(messages),
         "duration_ns": lasted_ns,
-        "rate_hz": len(periods) * SECOND_NS / lasted_ns if lasted_ns else None,
+        "rate_hz": (len(messages) - len(sent)) * SECOND_NS / sending_ns if sending_ns else None,
         "message_bytes": received_bytes.mean(),
         "transfer_rate_bytes_per_s": int(received_bytes.sum()) * SECOND_NS / lasted_ns if lasted_ns else None,
         "period_p50_ns": quantile(periods, "p50"),

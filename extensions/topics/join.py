@@ -38,6 +38,7 @@ class Heard:
     publisher: str
     node: str
     qos: JsonObject
+    subscribed: JsonObject
     has_sequence: bool
     is_local: bool | None
     messages: pl.DataFrame
@@ -95,6 +96,7 @@ def _heard(session: Session, record: JsonObject, parts: list[EventPart], end_ns:
         publisher=_text(record, "publisher"),
         node=_text(record, "node"),
         qos=object_of(record.get("qos")),
+        subscribed=object_of(record.get("subscribed")),
         has_sequence=record.get("sequence_is_given") is True and bool((events.publication_sequence > 0).all()),
         is_local=is_local if isinstance(is_local := record.get("is_local"), bool) else None,
         messages=pl.DataFrame({name: values[order] for name, values in columns.items()}),

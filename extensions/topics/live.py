@@ -1,10 +1,10 @@
-"""Rate, age, loss and state of each topic while a tap runs, over its latest messages: memory does not grow."""
+"""Rate as published, age, loss and state of each topic while a tap runs, over its latest messages: memory does not grow."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from dds_trace.base.units import SECOND_NS
 from dds_trace.recorder.roles.progress import Health, LiveRow
@@ -28,7 +28,9 @@ class LiveTopic:
         self.name = name
         self.expected_hz = expected_hz
         self._first_ns = 0
-        self._arrivals_ns: deque[int] = deque(maxlen=KEPT_MESSAGES)
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=KEPT_MESSAGES)
+        """Each arrival, and the messages up to it, the missing ones included."""
+        self._messages = 0
         self._ages_ns: deque[int] = deque(maxlen=KEPT_MESSAGES)
         self._missing: dict[int, int] = {}
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -36,21 +38,22 @@ class LiveTopic:
     def count(self, arrival_ns: int, stamp_ns: int, publisher_id: int, missing: int) -> None:
         """Take a message's arrival on the monotonic clock, its stamp on the wall clock (0: none), and its publisher's losses."""
         self._first_ns = self._first_ns or arrival_ns
-        self._arrivals_ns.append(arrival_ns)
+        self._messages += 1
+        self._missing[publisher_id] = missing
+        self._arrivals.append((arrival_ns, self._messages + sum(self._missing.values())))
         if stamp_ns:
             self._ages_ns.append(arrival_ns + self._wall_offset_ns - stamp_ns)
-        self._missing[publisher_id] = missing
 
     def row(self, now_ns: int) -> LiveRow:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
-        arrivals_ns, ages_ns = self._arrivals_ns.copy(), sorted(self._ages_ns.copy())
+        arrivals, ages_ns = self._arrivals.copy(), sorted(self._ages_ns.copy())
         age_ns = self._ages_ns[-1] if ages_ns else None
         if self.expected_hz is None:
-            steady_ns = [arrival_ns for arrival_ns in arrivals_ns if arrival_ns > self._first_ns + WINDOW_NS]
-            if len(steady_ns) >= LEARNING:
-                self.expected_hz = (len(steady_ns) - 1) * SECOND_NS / max(steady_ns[-1] - steady_ns[0], 1)
-        silence_ns = now_ns - arrivals_ns[-1] if arrivals_ns else None
-        rate_hz = _rate_hz(arrivals_ns, now_ns)
+            steady = [arrival for arrival in arrivals if arrival[0] > self._first_ns + WINDOW_NS]
+            if len(steady) >= LEARNING:
+                self.expected_hz = _rate_hz(steady, steady[-1][0])
+        silence_ns = now_ns - arrivals[-1][0] if arrivals else None
+        rate_hz = _rate_hz([arrival for arrival in arrivals if arrival[0] > now_ns - WINDOW_NS], now_ns)
         return LiveRow(
             self.name,
             self._health(rate_hz, silence_ns),
@@ -74,14 +77,14 @@ class LiveTopic:
         return Health.LATE if is_late else Health.OK
 
 
-def _rate_hz(arrivals_ns: deque[int], now_ns: int) -> float:
-    recent = [arrival_ns for arrival_ns in arrivals_ns if arrival_ns > now_ns - WINDOW_NS]
-    if len(recent) < 2:
+def _rate_hz(arrivals: Sequence[tuple[int, int]], now_ns: int) -> float:
+    if len(arrivals) < 2:
         return 0.0
     # Up to now once a period has passed without a message, so that a topic that stops gets slower.
-    span_ns = recent[-1] - recent[0]
-    overdue_ns = max(now_ns - recent[-1] - span_ns / (len(recent) - 1), 0)
-    return (len(recent) - 1) * SECOND_NS / max(span_ns + overdue_ns, 1)
+    (first_ns, first), (last_ns, last) = arrivals[0], arrivals[-1]
+    span_ns, intervals = last_ns - first_ns, max(last - first, 1)
+    overdue_ns = max(now_ns - last_ns - span_ns / intervals, 0)
+    return intervals * SECOND_NS / max(span_ns + overdue_ns, 1)
 
 
 class LiveTable:

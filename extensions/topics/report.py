@@ -23,6 +23,8 @@ from dds_trace.reports.blocks import (
 )
 from dds_trace.reports.book.groups import format_count
 
+from .streams import lost_words
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
@@ -79,7 +81,8 @@ def _received(row: Mapping[str, Any]) -> str:
     lost = row["published"] - row["received"]
     if not lost:
         return f"all of {counted(row['published'], 'message', text=format_count(row['published']))} received"
-    return f"{format_count(lost)} of {format_count(row['published'])} messages lost"
+    words = lost_words(row["subscribed"], row["offered"])
+    return f"{format_count(lost)} of {format_count(row['published'])} messages {words}"
 
 
 def _way(row: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ from dds_trace.tracefile.writing.event_chunks import MOST_TOPICS
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from .live import LiveTable, LiveTopic
-from .streams import State, Stream
+from .streams import State, Stream, find_by_number
 
 MOST_WAITING = 64
 """Messages that wait; when there are more, the receiving thread waits, and the middleware drops what its queue does not hold."""
@@ -73,6 +73,8 @@ class Worker:
 TAP = 5
 GRAPH_PERIOD_NS = SECOND_NS // 2
 MOST_STREAMS = 10_000
+MOST_NUMBERED = 16
+"""Publishers of a topic that numbers tell apart at a time."""
 MOST_ANNOUNCED = 1000
 """Pairs of topic and type that a tap joins or refuses."""
 JOIN_NS = GRAPH_PERIOD_NS
@@ -95,7 +97,10 @@ class _Topic:
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
-    """By `source` of a message; None is the only publisher, or all of several."""
+    """By `source` of a message; None is the only publisher, or all of several that send no numbers."""
+
+    numbered: list[Stream] = field(default_factory=list)
+    """Publishers that only their numbers tell apart."""
 
     @property
     def is_unseen(self) -> bool:
@@ -250,10 +255,15 @@ class Tap:
         ended = {p.publisher for p in topic.publications} - {p.publisher for p in publications}
         topic.publications = publications
         topic.streams.pop(None, None)
+        for stream in [stream for stream in topic.numbered if stream.publisher in ended]:
+            topic.numbered.remove(stream)
         for stream in self.streams:
             if stream.publication.topic == topic.name and stream.publisher in ended and stream.stopped_at is None:
                 self._note(f"{topic.name}: its publisher {printable(stream.publication.node_name)} left")
                 self._stop(stream)
+        unknown = [stream for stream in topic.numbered if stream.publisher is None]
+        if len(unknown) == 1 and (publication := _only_unheard(topic)):
+            unknown[0].publisher, unknown[0].publication = publication.publisher, publication
 
     def _stop(self, stream: Stream) -> None:
         stream.stopped_at = stream.messages
@@ -277,9 +287,10 @@ class Tap:
         sequence: int,
         source: Hashable,
     ) -> None:
-        stream = topic.streams.get(source) or self._meet(topic, source)
-        if stream.publisher is None and source is None:
-            sequence = 0
+        if source is None and sequence:
+            stream = self._by_number(topic, sequence, source_ns or arrival_ns)
+        else:
+            stream = topic.streams.get(source) or self._meet(topic, source)
         header_ns = 0 if topic.read_stamp is None else max(topic.read_stamp(bytes(message)) or 0, 0)
         payload_bytes = len(message)
         self._sink.record(
@@ -293,11 +304,34 @@ class Tap:
             payload_bytes,
             stream.publisher_id,
         )
-        stream.count(arrival_ns, sequence, payload_bytes)
+        stream.count(arrival_ns, sequence, payload_bytes, source_ns)
         if topic.payload_topic is not None:
             self._sink.keep_payload(topic.payload_topic, message, arrival_ns)
         if topic.live is not None:
             topic.live.count(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
+
+    def _by_number(self, topic: _Topic, sequence: int, sent_ns: int) -> Stream:
+        stream, is_sure = find_by_number(topic.numbered, sequence, sent_ns)
+        if stream is not None and not is_sure:  # lost messages, or the first one of a publisher that just came
+            now = self._node.list_publications(TopicPatterns((topic.name,)))
+            if sum(publication.type_name == topic.type_name for publication in now) > len(topic.numbered):
+                stream = None
+        if stream is not None:
+            return stream
+        is_first = all(other.publisher is not None for other in topic.numbered)
+        publication = (_only_unheard(topic) if is_first else None) or Publication(topic.name, topic.type_name)
+        stream = self._add_stream(topic, publication.publisher, publication)
+        if len(topic.numbered) >= MOST_NUMBERED:
+            topic.numbered.remove(min(topic.numbered, key=lambda other: other.last_ns))
+        topic.numbered.append(stream)
+        return stream
+
+    def _add_stream(self, topic: _Topic, publisher: str | None, publication: Publication) -> Stream:
+        if len(self.streams) >= MOST_STREAMS:
+            return self.streams[-1]
+        stream = Stream(publication, len(self.streams) + 1, publisher, self._qos, topic.read_stamp is not None)
+        self.streams.append(stream)  # described by `look`: the next message would wait for the disk
+        return stream
 
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         publisher, publication = self._identify(topic, source)
@@ -310,13 +344,8 @@ class Tap:
             ),
             None,
         )
-        if stream is None:
-            if len(self.streams) >= MOST_STREAMS:
-                return self.streams[-1]
-            stream = Stream(publication, len(self.streams) + 1, publisher, self._qos, topic.read_stamp is not None)
-            self.streams.append(stream)  # described by `look`: the next message would wait for the disk
-        topic.streams[source] = stream
-        return stream
+        topic.streams[source] = stream or self._add_stream(topic, publisher, publication)
+        return topic.streams[source]
 
     def _identify(self, topic: _Topic, source: Hashable) -> tuple[str | None, Publication]:
         publications = topic.publications
@@ -346,15 +375,17 @@ class Tap:
 def summarize(streams: Iterable[Stream]) -> list[str]:
     lines = []
     for stream in sorted(streams, key=lambda by_topic: (by_topic.publication.topic, by_topic.publisher_id)):
-        rate = (
-            f", {1e9 * (stream.messages - 1) / (stream.last_ns - stream.first_ns):.3g} Hz"
-            if stream.messages > 1
-            else ""
-        )
-        lost = f", {stream.missing} missing" if stream.last_sequence else ""
+        rate = f", {stream.rate_hz:.3g} Hz" if stream.rate_hz else ""
         ended = ", stopped before the end" if stream.stopped_at is not None else ""
-        lines.append(f"{stream.publication.topic}: {counted(stream.messages, 'message')}{rate}{lost}{ended}")
+        lines.append(f"{stream.publication.topic}: {counted(stream.messages, 'message')}{rate}{stream.lost}{ended}")
     return lines
+
+
+def _only_unheard(topic: _Topic) -> Publication | None:
+    """Return the publisher that is left when those that were heard are taken away, if it is one."""
+    heard = {stream.publisher for stream in topic.numbered}
+    unheard = [publication for publication in topic.publications if publication.publisher not in heard]
+    return unheard[0] if len(unheard) == 1 else None
 
 
 Members = Callable[[str], Mapping[str, str] | None]

@@ -196,7 +196,7 @@ class Ros2Node(ThreadedNode):
         return node
 
     def publisher_of(self, source: Hashable) -> str | None:
-        return source.hex() if isinstance(source, bytes) else None  # rclpy before Kilted does not report it
+        return source if isinstance(source, str) else None
 
     def members(self, type_name: str) -> Mapping[str, str] | None:
         return cast("Mapping[str, str]", message_class(type_name).get_fields_and_field_types())
@@ -407,7 +407,8 @@ def _with_sequence(receive: TapReceive, *, stamps_reception: bool) -> Callable[.
         sequence = info.get("publication_sequence_number", UNKNOWN_SEQUENCE)
         sequence = 0 if sequence == UNKNOWN_SEQUENCE else sequence
         received_ns = info["received_timestamp"] if stamps_reception else 0
-        source = info.get("publisher_gid", {}).get("data")
+        gid = (info.get("publisher_gid") or {}).get("data")  # Kilted and later
+        source = bytes(gid)[:GUID_BYTES].hex() if gid else None
         receive(message, info["source_timestamp"], received_ns, sequence, source)
 
     return _of_two_parameters(on_message)

@@ -30,6 +30,17 @@ def test_the_rate_is_of_the_last_seconds(rate_hz):
     assert topic.row(round(last * SECOND / rate_hz)).rate_hz == pytest.approx(rate_hz, rel=0.05)
 
 
+def test_the_rate_is_that_of_the_publisher_also_where_messages_are_missing():
+    topic, arrived = LiveTopic("/camera", None), 0
+    for number in range(500):
+        if number % 10 in {0, 3, 4}:
+            arrived += 1
+            topic.count(number * 50 * MS, 0, 1, number + 1 - arrived)
+    row = topic.row(494 * 50 * MS)
+    assert (row.rate_hz, row.expected_hz) == (pytest.approx(20, rel=0.05), pytest.approx(20, rel=0.05))
+    assert (row.missing, row.health) == (495 - arrived, Health.OK)
+
+
 def test_a_rate_is_learnt_and_then_kept():
     topic = fed(10, 12, start_ns=1)
     assert topic.row(12 * SECOND).expected_hz == pytest.approx(10)
@@ -79,7 +90,7 @@ def test_memory_is_bounded_and_losses_add_up():
     topic = LiveTopic("/camera", None)
     for number in range(5 * KEPT_MESSAGES):
         topic.count(number, 1, number % 2, number // 1000)
-    assert max(len(topic._arrivals_ns), len(topic._ages_ns)) == KEPT_MESSAGES
+    assert max(len(topic._arrivals), len(topic._ages_ns)) == KEPT_MESSAGES
     assert topic.row(5000).missing == 8
 
 

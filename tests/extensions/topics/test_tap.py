@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import polars as pl
 import pytest
 from fake_clock import FakeClock
@@ -21,15 +22,18 @@ IMAGE = "sensor_msgs/msg/Image"
 MS = 1_000_000
 MESSAGE = b"\0\1\0\0" + (5).to_bytes(4, "little") + (6).to_bytes(4, "little") + b"rest"
 CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable", "transient_local"))
+SECOND = Publication(CAMERA.topic, IMAGE, "bb" * 16, "/second")
 
 
 class Bench:
-    def __init__(self, *patterns, graph=(CAMERA,), keeps_payload=False, open_sink=lambda _: JsonSink(), node=None):
+    def __init__(
+        self, *patterns, graph=(CAMERA,), keeps_payload=False, open_sink=lambda _: JsonSink(), node=None, asked=None
+    ):
         self.node, self.clock, self.notes = node or FakeTapNode(), FakeClock(), []
         self.sink = open_sink(self.clock.monotonic_ns)
         self.node.graph = list(graph)
         self.node.definitions = {IMAGE: {"header": "std_msgs/Header"}}
-        qos = chosen_qos(None, None, None)
+        qos = chosen_qos(asked, None, None)
         self.tap = Tap(
             self.node,
             self.sink,
@@ -42,8 +46,8 @@ class Bench:
         )
         self.tap.look()
 
-    def hear(self, sequence=0, topic=CAMERA.topic, source=None, message=MESSAGE):
-        self.node.subscriptions[topic].receive(message, 11, 12, sequence, source)
+    def hear(self, sequence=0, topic=CAMERA.topic, source=None, message=MESSAGE, source_ns=11):
+        self.node.subscriptions[topic].receive(message, source_ns, 12, sequence, source)
 
     def look(self, after_ms=1000):
         self.clock.now_ns += after_ms * MS
@@ -156,26 +160,102 @@ def test_a_tap_asks_nothing_of_a_publisher():
     assert asked == Qos("reliable", "transient_local", "keep_last", 5)
 
 
-def test_publishers_that_cannot_be_distinguished_share_a_record_without_sequence():
-    other = Publication(CAMERA.topic, IMAGE, "bb" * 16, "/second")
+def test_publishers_without_numbers_that_cannot_be_distinguished_share_a_record():
     bench = Bench()
-    bench.hear(7)
-    bench.node.graph.append(other)
+    bench.hear()
+    bench.node.graph.append(SECOND)
     bench.look()
-    bench.hear(8)
-    bench.hear(3)
-    assert [(event[2], event[-1]) for event in bench.sink.events] == [(7, 1), (0, 2), (0, 2)]
-    bench.node.graph.remove(other)
+    bench.hear()
+    assert [(event[2], event[-1]) for event in bench.sink.events] == [(0, 1), (0, 2)]
+    bench.node.graph.remove(SECOND)
     bench.look()
-    bench.hear(9)
-    assert [(event[2], event[-1]) for event in bench.sink.events][-1] == (9, 1)
+    bench.hear()
+    assert [event[-1] for event in bench.sink.events] == [1, 2, 1]
     assert [stream.publisher for stream in bench.tap.streams] == [CAMERA.publisher, None]
 
 
+def feed(bench, publishers, looks_ms=500):
+    """Hear publishers, each a list of pairs of time (ms) and number, in the order of time; return all in this order."""
+    heard = sorted((at_ms, sequence, name) for name, sent in publishers.items() for at_ms, sequence in sent)
+    looked_ms, start_ns = 0, bench.clock.now_ns
+    for at_ms, sequence, _ in heard:
+        bench.clock.now_ns = start_ns + round(at_ms * MS)
+        bench.hear(sequence, source_ns=bench.clock.now_ns)
+        if at_ms - looked_ms > looks_ms:
+            looked_ms = at_ms
+            bench.tap.look()
+    return heard
+
+
+def sent(rng, rate_hz, start_s, end_s, first, loss=0.0):
+    period_ms = 1000 / rate_hz
+    count = int((end_s - start_s) * rate_hz)
+    times_ms = start_s * 1000 + period_ms * (np.arange(count) + rng.random() + rng.normal(0, 0.05, count))
+    return [pair for pair in zip(times_ms.tolist(), range(first, first + count), strict=True) if rng.random() >= loss]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_second_publisher_is_no_loss(seed):
+    rng = np.random.default_rng(seed)
+    rates = rng.uniform(5, 200, 2)
+    joined_s, left_s = rng.uniform(1, 8), rng.uniform(10, 20)
+    bench = Bench()
+    firsts = rng.integers(1, 5000, 2) if seed % 2 else (1, 1)
+    publishers = {
+        "a": sent(rng, rates[0], 0, 20, int(firsts[0])),
+        "b": sent(rng, rates[1], joined_s, left_s, int(firsts[1])),
+    }
+    bench.node.graph.append(SECOND)  # the graph has a publisher before the first message of it comes
+    heard = feed(bench, publishers)
+    assert sum(stream.missing for stream in bench.tap.streams) == 0
+    by_id = [
+        [event[2] for event in bench.sink.events if event[-1] == stream.publisher_id] for stream in bench.tap.streams
+    ]
+    assert len(by_id) == 2
+    assert all(np.all(np.diff(numbers) == 1) for numbers in by_id)
+    assert sorted(map(len, by_id)) == sorted(map(len, publishers.values()))
+    assert len(heard) == bench.tap.messages
+    assert not any("stopped" in note for note in bench.notes if "nothing for" in note and left_s > 18)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_losses_of_one_publisher_are_its_numbers(seed):
+    rng = np.random.default_rng(seed)
+    rate_hz, bench = rng.uniform(5, 200), Bench()
+    messages = sent(rng, rate_hz, 0, 20, 7, loss=rng.uniform(0, 0.9))
+    feed(bench, {"a": messages})
+    (stream,) = bench.tap.streams
+    assert stream.missing == messages[-1][1] - messages[0][1] + 1 - len(messages)
+    assert stream.rate_hz == pytest.approx(rate_hz, rel=0.05)
+
+
+def test_a_publisher_that_starts_again_is_another_one():
+    bench = Bench()
+    again = replace(CAMERA, publisher="dd" * 16)
+    feed(bench, {"a": [(10 * number, number) for number in range(1, 100)]})
+    bench.node.graph = [again]
+    feed(bench, {"a": [(1000 + 10 * number, number) for number in range(1, 50)]}, looks_ms=100)
+    assert [(stream.publisher, stream.messages, stream.missing) for stream in bench.tap.streams] == [
+        (CAMERA.publisher, 99, 0),
+        (again.publisher, 49, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("offered", "asked", "has_cure"),
+    [("reliable", None, True), ("best_effort", None, False), ("reliable", Reliability.RELIABLE, False)],
+)
+def test_what_the_tap_lost_is_its_own_and_has_a_cure_where_there_is_one(offered, asked, has_cure):
+    bench = Bench(graph=[replace(CAMERA, qos=Qos(offered))], asked=asked)
+    feed(bench, {"a": [(66 * number, number) for number in (1, 14, 30, 31, 70)]})
+    (line,) = summarize(bench.tap.streams)
+    assert "5 messages, 15.2 Hz, 65 missing: lost on the way to this tap" in line
+    assert ("-o reliability=reliable" in line) == has_cure
+
+
 def test_a_middleware_that_names_the_publisher_keeps_them_apart():
-    other = Publication(CAMERA.topic, IMAGE, "bb" * 16, "/second")
-    bench = Bench(graph=[CAMERA, other])
-    bench.node.sources = {1: CAMERA.publisher, 2: other.publisher}
+    bench = Bench(graph=[CAMERA, SECOND])
+    bench.node.sources = {1: CAMERA.publisher, 2: SECOND.publisher}
     for source, sequence in ((1, 1), (2, 50), (1, 2), (2, 51)):
         bench.hear(sequence, source=source)
     assert [(event[2], event[-1]) for event in bench.sink.events] == [(1, 1), (50, 2), (2, 1), (51, 2)]

@@ -13,6 +13,7 @@ from middlewares import needs
 from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S, read_past, wait_until
 
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
@@ -113,6 +114,42 @@ def test_a_tap_records_every_message_with_its_identity(tmp_path, domain_id, back
     assert trace.sessions[0].extra["own_cost"]["messages"] == len(taps)
     if backend == "ros2":
         assert np.all(np.diff(taps.publication_sequence) == 1)
+
+
+@pytest.mark.parametrize("backend", BACKENDS[:2])
+def test_a_second_publisher_of_a_topic_is_no_loss(tmp_path, domain_id, backend):
+    first, second = (
+        NodeOptions(domain_id=domain_id, name=name, discovery=Discovery.LOCALHOST) for name in ("first", "second")
+    )
+    with (
+        open_node(backend, first) as node,
+        open_node(backend, second) as other,
+        tapping(tmp_path / "tap.mcap", backend, domain_id, "/camera/image") as (watch, _),
+    ):
+        publisher = node.create_publisher("camera/image", IMAGE)
+        node.start()
+        publish_until(publisher, [watch], enough=30)
+        joining, sent = other.create_publisher("camera/image", IMAGE), 0
+        other.start()
+
+        def heard():
+            nonlocal sent
+            sent += 1
+            publisher.publish(image(sent))
+            for _ in range(3):
+                joining.publish(image(sent))
+                time.sleep(0.01)
+            return watch.messages >= 150
+
+        wait_until(heard)
+    trace = read_trace(tmp_path / "tap.mcap")
+    messages = len(trace.events[Stage.TAP])
+    assert sum(text["messages"] for text in trace.publishers) == messages >= 150
+    assert not any(text["missing"] for text in trace.publishers)
+    assert len({text["publisher"] for text in trace.publishers} - {None}) == len(trace.publishers) == 2
+    topics = analyze(tmp_path / "tap.mcap").topics
+    assert (topics["lost_unknown"].sum(), topics["reordered"].sum()) == (0, 0)
+    assert topics["received"].sum() == messages
 
 
 @pytest.mark.parametrize("backend", BACKENDS[:2])

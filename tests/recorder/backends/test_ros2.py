@@ -144,6 +144,26 @@ def test_the_time_of_the_take_is_no_reception_time(monkeypatch, rmw, received_ns
     assert got == [("message", 5, received_ns)]
 
 
+@pytest.mark.parametrize(
+    ("info", "source"),
+    [
+        (
+            {"publisher_gid": {"implementation_identifier": "rmw_fastrtps_cpp", "data": bytes(range(24))}},
+            bytes(range(16)).hex(),
+        ),
+        ({"publisher_gid": None}, None),
+        ({}, None),
+    ],
+)
+def test_a_tap_has_the_publisher_of_a_message_where_rclpy_gives_it(monkeypatch, info, source):
+    new = SimpleNamespace(subscription=SimpleNamespace(Subscription=SimpleNamespace(CallbackType=object)))
+    monkeypatch.setattr(ros2, "_rclpy", lambda: new)
+    got = []
+    on_message = ros2._with_sequence(lambda *message: got.append(message), stamps_reception=True)
+    on_message("message", {"source_timestamp": 5, "received_timestamp": 7, "publication_sequence_number": 3, **info})
+    assert got == [("message", 5, 7, 3, source)]
+
+
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_quality_of_service_that_never_matches_is_seen(domain_id, executor):
     with (

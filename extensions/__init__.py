@@ -12,6 +12,8 @@ EXTENSIONS = (
             "is_recording": "recover:is_of_others",
             "recover": "recover:recover_recording",
             "judge_tap": "limits:judge_tap",
+            "are_drives": "drives:are_drives",
+            "compare_drives": "drives:compare_drives",
         },
     ),
     Extension(

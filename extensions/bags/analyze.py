@@ -19,6 +19,7 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.tracefile.reading.source import MOST_TOPICS, Condition
 
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth
+from .chains import Link
 from .kinds import SUFFIX_WORDS
 from .losses import NONE
 from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
@@ -26,6 +27,7 @@ from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
 from .read import read_batches
 from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
+from .sync import Sync
 
 _MOST_NOTES = 10
 
@@ -39,7 +41,7 @@ class TopicReport:
     (not periodic, no counter), `missing_inside` while all topics stopped; `age_from` `header` (log time - header stamp), `publish` (log
     time - publish time) or null; `age_negative` logged before their stamp; `age_bound_ns` the largest error of corrected ages, null for others; `stamps_backwards` header stamps older than the previous one.
 
-    `strips` has by row of `topics` the share of time without holes in `STRIP_PARTS` equal parts of the recording.
+    `links` and `syncs` are by recording. `strips` has by row of `topics` the share of time without holes in `STRIP_PARTS` equal parts of the recording.
     """
 
     topics: pl.DataFrame
@@ -48,6 +50,8 @@ class TopicReport:
     recordings: tuple[RecordingHealth, ...]
     strips: tuple[tuple[float, ...], ...]
     observations: pl.DataFrame
+    links: tuple[tuple[str, Link], ...] = ()
+    syncs: tuple[tuple[str, Sync], ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -95,6 +99,7 @@ def analyze_topics(
     skip: Collection[str | os.PathLike[str]] = (),
     progress: Callable[[Path], None] | None = None,
     clock: StampCorrector | None = None,
+    sync: Sequence[str] = (),
 ) -> TopicReport:
     """Analyze the topics of every recording in a folder and below it, or of one recording.
 
@@ -103,6 +108,7 @@ def analyze_topics(
         skip: files and folders to leave out.
         progress: called before each recording is read.
         clock: places header stamps of another device on the recorder's clock.
+        sync: two topics whose stamps are compared.
 
     Raises:
         MissingEventsError: there is no recording, or none of them can be read at all.
@@ -117,7 +123,7 @@ def analyze_topics(
             condition.notes += _correct(recording.columns.values(), clock)
         is_read, text = bool(recording.columns or not recording.failure), condition.damages
         if is_read:
-            cards.append(Card(shown, [recording.columns[key] for key in sorted(recording.columns)], condition))
+            cards.append(Card(shown, [recording.columns[key] for key in sorted(recording.columns)], condition, sync))
             text = [*cards[-1].health.damages, *cards[-1].health.notes]
         more = [f"and {len(text) - _MOST_NOTES} more"] if len(text) > _MOST_NOTES else []
         status = "read" if not condition.damages else "truncated" if is_read else "skipped"
@@ -138,6 +144,8 @@ def analyze_topics(
         tuple(card.health for card in cards),
         tuple(strip for card in cards for strip in card.strips),
         pl.DataFrame(observed, schema=OBSERVATION_SCHEMA),
+        tuple((card.health.path, link) for card in cards for link in card.links),
+        tuple((card.health.path, one) for card in cards for one in card.syncs),
     )
 
 

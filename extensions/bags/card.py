@@ -13,6 +13,7 @@ from dds_trace.base.units import clock_words, counted, format_duration
 from dds_trace.tracefile.reading.source import Condition
 
 from .bounds import FEWEST, SECOND_NS
+from .chains import Link, Stamped, find_links
 from .clocks import (
     DAY_NS,
     Clocks,
@@ -33,6 +34,7 @@ from .observations import Observation, explained, has_losses, observe
 from .periods import Int64
 from .quantiles import median, quantile, spread
 from .read import copied_messages
+from .sync import Sync, compare_stamps
 from .weighing import Source, weigh
 
 Row = dict[str, str | int | float | None]
@@ -192,7 +194,10 @@ def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> It
 class Card:
     """What is said of one recording: its health, rows of topics, holes, strips and observations."""
 
-    def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
+    def __init__(
+        self, path: str, columns: Sequence[TopicMessages], condition: Condition, sync: Sequence[str] = ()
+    ) -> None:
+        self._sync, self.links, self.syncs = sync, list[Link](), list[Sync]()
         self._path, self._notes = path, [Note(note) for note in condition.notes]
         self._start_ns, self._end_ns = 0, 0
         self.rows: list[Row] = []
@@ -254,6 +259,18 @@ class Card:
             )
         for topic, times, loss, early in zip(columns, evidence.times, evidence.losses, evidence.history, strict=True):
             self._add(topic, times, loss, pauses, early, evidence.clocks)
+        pairs = [*zip(columns, evidence.times, strict=True)]
+        if self._sync:
+            self.syncs.append(compare_stamps(self._sync, {topic.topic.name: times for topic, times in pairs}))
+        no_age = evidence.clocks.no_age
+        self.links = find_links(
+            [
+                Stamped(
+                    one.topic.name, one.topic.message_type, times.log_ns, times.stamp_ns, one.topic.name not in no_age
+                )
+                for one, times in pairs
+            ]
+        )
         return evidence.losses, pauses, evidence.readable
 
     def _note(self, words: str) -> None:

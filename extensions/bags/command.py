@@ -10,6 +10,7 @@ import typer
 
 from dds_trace.analyzer.exports.kinds import EXPORTERS, TOPIC_EXPORTS, write_file, write_text_file
 from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 from dds_trace.cli.outputs import Opens, expand_paths, kinds_of, show_page
 from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
@@ -58,6 +59,10 @@ def bag_command(
             "recorded=laptop topics=/camera/*'.",
         ),
     ] = None,
+    sync: Annotated[
+        str | None,
+        option("--sync TOPIC,TOPIC", "Compare the clock that stamps one topic with that of another: /camera,/imu"),
+    ] = None,
     open_it: Opens = False,
 ) -> None:
     """Say whether a recording of other tools is whole, topic by topic.
@@ -81,6 +86,9 @@ def bag_command(
 
         gates = [parse_topic_gate(text) for text in fail_if or []]
         gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
+    compared = [] if sync is None else sync.split(",")
+    if sync is not None and (len(compared) != 2 or not all(compared)):
+        raise OptionError(f"--sync {sync}: name two topics, such as /camera,/imu")
     stamp_clock = None
     if clock is not None:
         from dds_trace.analyzer.pipeline import analyze
@@ -90,7 +98,7 @@ def bag_command(
         measured = analyze(request.folder, details=False)
         stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows).corrections
     kinds = [*(report or []), *(["html"] if open_it else [])]
-    code, written = report_topics(recordings, folder, kinds, export or [], gates, stamp_clock, write_limits)
+    code, written = report_topics(recordings, folder, kinds, export or [], gates, stamp_clock, write_limits, compared)
     for path in written:
         print(f"Wrote {path}")
     show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
@@ -105,6 +113,7 @@ def report_topics(
     gates: Sequence[Gate],
     clock: StampCorrector | None = None,
     limits_out: Path | None = None,
+    sync: Sequence[str] = (),
 ) -> tuple[int, list[Path]]:
     from dds_trace.base.streams import say
     from dds_trace.reports.reporters import load_reporter
@@ -114,7 +123,7 @@ def report_topics(
     from .card import DAMAGED, EMPTY, HOLES
     from .report import BagReport
 
-    report = analyze_topics(paths, skip=[folder], clock=clock)
+    report = analyze_topics(paths, skip=[folder], clock=clock, sync=sync)
     judged = []
     if gates:
         from .limits import judge_topics

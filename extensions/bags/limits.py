@@ -13,11 +13,12 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.streams import say
-from dds_trace.extensions.gates.gate import Gate, GateOutcome, rows_of_gates
+from dds_trace.extensions.gates.gate import Against, Gate, GateOutcome, rows_of_gates
 from dds_trace.extensions.gates.gates import overall_outcome, result_of
 from dds_trace.extensions.gates.sections import fits_any
 from dds_trace.extensions.gates.words import Gated, gate_notes, gate_rows
 
+from .analyze import TopicReport
 from .card import OTHER_CLOCK_NS
 
 
@@ -39,7 +40,11 @@ def judge_tap(trace: Path, gates: Sequence[Gate]) -> int:
     return overall_outcome(gated.result.outcome for gated in judged).exit_code
 
 
-def judge_topics(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate]) -> Iterator[JudgedTopic]:
+def judge_topics(
+    topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequence[Gate], base: TopicReport | None = None
+) -> Iterator[JudgedTopic]:
+    """Judge topics by limits, and by changes against the topics of the same name in `base`."""
+    before = {} if base is None else {row["topic"]: row for row in base.topics.rows(named=True)}
     topic_rows, names, are_several = topics.rows(named=True), {*topics["topic"]}, topics["recording"].n_unique() > 1
     chosen = rows_of_gates(gates, [{"data_type": row["topic"]} for row in topic_rows])
     for gate, rows in zip(gates, ([topic_rows[n] for n in indices] for indices in chosen), strict=True):
@@ -52,11 +57,24 @@ def judge_topics(topics: pl.DataFrame, holes: pl.DataFrame | None, gates: Sequen
             yield JudgedTopic(gate.topics, missing, "")
         for row in rows:
             value, low, high = _measured(row, holes, gate.name)
+            if gate.against is not Against.NEW:
+                others: Sequence[float | None] = [None] * 3
+                if base is not None and row["topic"] in before:
+                    others = _measured(before[row["topic"]], base.holes, gate.name)
+                value, low, high = _change(gate, others, (value, low, high))
             measured = [value] if low == high else [value, low, high]
             reason = "the value is not known" if value is None else ""
             result = result_of(gate, row["topic"], gate.judge(low, low, high), *measured, reason=reason)
             where = f"{row['topic']} in {row['recording']}" if are_several else row["topic"]
             yield JudgedTopic(where, result, row["recording"])
+
+
+def _change(gate: Gate, base: Sequence[float | None], new: Sequence[float | None]) -> Sequence[float | None]:
+    """Return value, low and high of a ratio or a difference; of a base of 0 there is no ratio."""
+    ends = [*zip(new, (base[0], base[2], base[1]), strict=True)]
+    if gate.against is Against.RATIO:
+        return [None if now is None or not was else now / was for now, was in ends]
+    return [None if now is None or was is None else now - was for now, was in ends]
 
 
 def _measured(row: Mapping[str, Any], holes: pl.DataFrame | None, metric: str) -> Sequence[float | None]:

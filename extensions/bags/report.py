@@ -37,6 +37,7 @@ from dds_trace.reports.blocks import (
 from .analyze import TopicReport
 from .bounds import NOTICED_NS, SECOND_NS
 from .card import RecordingHealth
+from .chains import chain_lines
 from .observations import READ_BY
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def missing_words(row: TopicRow) -> str:
     return f"{missing:,}{share}{interval}"
 
 
-def _age_words(row: TopicRow) -> str:
+def age_words(row: TopicRow) -> str:
     median_ns, resolution_ns = row["age_p50_ns"], row["age_resolution_ns"] or 0
     if row["no_age"] is not None or median_ns is None:
         return row["no_age"] or ""
@@ -172,17 +173,21 @@ def _age_words(row: TopicRow) -> str:
     return age if row["age_from"] == "header" else f"{age} ({row['age_from']})"
 
 
+def rate_words(row: TopicRow) -> str:
+    return "" if row["rate_hz"] is None else format_rate(row["rate_hz"])
+
+
 def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",
-        "" if row["rate_hz"] is None else format_rate(row["rate_hz"]),
+        rate_words(row),
         missing_words(row),
         "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
         _share_words(sum(strip) / len(strip)) if row["expected_rate_hz"] else "",
         "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
         format_size(round(row["payload_mean_bytes"])),
-        _age_words(row),
+        age_words(row),
     )
 
 
@@ -274,15 +279,9 @@ class BagReport(blocks.Report):
                 for row, holes, strip in topics_of(report, health.path)
             ],
             "observations": report.observations.rows(named=True),
-            "gates": [
-                {
-                    "gate": gated.result.gate.text,
-                    "recording": gated.recording,
-                    "topic": gated.result.subject,
-                    "outcome": gated.result.outcome.value,
-                }
-                for gated in self.judged
-            ],
+            "chains": [{"recording": path} | asdict(link) for path, link in report.links],
+            "syncs": [{"recording": path} | asdict(sync) for path, sync in report.syncs],
+            "gates": gate_rows(self.judged),
             "sources": report.sources,
         }
 
@@ -290,7 +289,7 @@ class BagReport(blocks.Report):
     def sections(self) -> Sequence[Section]:
         recordings = enumerate(self.report.recordings, 1)
         parts = [Section([*self._recording(health)], f"recording-{number}") for number, health in recordings]
-        gates = _gate_blocks(self.judged) if self.judged else []
+        gates = judged_blocks(self.judged) if self.judged else []
         limits = Section([Heading("Limits"), *gates] if gates else [], "gates", media=PAGE)
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
         how = Section([Sentence(HOW_TO_READ, "soft")] if self.report.topics.height else [])
@@ -302,7 +301,10 @@ class BagReport(blocks.Report):
         yield Heading(printable(health.path))
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
         yield Sentence(facts_words(health, len(rows)), "facts")
-        yield Points([printable(line) for line in (*pause_lines(health), *health.damages, *health.notes)])
+        chains = chain_lines([link for path, link in self.report.links if path == health.path], _MOST_SHOWN)
+        syncs = [sync.words for path, sync in self.report.syncs if path == health.path]
+        lines = (*pause_lines(health), *health.damages, *health.notes, *chains, *syncs)
+        yield Points([*map(printable, lines)])
         if not rows:
             return
         topic, *numbers = COLUMNS
@@ -360,7 +362,19 @@ def strip_parts(
     return drawn
 
 
-def _gate_blocks(judged: Sequence[JudgedTopic]) -> list[Block]:
+def gate_rows(judged: Sequence[JudgedTopic]) -> list[dict[str, str]]:
+    return [
+        {
+            "gate": gated.result.gate.text,
+            "recording": gated.recording,
+            "topic": gated.result.subject,
+            "outcome": gated.result.outcome.value,
+        }
+        for gated in judged
+    ]
+
+
+def judged_blocks(judged: Sequence[JudgedTopic]) -> list[Block]:
     from dds_trace.extensions.gates.report import gate_blocks  # noqa: PLC0415 - only with limits
 
     return [*gate_blocks(judged, None)]

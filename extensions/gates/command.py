@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from dds_trace.base import limits
+from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.cli.program import argument, command, make_app, option
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.reports.blocks import Report
 
     from .compare import Comparison
     from .gate import Gate, GateOutcome
@@ -31,6 +33,8 @@ class ReportKind(str, Enum):
     BADGE = "badge"
     HTML = "html"
 
+
+_OF_DRIVES = ("terminal", "md", "json", "html")
 
 app = make_app()
 
@@ -97,18 +101,19 @@ def compare_command(
     ] = "",
     out: Annotated[list[Path] | None, option("--out FILE", "File for the report. Default: stdout")] = None,
 ) -> None:
-    """Compare two sets of traces: what became slower or loses more.
+    """Compare two sets of traces, or two bags: what became slower or loses more.
 
     The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
     whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new
     side. A gate that cannot be decided (too few runs or messages, a run that did not finish) is inconclusive: a warning, or
     exit code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 nothing to compare
-    (no result in common).
+    (no result in common). Two bags are compared topic by topic; their limits are of topics: 'rate(/imu) < -10%', 'missing(/imu) > 1%'.
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
     from dds_trace.base.errors import OptionError
 
+    from .gate import GateOutcome
     from .ignoring import match_without
     from .limits_file import limits_text
     from .limits_file import write_limits as write_limits_file
@@ -125,6 +130,15 @@ def compare_command(
     for bound, paths in ((limits.INPUT, inputs.items()), (limits.PATH, outputs)):
         for name, path in paths:
             limits.check(bound, None if path is None else str(path), name)
+    if new is not None and load("parts", "are_drives")(base, new):
+        if write_limits or paired or ignore or looks > 1 or not {kind.value for kind in reports} <= {*_OF_DRIVES}:
+            raise OptionError(
+                f"two bags take --fail-if, --limits, --allow-missing, --strict and --report {', '.join(_OF_DRIVES)}"
+            )
+        drives = load("parts", "compare_drives")(base, new, fail_if or [], limits_file, allow_missing=allow_missing)
+        for kind, file in zip(reports, files, strict=True):
+            _write(drives, kind, file)
+        raise typer.Exit(0 if drives.outcome is GateOutcome.INCONCLUSIVE and not strict else drives.outcome.exit_code)
     gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
     judged = judge_sides(base, new, gates, looks=looks, allow_missing=allow_missing, match=match, paired=paired)
@@ -136,35 +150,39 @@ def compare_command(
     raise typer.Exit(judged.end(strict=strict))
 
 
+def _write(contents: "Report", kind: ReportKind, file: Path | None, text: str = "") -> None:
+    from dds_trace.analyzer.exports.kinds import write_text_file
+    from dds_trace.reports.reporters import load_reporter
+    from dds_trace.reports.terminal import print_report
+
+    if kind is ReportKind.TERMINAL and file is None:
+        print_report(contents)
+        return
+    text = text or load_reporter(kind.value).render(contents)
+    if file is not None:
+        print(f"Wrote {write_text_file(file, text)}")
+    else:
+        method = "write_commands" if kind is ReportKind.GITHUB else "write"
+        getattr(sys.stdout, method, sys.stdout.write)(text)
+
+
 class JudgedSides(NamedTuple):
     comparison: "Comparison"
     info: "ComparisonInfo"
     outcome: "GateOutcome"
 
     def write(self, report: ReportKind, file: Path | None, title: str, *, shows_all: bool) -> None:
-        from dds_trace.analyzer.exports.kinds import write_text_file
-        from dds_trace.reports.reporters import load_reporter
-        from dds_trace.reports.terminal import print_report
-
         from . import document
         from .report import ComparisonReport
 
         contents = ComparisonReport(self.info, self.comparison, title, shows_all=shows_all)
-        if report is ReportKind.TERMINAL and file is None:
-            print_report(contents)
-            return
         for_ci = {
             ReportKind.JUNIT: document.render_junit,
             ReportKind.GITHUB: document.render_annotations,
             ReportKind.BADGE: document.render_badge,
         }
         render = for_ci.get(report)
-        text = render(self.info) if render else load_reporter(report.value).render(contents)
-        if file is not None:
-            print(f"Wrote {write_text_file(file, text)}")
-        else:
-            method = "write_commands" if report is ReportKind.GITHUB else "write"
-            getattr(sys.stdout, method, sys.stdout.write)(text)
+        _write(contents, report, file, render(self.info) if render else "")
 
     def end(self, *, strict: bool) -> int:
         """Say the outcome, and return the exit code."""

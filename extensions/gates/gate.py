@@ -234,8 +234,8 @@ def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
     return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
 
 
-def parse_topic_gate(text: str) -> Gate:
-    """Read a limit on a recorded topic, which may have wildcards.
+def parse_topic_gate(text: str, *, of_two: bool = False) -> Gate:
+    """Read a limit on a recorded topic, which may have wildcards; `of_two` recordings also a change.
 
     Raises:
         OptionError: the text is not such a limit.
@@ -248,10 +248,17 @@ def parse_topic_gate(text: str) -> Gate:
     if name not in VALUES_OF_TOPICS:
         raise OptionError(f"{where}: there is no {name!r} of a topic; choose from {', '.join(VALUES_OF_TOPICS)}")
     metric, statistic = METRIC_AND_STATISTIC.get(name, (name, ""))
-    limit = _limit_of_topic(where, name, match["limit"])
-    return _passable(
-        where, Gate(text.strip(), metric, statistic, match["operator"], Against.NEW, limit, match["topic"])
-    )
+    against, limit = Against.NEW, match["limit"]
+    if of_two and limit[0] in "+-":
+        number, unit = split_quantity(limit[1:]) or (0.0, "")
+        is_share = name == "missing"
+        if unit != (_POINTS if is_share else "%"):
+            raise OptionError(f"{where}: write {'+0.5 points' if is_share else '+10%'} for a change of {name}")
+        against = Against.DIFFERENCE if is_share else Against.RATIO
+        value = (-number if limit[0] == "-" else number) / 100 + (not is_share)
+    else:
+        value = _limit_of_topic(where, name, limit)
+    return _passable(where, Gate(text.strip(), metric, statistic, match["operator"], against, value, match["topic"]))
 
 
 def _limit_of_topic(where: str, name: str, limit: str) -> float:

@@ -109,10 +109,10 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
 def measured_words(result: GateResult, value: float | None) -> str:
     if value is None:
         return "unknown"
-    if result.gate.metric == "rate":
-        return format_rate(value)
     if result.gate.against is Against.RATIO:
         return change_words(value)
+    if result.gate.metric == "rate":
+        return format_rate(value)
     if result.gate.statistic or result.gate.metric in ("jitter", "hole"):
         return time_words(value)
     if result.gate.against is Against.DIFFERENCE:

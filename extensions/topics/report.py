@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import polars as pl
+
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, format_size
+from dds_trace.extensions.bags.chains import TOGETHER_NS, Link, Stamped, chain_lines, find_links
 from dds_trace.reports.blocks import (
     MARKDOWN,
     PAGE,
@@ -28,12 +32,11 @@ from .streams import lost_words
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    import polars as pl
-
     from dds_trace.analyzer.analysis import Analysis
 
 MOST_SENTENCES = 6
 MOST_ROWS = 200
+MOST_CHAINS = 3
 
 CLOCK_WORDS = {
     "same": "one clock",
@@ -59,8 +62,26 @@ HOP_COLUMNS = [*map(Column, ("Chain", "Hop", "p50", "p99", "Clock error"))]
 def topic_sentences(analysis: Analysis) -> list[str]:
     rows = sorted(analysis.topics.to_dicts(), key=lambda row: row["ping_device"] == row["relay_device"])
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]
-    more = len(rows) - len(sentences)
-    return [*sentences, f"{counted(more, 'more topic is', 'more topics are')} in the table."] if more else sentences
+    if more := len(rows) - len(sentences):
+        sentences.append(f"{counted(more, 'more topic is', 'more topics are')} in the table.")
+    return [*sentences, *map(printable, chain_lines(_links(analysis), MOST_CHAINS))]
+
+
+def _links(analysis: Analysis) -> list[Link]:
+    types = dict(analysis.topics.select("topic", "message_type").iter_rows())
+    heard = analysis.topic_messages.drop_nulls(["header_ns", "relay_in_ns"]).sort("relay_in_ns")
+    links = []
+    for at_tap in heard.partition_by("relay_device", maintain_order=True):
+        ages = at_tap.select("data_type", ahead=pl.col("header_ns") + pl.col("age_ns") - pl.col("relay_in_ns"))
+        clocks = dict(ages.group_by("data_type").agg(pl.col("ahead").median()).drop_nulls().iter_rows())
+        ahead_ns = next(iter(clocks.values()), 0)  # of the clock that stamps, before that of the arrivals
+        stamped = []
+        for (topic,), messages in at_tap.partition_by("data_type", as_dict=True).items():
+            arrivals_ns = messages["relay_in_ns"].to_numpy() + round(ahead_ns)
+            is_one = abs(clocks.get(topic, np.inf) - ahead_ns) < TOGETHER_NS
+            stamped.append(Stamped(topic, types[topic], arrivals_ns, messages["header_ns"].to_numpy(), is_one))
+        links += find_links(stamped)
+    return links
 
 
 def _sentence(row: Mapping[str, Any]) -> str:

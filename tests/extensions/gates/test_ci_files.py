@@ -228,8 +228,8 @@ def test_what_the_action_writes_is_whole_for_any_name(desk, odd):
     stub(
         folder,
         "dds-trace",
-        f'''[ "$1" = sweep ] || exec "{stand_ins()}/dds-trace" "$@"
-for side in base new; do mkdir -p "$6/$NAME" && cp -r "{ROOT}/sample_traces/same_domain" "$6/$NAME/$side"; done; exit 21''',
+        f"""[ "$1" = sweep ] || exec "{stand_ins()}/dds-trace" "$@"
+for side in base new; do mkdir -p "$6/$NAME" && cp -r "{ROOT}/sample_traces/same_domain" "$6/$NAME/$side"; done; exit 21""",
     )
     gates = "latency_p50 > 10s\n\nlatency_p99 > +1000%"
     job = Job(folder, base="main/plan.toml", new=odd, fail_if=gates, looks="1", out=f"out {odd}")

@@ -1,0 +1,145 @@
+"""Topics that carry the stamps of another one: how late they come, how many of its messages lead to one, and who stamps again.
+
+Equal stamps are seen. Who made a message of which one is not: a driver that stamps several topics alike looks like a chain, so less
+than `TOGETHER_NS` is none, and stamps in steps (a simulation's) prove nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
+
+from .bounds import FEW, FEWEST, MOST, WINDOW
+from .losses import NONE
+from .periods import Int64
+
+TOGETHER_NS = UNIT_NS["ms"]
+"""Topics whose messages come nearer to each other are published together, by one program."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stamped:
+    """A topic's messages by log time, `NONE` for no stamp; both times of one clock where `has_age`."""
+
+    topic: str
+    message_type: str
+    log_ns: Int64
+    stamp_ns: Int64
+    has_age: bool
+
+    def first_of_stamps(self) -> tuple[Int64, Int64]:
+        """Return the stamps, ascending, each once, and when they first came."""
+        stamps, first = np.unique(self.stamp_ns, return_index=True)
+        known = stamps != NONE
+        return stamps[known], self.log_ns[first[known]]
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A topic that follows another one: `messages` of it, by `share` of those of the other one in its time.
+
+    `p50_ns` and `p99_ns` are from the log time of the first to its own; where it `stamps_again`, from stamp to stamp.
+    """
+
+    topic: str
+    next_topic: str
+    messages: int
+    share: float
+    p50_ns: float
+    p99_ns: float
+    stamps_again: bool = False
+
+
+def find_links(topics: Sequence[Stamped]) -> list[Link]:
+    """Return the topics that pass stamps on, by the topic at which these begin and by time, then those that stamp again."""
+    usable = [
+        topic for topic in topics if topic.message_type.rpartition("/")[2] != "CameraInfo"
+    ]  # comes with its image
+    links = sorted(_passed_on(usable), key=lambda link: (link.topic, link.p50_ns))
+    passed = {link.next_topic for link in links}
+    return [*links, *_stamped_again([topic for topic in usable if topic.has_age and topic.topic not in passed])]
+
+
+def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
+    firsts = [topic.first_of_stamps() for topic in topics]
+    number = np.repeat(np.arange(len(firsts)), [len(stamps) for stamps, _ in firsts])
+    if not len(number):
+        return
+    stamp_ns, log_ns = (np.concatenate(column) for column in zip(*firsts, strict=True))
+    order = np.lexsort((log_ns, stamp_ns))
+    stamp_ns, number = stamp_ns[order], number[order]
+    begins = np.maximum.accumulate(np.where(np.diff(stamp_ns, prepend=NONE) > 0, np.arange(len(order)), 0))
+    pairs, counts = np.unique(np.stack([number, number[begins]]), axis=1, return_counts=True)
+    for follower, (stamps, logged) in enumerate(firsts):
+        is_own = (pairs[0] == follower) & (pairs[1] != follower)
+        if not is_own.any() or 2 * counts[is_own].max() < max(len(stamps), 2 * FEWEST):
+            continue
+        first = int(pairs[1][is_own][counts[is_own].argmax()])
+        others, began = firsts[first]
+        if np.gcd.reduce(np.diff(others)) > UNIT_NS["us"]:
+            continue
+        _, at, of_first = np.intersect1d(stamps, others, assume_unique=True, return_indices=True)
+        waits_ns = logged[at] - began[of_first]
+        if (waits_ns > 0).mean() >= MOST and np.median(waits_ns) >= TOGETHER_NS:
+            inputs = int(of_first[-1] - of_first[0]) + 1
+            yield _link(topics[first], topics[follower], waits_ns, inputs)
+
+
+def _link(first: Stamped, follower: Stamped, waits_ns: Int64, inputs: int, *, stamps_again: bool = False) -> Link:
+    p50_ns, p99_ns = (float(np.quantile(waits_ns, share)) for share in (0.5, 0.99))
+    share = len(waits_ns) / inputs
+    return Link(first.topic, follower.topic, len(waits_ns), share, p50_ns, p99_ns, stamps_again)
+
+
+def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
+    """Yield topics whose stamps wander with the arrival of another one, message by message.
+
+    Two timers of one computer keep their phase, too, but each wanders by itself.
+    """
+    ordered = sorted(topics, key=lambda topic: len(topic.log_ns))
+    for number, one in enumerate(ordered):
+        for other in ordered[number + 1 : number + 1 + FEWEST]:
+            if len(one.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
+                break
+            for first, follower in ((one, other), (other, one)):
+                yield from _follows(first, follower)
+
+
+def _follows(first: Stamped, follower: Stamped) -> Iterator[Link]:
+    at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
+    at, stamps_ns = at[at >= 0], follower.stamp_ns[at >= 0]
+    if len(at) < 2 * WINDOW or (np.diff(at) == 1).mean() < MOST:
+        return
+    wander = [np.diff(times_ns, 2).astype(np.float64) for times_ns in (first.log_ns[at], stamps_ns)]
+    ranks = [np.argsort(np.argsort(part, kind="stable"), kind="stable") - len(part) // 2 for part in wander]
+    if all(part.any() for part in wander) and 2 * (ranks[0] * ranks[1]).sum() > (ranks[0] ** 2).sum():
+        yield _link(first, follower, stamps_ns - first.stamp_ns[at], int(at[-1] - at[0]) + 1, stamps_again=True)
+
+
+def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:
+    """Yield a line for each topic at which stamps begin: what follows, in the order of time."""
+    passed = [link for link in links if not link.stamps_again]
+    begins = list(dict.fromkeys(link.topic for link in passed))
+    for begin in begins[:most]:
+        following = [link for link in passed if link.topic == begin]
+        steps = [
+            f"{link.next_topic} {format_duration(link.p50_ns)} later ({format_ratio(link.share)})"
+            for link in following[:most]
+        ]
+        if len(following) > most:
+            steps.append(f"{len(following) - most} more")
+        last = format_duration(following[-1].p99_ns)
+        yield f"chain: the stamps of {begin} come again on {', '.join(steps)}; p99 from the first to the last {last}"
+    again = [link for link in links if link.stamps_again]
+    for link in again[:most]:
+        yield (
+            f"stamps of {link.next_topic} follow {link.topic} message by message, {format_duration(link.p50_ns)} later: stamped again here, "
+            "or one timer drives both"
+        )
+    hidden = max(len(begins) - most, 0) + max(len(again) - most, 0)
+    if hidden:
+        yield f"and {counted(hidden, 'more chain')} are not shown"

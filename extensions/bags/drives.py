@@ -1,0 +1,114 @@
+"""Two recordings side by side, topic by topic: types, messages, rates, what is missing, ages; and limits of their changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dds_trace.base.errors import OptionError, TraceError
+from dds_trace.base.printable import printable
+from dds_trace.base.units import MISSING, counted
+from dds_trace.extensions.gates.gate import Against, Gate, GateOutcome, parse_topic_gate
+from dds_trace.extensions.gates.gates import overall_outcome, result_of
+from dds_trace.extensions.gates.limits_file import read_limits
+from dds_trace.reports import blocks
+from dds_trace.reports.blocks import MARKDOWN, Column, Heading, Points, Row, Section, Sentence, Table
+
+from .analyze import TopicReport, analyze_topics
+from .limits import JudgedTopic, judge_topics
+from .messages import find_recordings
+from .recover import is_of_others
+from .report import TopicRow, age_words, facts_words, gate_rows, judged_blocks, missing_words, rate_words, verdict_words
+
+_COLUMNS = ("Topic", "Type", "Messages", "Rate", "Missing", "Age")
+_IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=", Against.NEW, 0.0)
+
+
+def are_drives(*sides: Path) -> bool:
+    """Return whether all of these are recordings of other tools, and no traces of ours."""
+    try:
+        return all(is_of_others(file) for side in sides for file in find_recordings(side))
+    except TraceError:
+        return False
+
+
+def compare_drives(
+    base: Path, new: Path, texts: Sequence[str], limits_file: Path | None, *, allow_missing: bool
+) -> DriveComparison:
+    """Compare a recording with another one and judge what changed; an `OptionError` for several recordings or a limit that is none of topics."""
+    gates = [parse_topic_gate(text, of_two=True) for text in texts]
+    gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
+    comparison = DriveComparison((base, new), (_only_recording(base), _only_recording(new)))
+    if gates:
+        comparison.judge(gates, allow_missing=allow_missing)
+    return comparison
+
+
+def _only_recording(side: Path) -> TopicReport:
+    report = analyze_topics(side)
+    if len(report.recordings) != 1:
+        raise OptionError(f"{side}: {len(report.recordings)} recordings; name one of them to compare")
+    return report
+
+
+@dataclass
+class DriveComparison(blocks.Report):
+    paths: tuple[Path, Path]
+    reports: tuple[TopicReport, TopicReport]
+    judged: Sequence[JudgedTopic] = ()
+    name = "comparison"
+    title: str = "What changed between two bags?"
+    kicker = "Two recordings"
+    scripts = ()
+
+    @property
+    def topics(self) -> dict[str, tuple[TopicRow | None, ...]]:
+        """Rows of the base and the new recording by topic; None where one lacks it."""
+        sides = [{row["topic"]: row for row in report.topics.rows(named=True)} for report in self.reports]
+        return {name: tuple(side.get(name) for side in sides) for name in sorted(sides[0] | sides[1])}
+
+    @property
+    def outcome(self) -> GateOutcome:
+        if all(None in rows for rows in self.topics.values()):
+            return GateOutcome.NOTHING_TO_COMPARE
+        return overall_outcome([GateOutcome.PASSED, *(gated.result.outcome for gated in self.judged)])
+
+    def judge(self, gates: Sequence[Gate], *, allow_missing: bool) -> None:
+        """Judge the topics of the new recording, and those that it lacks."""
+        gone = [] if allow_missing else [name for name, (_, after) in self.topics.items() if after is None]
+        before, after = self.reports
+        failed = [result_of(_IS_THERE, name, GateOutcome.REGRESSED, reason="missing on the new side") for name in gone]
+        self.judged = [JudgedTopic(result.subject, result, "") for result in failed]
+        self.judged += judge_topics(after.topics, after.holes, gates, before)
+
+    @property
+    def document(self) -> Mapping[str, Any]:
+        topics = [{"topic": name, "base": before, "new": after} for name, (before, after) in self.topics.items()]
+        return {"format": 1, "paths": [*map(str, self.paths)], "topics": topics, "gates": gate_rows(self.judged)}
+
+    @property
+    def sections(self) -> Sequence[Section]:
+        topics, facts = self.topics, list[str]()
+        common = sum(None not in rows for rows in topics.values())
+        for path, report in zip(self.paths, self.reports, strict=True):
+            (health,), rows = report.recordings, report.topics.rows(named=True)
+            facts.append(f"{printable(str(path))}: {verdict_words(health, rows)} {facts_words(health, len(rows))}")
+        said = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
+        columns = [Column(name, right=name not in _COLUMNS[:2]) for name in _COLUMNS]
+        table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
+        heading = Heading(self.title, 1, media=MARKDOWN)
+        gates = judged_blocks(self.judged) if self.judged else []
+        return [Section([heading, Sentence(said, "headline"), Points(facts)]), Section([table]), Section(gates)]
+
+    def _row(self, name: str, rows: Sequence[TopicRow | None]) -> Row:
+        sides = [_cells(row) for row in rows]
+        changed = [was if was == now else f"{was} → {now}" for was, now in zip(*sides, strict=True)]
+        return Row([printable(name), *changed])
+
+
+def _cells(row: TopicRow | None) -> tuple[str, ...]:
+    if row is None:
+        return (MISSING,) * (len(_COLUMNS) - 1)
+    return printable(row["message_type"]), f"{row['messages']:,}", rate_words(row), missing_words(row), age_words(row)

@@ -60,8 +60,7 @@ def bag_command(
         ),
     ] = None,
     sync: Annotated[
-        str | None,
-        option("--sync TOPIC,TOPIC", "Compare the clock that stamps one topic with that of another: /camera,/imu"),
+        str | None, option("--sync TOPIC,TOPIC", "Compare the clocks that stamp two topics: /camera,/imu")
     ] = None,
     open_it: Opens = False,
 ) -> None:

@@ -249,8 +249,8 @@ def _check(plan: Plan, where: str) -> None:
             "the axis environment needs both devices on this machine; remove it or the other device",
         ),
         (
-            plan.has_two_devices and any(cell.configuration for cell in plan.cells),
-            "the axis configuration needs both devices on this machine; set the middleware's own variable on each, or use `dds-trace record ROLE --configuration`",
+            plan.by_hand and any(cell.configuration for cell in plan.cells),
+            "the axis configuration needs a device that ssh reaches; set the middleware's own variable on each, or use `dds-trace record ROLE --configuration`",
         ),
         (
             plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),

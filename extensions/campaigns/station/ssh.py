@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.base.files import create_file, mode_within, replacing
+from dds_trace.base.files import create_file, mode_within, read_settings, replacing
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 
@@ -62,7 +62,7 @@ class SshDevice(RelayDevice):
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:
         name = f"dds-trace-rehearsal-{os.getpid()}.mcap"
-        return self._rehearse(f"cd /; dds-record {shlex.join(arguments)} --out {name} --check")
+        return self._rehearse(f"cd /; dds-record {self._sent(arguments)} --out {name} --check")
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:
         return self._rehearse(f"dds-trace bridge {shlex.join(arguments)} --check")
@@ -87,8 +87,19 @@ class SshDevice(RelayDevice):
             )
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        command = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
+        command = f"dds-record {self._sent(arguments)} --out {self._remote}/{shlex.quote(segment)}"
         return self._start(command, self._pid_file(segment), log_path(self._folder, segment))
+
+    def _sent(self, arguments: Sequence[str]) -> str:
+        """Copy the configuration that the arguments name to the device, and return the words with its name there."""
+        words = list(map(shlex.quote, arguments))
+        if "--configuration" in arguments:
+            number = arguments.index("--configuration") + 1
+            path = Path(arguments[number])
+            words[number] = f"{self._remote}/{shlex.quote(path.name)}"
+            text = read_settings(path, "a configuration", "give the path of a file")
+            self._run(f"umask 077; mkdir -p {self._remote} && printf %s {shlex.quote(text)} >{words[number]}")
+        return " ".join(words)
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         name = f"{segment}.half"

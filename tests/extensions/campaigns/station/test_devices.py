@@ -289,3 +289,19 @@ def test_a_rehearsal_over_ssh_starts_the_relay_there_and_leaves_nothing(remote, 
 def test_a_rehearsal_over_ssh_gives_the_devices_own_reason(remote):
     reason = remote(record=CHECKED).rehearse(["--role", "relay", "--tuned"])
     assert "dds-record: --tuned is not" in reason
+
+
+@pytest.mark.parametrize("text", ["<a>'1' $HOME</a>\n", "%s\\n\n"])
+def test_a_configuration_is_sent_to_the_device_before_its_relay_starts(remote, tmp_path, text):
+    record = RECORD.replace('[ "$1" = --out ]', '[ "$1" = --configuration ] && config=$2; [ "$1" = --out ]')
+    device = remote(record.replace("echo open", 'cat "$config"'))
+    device.prepare()
+    mine = tmp_path / "it's mine.xml"
+    mine.write_text(text)
+    relay = device.start(["--role", "relay", "--configuration", str(mine)], "1-1.mcap")
+    wait_until((there(tmp_path) / "1-1.mcap").exists)
+    relay.stop()
+    assert device.collect("1-1.mcap").read_text() == f"{text}closed\n"
+    mine.unlink()
+    with pytest.raises(OptionError, match=r"mine\.xml"):
+        device.start(["--configuration", str(mine)], "1-2.mcap")

@@ -16,8 +16,8 @@ import sys
 from pathlib import Path
 
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.extensions.campaigns.commands.advise import COMPARED
-from dds_trace.extensions.gates.compare import CompareOptions, compare
+from dds_trace.extensions.campaigns.proof import compared
+from dds_trace.extensions.gates.compare import compare
 
 BACKENDS = ("ros2", "cyclonedds", "zenoh")
 SIZES_KB = (33, 145, 502)
@@ -85,9 +85,7 @@ def judge(link: dict[str, object], advice: dict[str, object], out: Path) -> dict
         plans[-1].write_text(PLAN.format(**link, further=further))
     _sweep("sweep", str(plans[0]), "--against", str(plans[1]), "--out", str(out))
     folder = out / f"{plans[0].stem}-against-{plans[1].stem}"
-    comparison = compare(
-        *(analyze(folder / side, details=False) for side in ("base", "new")), CompareOptions(**COMPARED)
-    )
+    comparison = compare(*(analyze(folder / side, details=False) for side in ("base", "new")), compared())
     changes = comparison.rows.select("statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high").rows(
         named=True
     )
@@ -113,19 +111,20 @@ def main() -> None:
         link = draw_link(options.seed, number)
         plan = options.out / f"link-{number}.toml"
         plan.write_text(PLAN.format(**link, further=""))
-        (advice,) = json.loads(_sweep("advise", str(plan), "--json", "--out", str(options.out)))
-        judged = judge(link, advice, options.out) if advice["kept"] else None
+        found = json.loads(_sweep("advise", str(plan), "--json", "--out", str(options.out)))
+        advice = found["recommended"] or {}
+        judged = judge(link, advice, options.out) if advice.get("configuration") else None
         results.append(
             {
                 "link": link,
-                "advice": {k: v for k, v in advice.items() if k not in ("folders", "variables", "configuration")},
+                "answer": {key: found[key] for key in ("sentence", "candidates", "proofs", "fits", "seconds")},
                 "judged": judged,
             }
         )
         print(
             number,
             link["backend"],
-            advice["reason"],
+            found["sentence"],
             "worse:" if judged else "",
             judged["worse"] if judged else "",
             flush=True,

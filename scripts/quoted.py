@@ -27,9 +27,10 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.report import BagReport
 from dds_trace.extensions.campaigns import explain
-from dds_trace.extensions.campaigns.commands.advise import proof_of, shown
+from dds_trace.extensions.campaigns.commands.advise import shown_proof
 from dds_trace.extensions.campaigns.commands.common import plan_of
 from dds_trace.extensions.campaigns.commands.explain import answer, answer_lines
+from dds_trace.extensions.campaigns.proof import proof_of
 from dds_trace.reports import markdown
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import size_block
@@ -91,7 +92,8 @@ def quote(kind: str, campaign: str) -> str:
             lines = explained(campaign, folder)
         elif kind == "advice":
             (path,) = folder.glob("*.xml")
-            lines = shown({"vendor": "fastdds", **proof_of(path.stem, folder / "base", folder / "new")})
+            proof = proof_of(path.stem, folder / "base", folder / "new")
+            lines = shown_proof({"of": f"Fast DDS {path.stem}", "against": "its default", **proof})
         else:
             book = Book(analyze(folder))
             if kind in ("table", "further"):

@@ -1,4 +1,4 @@
-"""Settings of a vendor that may serve a plan's link and load better than its defaults."""
+"""Settings of a vendor that may serve a link and a load better than its defaults."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from dds_trace.recorder.backends.ros2.fastdds_profile import Settings
 
-    from .plan.plan import Plan
+    from .plan.link import Link
 
 PACKET_BYTES = 1400
 """Largest datagram that no link splits, with its headers."""
@@ -30,16 +30,16 @@ PACED_SHARE, PERIOD_MS = 0.8, 10
 """Share of the link's rate at which Fast DDS may send, and its shortest period."""
 
 
-def bundles(vendor: str, plan: Plan) -> dict[str, str]:
-    largest_bytes = max((cell.size or 0 for cell in plan.cells), default=0)
-    rate_byte_s = plan.link.rate_mbit_s * 1e6 / 8 if plan.link else 0.0
+def bundles(vendor: str, largest_bytes: int, link: Link | None) -> dict[str, str]:
+    """Return name -> text of the files for messages and a link, which may be emulated or measured."""
+    rate_byte_s = link.rate_mbit_s * 1e6 / 8 if link else 0.0
     if vendor == "fastdds":
         return _fastdds(largest_bytes, rate_byte_s)
     if vendor == "cyclonedds":
-        by_name = _cyclonedds(rate_byte_s * plan.link.queue_ms / 1000 if plan.link else 0.0)
+        by_name = _cyclonedds(rate_byte_s * link.queue_ms / 1000 if link else 0.0)
         return {name: xml_text(name, {"CycloneDDS": {"Domain": domain}}) for name, domain in by_name.items()}
     if vendor == "zenoh":
-        by_name = _zenoh(largest_bytes, rate_byte_s * (0.005 + 0.002 * plan.link.delay_ms) if plan.link else 0.0)
+        by_name = _zenoh(largest_bytes, rate_byte_s * (0.005 + 0.002 * link.delay_ms) if link else 0.0)
         texts = {name: json.dumps({"transport": settings}, indent=2) for name, settings in by_name.items()}
         return {name: f"// Written by dds-trace: {name}.\n{text}\n" for name, text in texts.items()}
     return {}

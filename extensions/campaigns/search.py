@@ -68,15 +68,18 @@ class Knee(NamedTuple):
 
 @dataclass(slots=True)
 class Bisection:
-    """A search; `trial` runs the n-th trial at a rate and returns why it was not sustained."""
+    """A search of a rate or size; `trial` runs the n-th trial at a value and returns why it was not sustained."""
 
-    search: Search
+    lowest: float
+    highest: float
+    resolution: float
+    repeats: int
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        low, high = self.search.min_rate, self.search.max_rate
+        low, high = self.lowest, self.highest
         is_low_sustained, why = False, ""
-        while high / low > self.search.resolution:
+        while high / low > self.resolution:
             middle = round_rate(math.sqrt(low * high))
             if not low < middle < high:
                 break
@@ -93,23 +96,23 @@ class Bisection:
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
         """Repeat the trials at the knee; a majority moves it, upwards by doubling strides, then by bisection."""
-        stride, is_open = self.search.resolution, False
+        stride, is_open = self.resolution, False
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
                 high, reason, is_open = low, why, False
-                low = round_rate(max(self.search.min_rate, low / self.search.resolution))
-                if high <= self.search.min_rate:
+                low = round_rate(max(self.lowest, low / self.resolution))
+                if high <= self.lowest:
                     return Knee(RateAnswer.BELOW, high, high, reason)
             elif why := self._majority(high):
-                reason, is_open, stride = why, False, self.search.resolution
-                if high / low <= _ROUNDED * self.search.resolution:
+                reason, is_open, stride = why, False, self.resolution
+                if high / low <= _ROUNDED * self.resolution:
                     return Knee(RateAnswer.FOUND, low, high, why)
                 middle = round_rate(math.sqrt(low * high))
                 low, high = (low, middle) if self._confirmed(middle) else (middle, high)
             else:
-                low, high = high, round_rate(min(self.search.max_rate, high * stride))
+                low, high = high, round_rate(min(self.highest, high * stride))
                 stride, is_open = stride * stride, True
-                if low >= self.search.max_rate:
+                if low >= self.highest:
                     return Knee(RateAnswer.AT_LEAST, low, None, "")
         return Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
 
@@ -117,7 +120,7 @@ class Bisection:
         return self.trial(rate_hz, 1) and self._majority(rate_hz)
 
     def _majority(self, rate_hz: float) -> str:
-        repeats = self.search.knee_repeats
+        repeats = self.repeats
         reasons = []
         for number in range(1, repeats + 1):
             reasons.append(self.trial(rate_hz, number))
@@ -127,6 +130,10 @@ class Bisection:
             if len(reasons) - failed > repeats // 2:
                 return ""
         return ""
+
+
+def bisect_rates(search: Search, trial: Callable[[float, int], str]) -> Knee:
+    return Bisection(search.min_rate, search.max_rate, search.resolution, search.knee_repeats, trial).run()
 
 
 def round_rate(rate_hz: float) -> float:
@@ -143,22 +150,25 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
             achieved_hz < SUSTAINED_SHARE * rate_hz,
             f"{achieved_hz:.0f} of {counted(rate_hz, 'message', text=f'{rate_hz:g}')} a second sent",
         ),
-        (_loses_more(result, search.loss_percent), f"{result.loss_percent:.3g} % lost"),
+        (
+            exceeds(result.published - result.received, result.published, search.loss_percent),
+            f"{result.loss_percent:.3g} % lost",
+        ),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
         (bool(result.not_applied), f"not applied: {result.not_applied}"),
     )
     return "; ".join(text for failed, text in conditions if failed)
 
 
-def _loses_more(result: CellResult, percent: float) -> bool:
-    lost = round(result.loss_percent * result.published / 100)
-    allowed = percent * result.published / 100
+def exceeds(count: int, total: int, percent: float) -> bool:
+    """Return whether a share is above a limit, and not by chance."""
+    allowed = percent * total / 100
     fewer = (
-        math.fsum(math.exp(n * math.log(allowed) - allowed - math.lgamma(n + 1)) for n in range(lost))
+        math.fsum(math.exp(n * math.log(allowed) - allowed - math.lgamma(n + 1)) for n in range(count))
         if allowed
         else 1.0
     )
-    return result.loss_percent > percent and 1 - fewer < LOST_BY_CHANCE
+    return count > allowed and 1 - fewer < LOST_BY_CHANCE
 
 
 def search_plan(plan: Plan) -> Plan:
@@ -189,7 +199,7 @@ def search_estimate(plan: Plan, cell: Cell, sustained_hz: float) -> SearchEstima
         trials[replace(cell, rate=rate_hz, repeat=number)] = is_beyond
         return "beyond" if is_beyond else ""
 
-    Bisection(plan.search, trial).run()
+    bisect_rates(plan.search, trial)
     estimate = Estimate(plan)
     lost_s = [LOSS_OVERHEAD_S for tried, is_beyond in trials.items() if is_beyond and not estimate.link_seconds(tried)]
     return SearchEstimate(len(trials), sum(map(estimate.cell_seconds, trials)) + sum(lost_s))
@@ -241,7 +251,7 @@ def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
                     return why_not_sustained(plan.search, rate_hz, state.result)
 
                 try:
-                    knees.append((cell, Bisection(plan.search, trial).run()))
+                    knees.append((cell, bisect_rates(plan.search, trial)))
                 except TrialFailedError as err:
                     knees.append((cell, Knee(RateAnswer.FAILED, 0.0, None, str(err))))
         for cell, knee in knees:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -241,23 +241,6 @@ def _judged(caught: Sequence[Caught], usual_ns: float) -> dict[str, object]:
         "wait_p50_ns": float(np.median(waits_ns)) if len(waits_ns) else None,
         "verdict": verdict.value,
     }
-
-
-LOST_NS = 10_000_000_000
-"""Response of a lost message in a first look."""
-
-
-def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> dict[str, float]:
-    """Return configuration -> geometric mean of p50 and p99 of the response over its results, ns.
-
-    `tried` is id of a run -> configuration and number of its result.
-    """
-    schema: Any = {"run_id": messages.schema["run_id"], "configuration": pl.String, "result": pl.Int64}
-    names = pl.DataFrame([(run_id, *names) for run_id, names in tried.items()], schema, orient="row")
-    response = pl.col("response_ns").fill_null(LOST_NS)
-    level = (response.quantile(0.5).log() + response.quantile(0.99).log()) / 2
-    results = messages.join(names, on="run_id").group_by("configuration", "result").agg(level.alias("level"))
-    return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
 
 
 def speaks_against(changes: Iterable[Row], deliveries: Iterable[Row]) -> tuple[list[Row], list[Row]]:

@@ -20,7 +20,8 @@ class Sshd:
     options: tuple[str, ...]
 
 
-def sshd(folder: Path) -> Sshd:
+def sshd(folder: Path, prefix: str = "") -> Sshd:
+    """Start it with the words of `prefix` before, such as those that enter a network namespace."""
     for name in ("sshd", "ssh", "ssh-keygen"):
         if shutil.which(name, path=PATH) is None:
             pytest.skip(f"{name} is not installed")
@@ -35,7 +36,7 @@ def sshd(folder: Path) -> Sshd:
         "PidFile none\nStrictModes no\nUsePAM no\nPasswordAuthentication no\nPermitRootLogin prohibit-password\n"
     )
     # sshd wants to be called by its full path.
-    server = f"ProxyCommand={shutil.which('sshd', path=PATH)} -i -f {configuration} -E {folder / 'log'}"
+    server = f"ProxyCommand={prefix} {shutil.which('sshd', path=PATH)} -i -f {configuration} -E {folder / 'log'}"
     options = (
         *("-o", server, "-i", str(folder / "user_key"), "-o", "IdentitiesOnly=yes", "-o", "LogLevel=ERROR"),
         *("-F", "none", "-o", "StrictHostKeyChecking=no", "-o", f"UserKnownHostsFile={folder / 'known'}"),
@@ -43,11 +44,11 @@ def sshd(folder: Path) -> Sshd:
     return Sshd(f"{getpass.getuser()}@127.0.0.1", options)
 
 
-def robot(folder: Path) -> str:
+def robot(folder: Path, prefix: str = "") -> str:
     """The `[devices.relay]` of a plan whose relay is reached through ssh, with a home of its own in the folder."""
     for name in ("home", "sshd"):
         (folder / name).mkdir()
-    server = sshd(folder / "sshd")
+    server = sshd(folder / "sshd", prefix)
     return (
         f'[devices.relay]\nname = "robot"\nssh = {json.dumps(server.destination)}\nssh_options = {json.dumps(server.options)}\n'
         f'setup = "export HOME={folder / "home"}"\npath = "{Path(sys.executable).parent}"\n'

@@ -1,245 +1,171 @@
-"""`dds-trace advise`: a configuration of each vendor for a plan's link and load, with the proof that it pays."""
+"""`dds-trace advise`: middleware and settings for a load between two devices, with the proof."""
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
 import shlex
-from collections import defaultdict
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.records import to_json
 from dds_trace.base.streams import say
-from dds_trace.cli.program import command, make_app
+from dds_trace.base.units import counted
+from dds_trace.cli.program import argument, command, make_app, option
 
-from .against import say_missing
-from .common import AsJson, DryRun, Out, PlanPath, plan_of, read_thresholds, run_until_interrupted
+from ..sweep import INCOMPLETE_EXIT_CODE
+from .against import say_missing, startable
+from .common import AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
+from .dry_run import argument_check
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from ..answer import Answer
+    from ..halving import Event
+    from ..question import Question
 
-    from ..plan.cells import Cell
-    from ..plan.plan import Plan
-
-Advice: TypeAlias = "dict[str, Any]"
-"""An entry of the JSON output: `vendor`, `kept`, `reason`, and where there are some `first_look` (bundle -> response against the
-default's), `folders`, `proof` and `received` (rows of the comparison, ns), `configuration` and the `variables` that load it."""
-
-LOOKS, PROOFS = 2, 5
-"""Repeats in the first look, and fewest ones of the proof."""
-
-WORTH = 0.97
-"""Response in a first look, against the default's, that is worth a proof."""
-
-COMPARED: dict[str, Any] = {"metrics": ("response",), "statistics": ("p50", "p90", "p99"), "paired": True}
-"""The response counts a message that waits for its turn to be sent, too."""
-
-_MESSAGE = ("data_type", "payload_bytes", "rate_hz")
-_PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high", "verdict")
-_RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference_high", "verdict")
-_INCOMPLETE = "not everything was recorded"
-
+MOST_ROWS = 8
+"""Candidates that are printed; `answer.json` has all."""
 
 app = make_app()
 
 
-@command(app, "advise")
-def advise_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = False, as_json: AsJson = False) -> None:
-    """Look for settings better than a middleware's defaults.
+@command(app, "advise", often=("size", "rate", "deadline", "hosts", "link", "minutes", "out", "dry_run"))
+def advise_command(
+    plan: Annotated[
+        Path | None, argument("[PLAN]", "TOML file with the messages and the devices, in place of --size and --rate.")
+    ] = None,
+    size: Annotated[str | None, option("--size SIZE", "Size of a message: 33KB, 4MB.")] = None,
+    rate: Annotated[str | None, option("--rate HZ", "Messages a second.")] = None,
+    deadline: Annotated[
+        str | None, option("--deadline TIME", "Time within which a reply has to come, e.g. 50ms. Default: none")
+    ] = None,
+    in_time: Annotated[
+        str, option("--in-time SHARE", "Share of the messages that have to come in time.", show_default=True)
+    ] = "99%",
+    cpu: Annotated[
+        float | None,
+        option("--cpu PERCENT", "Most load of a node in percent of one processor. Default: no limit", min=0.1),
+    ] = None,
+    data: Annotated[
+        str, option("--data KIND", "Data of the messages: binary, string, imu.", show_default=True)
+    ] = "binary",
+    hosts: Annotated[
+        list[str] | None,
+        option(
+            "--host HOST",
+            "The other device: its name for ssh, or a TOML file with [devices.relay]. Default: this machine",
+        ),
+    ] = None,
+    link: Annotated[
+        str | None,
+        option("--link LINK", "Emulate a link: a TOML file with [link], or a preset such as wifi-54. Needs root."),
+    ] = None,
+    minutes: Annotated[
+        float, option("--minutes N", "Time for search and proof.", min=2, max=1440, show_default=True)
+    ] = 10.0,
+    out: Out = Path("runs"),
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the middleware and settings for a load between two devices.
 
-    For the plan's link and messages; prints file and proof.
+    Tries all that can start, and proves the best in fresh runs. Where nothing fits, it searches the highest rate and the
+    largest size that do. For example:
+
+        dds-trace advise --size 502KB --rate 20 --deadline 50ms --host robot
     """
-    requested = plan_of(plan, out)
-    check_advisable(requested)
-    read_thresholds(requested, None, None, is_judged=False)
+    import_module("polars")  # before minutes of recording
+    from ..answer import answer
+    from ..question import Question, ask, limits_of
+
+    limits = limits_of(deadline, in_time, cpu)
+    if plan is not None:
+        if size or rate or link or hosts:
+            raise OptionError("a plan has its own messages, link and devices; remove --size, --rate, --link and --host")
+        requested = plan_of(plan, out)
+        read_thresholds(requested, None, None, is_judged=False)
+        question = Question(replace(requested, name=f"{requested.name}-advice"), limits, minutes)
+    elif rate is None:
+        raise OptionError("give the messages, for example --size 502KB --rate 20, or a PLAN")
+    else:
+        question = Question(ask(size, rate, data=data, link=link, hosts=hosts or ()), limits, minutes)
     if dry_run:
-        raise typer.Exit(_dry_run(requested, out, as_json=as_json))
-    run_until_interrupted(lambda: advise(requested, out, as_json=as_json), out, analyzes=True)
+        raise typer.Exit(_dry_run(question, out, as_json=as_json))
+
+    def run() -> int:
+        found = answer(question, out, _say)
+        print(json.dumps(to_json(found, not_finite=lambda _: None)) if as_json else "\n".join(shown(found)))
+        return 0 if found["recommended"] else INCOMPLETE_EXIT_CODE
+
+    run_until_interrupted(run, out)
 
 
-def _dry_run(plan: Plan, out: Path, *, as_json: bool) -> int:
-    from .dry_run import dry_run
+def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
+    from ..answer import promise
+    from ..plan.schedule import Remaining
+    from ..rehearsal import check_plan
 
-    cells: list[Cell] = []
-    for vendor, (vendor_cells, texts, reason) in _bundles_by_vendor(plan).items():
-        if reason:
-            say(f"{vendor} is not recorded: {reason}")
-        else:  # looks, and both sides of the proof
-            cells += vendor_cells * (1 + len(texts) + 2 * _proofs(plan) // LOOKS)
-    recorded = replace(plan, cells=tuple(cells), run=replace(plan.run, repeats=LOOKS))
-    return dry_run(recorded, out, None, None, as_json=as_json)
-
-
-def _proofs(plan: Plan) -> int:
-    return max(PROOFS, plan.run.repeats)
-
-
-def _bundles_by_vendor(plan: Plan) -> dict[str, tuple[list[Cell], dict[str, str], str]]:
-    """Return cells, bundles by name, and why none is recorded."""
-    from dds_trace.recorder.backends.ros2 import vendor_of
-
-    from ..advice import bundles
-
-    cells_of: dict[str, list[Cell]] = defaultdict(list)
-    for cell in plan.cells:
-        cells_of[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
-    by_vendor = {}
-    for vendor, cells in cells_of.items():
-        texts = bundles(vendor, plan)
-        reason = "" if texts else "no settings of it are known here"
-        if vendor == "fastdds" and plan.discovery == "localhost":
-            reason = "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
-        by_vendor[vendor] = cells, texts, reason
-    return by_vendor
-
-
-def check_advisable(plan: Plan) -> None:
-    faults = {
-        "another device": plan.has_two_devices,
-        "[[flows]]": bool(plan.flows),
-        "a bridge": any(cell.crosses_domains for cell in plan.cells),
-        "two middlewares in one result": any(cell.relay_backend or cell.relay_rmw for cell in plan.cells),
-        "the axes configuration and tuned": any(cell.configuration or cell.tuned for cell in plan.cells),
+    plan = question.plan
+    refused = check_plan(plan, out / plan.name, argument_check())
+    recordings, seconds = promise(replace(question, plan=startable(plan, refused)))
+    described = {
+        "plan": plan.name,
+        "recordings": recordings,
+        "seconds": seconds,
+        "most_seconds": 60 * question.minutes,
+        "cells": [{"name": cell.name} for cell in plan.cells],
+        "cannot_start": refused,
     }
-    for name, is_there in faults.items():
-        if is_there:
-            raise OptionError(f"advise is not for {name}; remove that from the plan")
-
-
-def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
-    from ..sweep import INCOMPLETE_EXIT_CODE
-
-    check_advisable(plan)
-    advices = []
-    for vendor, (cells, texts, reason) in _bundles_by_vendor(plan).items():
-        folder = out / f"{plan.name}-advice" / vendor
-        advice = {"reason": reason} if reason else _advise(replace(plan, cells=tuple(cells)), vendor, texts, folder)
-        advices.append({"vendor": vendor, "kept": False, **advice})
-    print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in shown(advice)))
-    return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
-
-
-def _advise(plan: Plan, vendor: str, texts: Mapping[str, str], folder: Path) -> Advice:
-    from ..advice import write_bundles
-    from ..plan.plan import Order
-
-    paths = write_bundles(vendor, texts, folder / "configurations")
-    run = replace(plan.run, order=Order.ALTERNATING)
-    looks = _look(replace(plan, run=replace(run, repeats=LOOKS, attempts=1)), paths, folder)
-    best = min(paths, key=lambda path: looks.get(path.stem, math.inf))
-    if looks.get(best.stem, math.inf) > WORTH:
-        reason = "no bundle of settings looked better" if looks else f"{_INCOMPLETE} in the first look"
-        return {"reason": reason, "first_look": looks}
-    proof = _prove(replace(plan, run=replace(run, repeats=_proofs(plan))), vendor, best, folder / best.stem)
-    return {"first_look": looks, **proof}
-
-
-def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.extensions.gates.costs import first_look
-
-    from ..run.progress import make_progress
-    from ..sweep import run_sweep
-
-    tries = {
-        replace(cell, configuration=str(path) if path else None): (path.stem if path else "", number)
-        for path in (None, *paths)
-        for number, cell in enumerate(plan.cells)
-    }
-    look = replace(plan, name="look", cells=tuple(tries))
-    outcome = run_sweep(look, folder, make_progress())
-    say_missing(outcome.missing)
-    repeats = {
-        replace(cell, repeat=number).name: tried for cell, tried in tries.items() for number in range(1, LOOKS + 1)
-    }
-    failed = {repeats[name][0] for name in outcome.missing}
-    analysis = analyze(outcome.folder, details=False)
-    tried = {run.run_id: repeats[run.labels["cell"]] for run in analysis.runs}
-    means = {name: mean for name, mean in first_look(analysis.load_messages(), tried).items() if name not in failed}
-    return {name: mean / means[""] for name, mean in means.items() if name} if "" in means else {}
-
-
-def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
-    from ..advice import variables_of
-    from ..against import run_against
-    from ..run.progress import make_progress
-
-    new = replace(plan, name="after", cells=tuple(replace(cell, configuration=str(path)) for cell in plan.cells))
-    outcome = run_against(replace(plan, name="before"), new, folder, make_progress())
-    if missing := {**outcome.base.missing, **outcome.new.missing}:
-        return {"reason": f"{_INCOMPLETE} of {path.stem}: {next(iter(missing.values()))}"}
-    proof = proof_of(path.stem, outcome.base.folder, outcome.new.folder)
-    proof["folders"] = [str(outcome.base.folder), str(outcome.new.folder)]
-    if proof["kept"]:
-        proof |= {"configuration": str(path.absolute()), "variables": variables_of(vendor, path)}
-    return proof
-
-
-def proof_of(name: str, base: Path, new: Path) -> Advice:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.extensions.gates.compare import CompareOptions, compare
-    from dds_trace.extensions.gates.costs import pays
-
-    comparison = compare(analyze(base, details=False), analyze(new, details=False), CompareOptions(**COMPARED))
-    is_kept = pays(comparison)
-    proof = comparison.rows.select(_PROOF).rows(named=True)
-    received = comparison.delivery.select(_RECEIVED).rows(named=True)
-    reason = f"{name} " + ("is proven better" if is_kept else f"looked best, and {_why_not(proof, received)}")
-    return {"kept": is_kept, "reason": reason, "proof": proof, "received": received}
-
-
-def shown(advice: Advice) -> list[str]:
-    looks = sorted(advice.get("first_look", {}).items(), key=lambda look: look[1])
+    link = [f"link: {plan.link}"] if plan.link else []
+    times = f"about {Remaining(seconds)} of at most {question.minutes:g} min"
     lines = [
-        f"{advice['vendor']}: {'use these settings' if advice['kept'] else 'keep the default'}: {advice['reason']}"
+        *(cell.name for cell in plan.cells),
+        *link,
+        f"{plan.name}: about {counted(recordings, 'recording')}, {times}",
     ]
-    lines += [f"  export {name}={shlex.quote(value)}" for name, value in advice.get("variables", {}).items()]
-    if looks:
-        lines.append(
-            f"  first look, times the default's response: {', '.join(f'{name} {ratio:.2f}' for name, ratio in looks)}"
-        )
-    proof, received = (advice.get(name, ()) for name in ("proof", "received"))
-    lost_most = any(row["base_received_ratio"] < 0.5 for row in received)
-    parts = [map(_response, proof), map(_delivery, received)]
-    for words in itertools.chain(*(reversed(parts) if lost_most else parts)):
-        lines.append(f"  {words}")
-    if "folders" in advice:
-        lines.append(f"  proof: dds-trace compare {shlex.join(advice['folders'])} --paired")
-    return lines
+    print(json.dumps(described) if as_json else "\n".join(lines))
+    say_missing(refused, what=" cannot start")
+    return INCOMPLETE_EXIT_CODE if refused else 0
 
 
-def _why_not(proof: Sequence[Advice], received: Sequence[Advice]) -> str:
-    from dds_trace.extensions.gates.costs import speaks_against
-
-    fewer, slower = speaks_against(proof, received)
-    judged = [*map(_delivery, fewer), *map(_response, slower)]
-    if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:
-        return "a result is missing, or is not to be judged"
-    moved = min((row for row in proof if row["ratio"] is not None), key=lambda row: row["ratio"], default=None)
-    most = (
-        "" if moved is None or moved["verdict"] != "inconclusive" else f"; moved most, not proven: {_response(moved)}"
-    )
-    return (judged[0] if judged else "no time and no share received is proven better") + most
+def _say(event: Event) -> None:
+    if event.state != "running" and event.stage != "answer":
+        say(f"{event.left_s / 60:4.1f} min left, {event.stage}: {event.text}")
 
 
-def _response(row: Mapping[str, Any]) -> str:
-    from dds_trace.reports.book.groups import time_words
+def shown(found: Answer) -> list[str]:
+    """Return the lines of an answer."""
+    from ..halving import ms_words
 
-    before, after = map(time_words, (row["base_ns"], row["new_ns"]))
-    ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
-    is_known = "lost" not in (before, after) and None not in ratios
-    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if is_known else ""
-    return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
+    chosen = found["recommended"]
+    lines = [found["sentence"]]
+    if chosen:
+        lines += [f"  export {name}={shlex.quote(value)}" for name, value in chosen["variables"].items()]
+    lines += [line for proof in found["proofs"] for line in shown_proof(proof)]
+    lines.append("Candidates, received and response in the first looks:")
+    for row in found["candidates"][:MOST_ROWS]:
+        name = f"{row['middleware']} {row['bundle'] or 'default'}"
+        p50, p99 = (ms_words(row.get(statistic)) for statistic in ("p50_ms", "p99_ms"))
+        times = f"{row['received_ratio']:.1%}, p50 {p50}, p99 {p99}" if row["runs"] else "-"
+        lines.append(f"  {name}: {times}" + (f" ({row['dropped']})" if row["dropped"] else ""))
+    further = len(found["candidates"]) - MOST_ROWS
+    lines += [f"  and {further} more"] if further > 0 else []
+    return [*lines, f"Wrote {found['folder']}/answer.json"]
 
 
-def _delivery(row: Mapping[str, Any]) -> str:
-    return f"{_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
+def shown_proof(proof: Answer) -> list[str]:
+    """Return the lines of one proof."""
+    from ..proof import proof_lines
 
-
-def _result(row: Mapping[str, Any]) -> str:
-    return f"{row['data_type']} {row['payload_bytes']:,} bytes at {row['rate_hz']:g} Hz"
+    words = "" if proof["verdict"] == "better" else f" ({proof['reason']})"
+    lines = proof_lines(proof["proof"], proof["received"])
+    command = [f"  {proof['command']}"] if "command" in proof else []
+    return [
+        f"{proof['of']} against {proof['against']}: {proof['verdict']}{words}",
+        *(f"  {line}" for line in lines),
+        *command,
+    ]

@@ -293,6 +293,34 @@ def _check(plan: Plan, where: str) -> None:
             raise OptionError(f"{where}: {sentence}")
 
 
+def read_link(text: str) -> Link:
+    """Return the link of a preset's name, or of a file with a table `[link]`."""
+    if text in PRESETS:
+        return PRESETS[text]
+    link = _link(
+        _read_table(text, "a link", f"give a TOML file with [link], or one of {', '.join(PRESETS)}").table("link")
+    )
+    if link is None:
+        raise OptionError(f"{text}: there is no [link]; write one, as in plans/lossy-link.toml")
+    return link
+
+
+def read_host(text: str) -> DeviceSettings:
+    """Return the device of an ssh name, or of a file with a table `[devices.relay]`."""
+    if not text.endswith(".toml"):
+        limits.check(limits.HOST, text.rpartition("@")[2], "--host")
+        return DeviceSettings(ssh=text)
+    host = _read_table(text, "a device", "give a TOML file with [devices.relay], or the name of the device for ssh")
+    device = host.table("devices").table("relay").fill(DeviceSettings())
+    if device.ssh is None:
+        raise OptionError(f"{text}: [devices.relay] has no ssh; write ssh = 'user@host'")
+    return device
+
+
+def _read_table(path: str, what: str, remedy: str) -> TomlTable:
+    return TomlTable.parse(read_settings(Path(path), what, remedy), path, PLAN_LIMITS)
+
+
 def _link(table: TomlTable) -> Link | None:
     if not table.values:
         return None

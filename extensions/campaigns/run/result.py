@@ -102,6 +102,29 @@ def read_result(path: Path) -> CellResult:
     )
 
 
+def read_responses(path: Path) -> NDArray[np.float64]:
+    """Return T2 - T0 of each planned message in ms, infinite for one that was lost or never sent."""
+    trace = read_trace(path)
+    run = trace.runs[0]
+    sent, replies = (_measured_events(trace, stage, run) for stage in (Stage.T1, Stage.T2))
+    answered, first = np.unique(replies.sequence, return_index=True)
+    _, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
+    response_ns = replies.monotonic_ns[first][in_answered] - sent.scheduled_ns[in_sent]
+    planned = max(run.planned_messages, len(sent))
+    return np.concatenate([response_ns / 1e6, np.full(planned - len(response_ns), np.inf)])
+
+
+def read_cpu_percent(path: Path) -> float:
+    """Return the mean load of the recording process in percent of one processor, 0 without samples."""
+    samples = [sample.get("processes") for sample in read_trace(path).host_samples]
+    loads = [
+        node.get("cpu_percent")
+        for row in samples
+        if isinstance(row, dict) and isinstance(node := row.get("self"), dict)
+    ]
+    return float(np.mean([load for load in loads if isinstance(load, int | float)] or [0.0]))
+
+
 def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:
     columns = trace.events[stage]
     return columns.take((columns.run_id == run.run_id) & (columns.sequence >= run.warmup_messages))

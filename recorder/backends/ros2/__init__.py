@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.files import read_regular
 
-from ...applied.vendors import VENDORS, ros_middleware
+from ...applied.vendors import VENDORS, RosMiddleware, ros_middleware
 from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
@@ -58,12 +58,12 @@ def _make_node(options: NodeOptions) -> Node:
         return node
 
 
-def vendor_of(rmw: str | None) -> str:
-    return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or WHEELS_RMW).vendor
+def middleware_of(rmw: str | None) -> RosMiddleware:
+    return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or WHEELS_RMW)
 
 
 def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
-    vendor = vendor_of(rmw)
+    vendor = middleware_of(rmw).vendor
     variables = {"cyclonedds": {"CYCLONEDDS_URI": path.as_uri()}, "zenoh": {"ZENOH_SESSION_CONFIG_URI": str(path)}}
     if vendor != "fastdds":
         return variables.get(vendor, {})

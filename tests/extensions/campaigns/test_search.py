@@ -20,6 +20,7 @@ from dds_trace.extensions.campaigns.search import (
     Bisection,
     MaxRate,
     RateAnswer,
+    bisect_rates,
     messages_needed,
     search_estimate,
     search_estimates,
@@ -39,7 +40,7 @@ def search(holds, settings=SEARCH):
         trials[rate_hz] += 1
         return "" if holds(rate_hz, number) else f"{rate_hz:g} is too much"
 
-    return Bisection(settings, trial).run(), trials
+    return bisect_rates(settings, trial), trials
 
 
 @pytest.mark.parametrize("limit_hz", [1.5, 7, 33, 100, 480, 990])
@@ -172,14 +173,14 @@ def test_single_losses_of_half_the_limit_seldom_halve_the_answer(truth_hz):
             why = why_not_sustained(settings, rate_hz, lost)
             return losses.setdefault((rate_hz, number), why or "late" * (rate_hz > truth_hz))
 
-        knee = Bisection(settings, trial).run()
+        knee = bisect_rates(settings, trial)
         low += knee.answer is RateAnswer.BELOW or knee.rate_hz < truth_hz / 2
     assert low <= 4
 
 
 def test_the_answer_is_at_least_the_rate_where_the_steps_run_out_on_the_way_up(monkeypatch):
     monkeypatch.setattr("dds_trace.extensions.campaigns.search.KNEE_STEPS", 1)
-    knee = Bisection(SEARCH, lambda rate, _: "late" * (rate > 900))._settle(30, 33, "late once")
+    knee = Bisection(1, 1000, 1.1, 3, lambda rate, _: "late" * (rate > 900))._settle(30, 33, "late once")
     assert knee == (RateAnswer.AT_LEAST, 33, None, "")
 
 
@@ -267,7 +268,7 @@ def test_a_dry_run_of_a_search_counts_the_recordings_that_the_search_makes(limit
         recorded.add((rate_hz, number))
         return "late" * (rate_hz > limit_hz)
 
-    Bisection(plan.search, trial).run()
+    bisect_rates(plan.search, trial)
     cost = search_estimate(plan, cell, limit_hz)
     assert len(recorded) <= cost.recordings <= 2 * len(recorded)
     least_s = sum(plan.run.planned_seconds(rate_hz) for rate_hz, _ in recorded)

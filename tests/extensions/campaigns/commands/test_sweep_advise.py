@@ -1,18 +1,19 @@
 """`dds-trace advise`: what it refuses, and what it prints; benchmarks/bench_advise.py runs it on real links."""
 
-import json
 import math
+import platform
 from types import SimpleNamespace
 
 import polars as pl
 import pytest
 
+from dds_trace.base.errors import OptionError
 from dds_trace.cli.trace import main
-from dds_trace.extensions.campaigns.advice import bundles
-from dds_trace.extensions.campaigns.commands import advise as module
-from dds_trace.extensions.campaigns.commands.advise import advise
-from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
-from dds_trace.extensions.gates.costs import LOST_NS, first_look, pays
+from dds_trace.extensions.campaigns.commands.advise import shown_proof
+from dds_trace.extensions.campaigns.plan.link import PRESETS
+from dds_trace.extensions.campaigns.proof import why_not
+from dds_trace.extensions.campaigns.question import ask
+from dds_trace.extensions.gates.costs import pays
 
 
 def run(text, tmp_path, *options):
@@ -30,7 +31,8 @@ def run(text, tmp_path, *options):
         '[axes]\nbackend = "cyclonedds"\nrelay_backend = "ros2"',
         '[axes]\nbackend = "cyclonedds"\nbridge = "builtin"',
         '[axes]\nconfiguration = "x.xml"',
-        '[axes]\nbackend = "zenoh"\n[devices.relay]\nssh = "me@there"',
+        '[run]\nseconds = 1\n[axes]\nbackend = "zenoh"\nrate = "max"',
+        '[run]\nseconds = 1\n[[flows]]\nname = "a"\n[[flows]]\nname = "b"',
     ],
 )
 def test_plans_that_it_is_not_for(text, tmp_path, capsys):
@@ -39,45 +41,51 @@ def test_plans_that_it_is_not_for(text, tmp_path, capsys):
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_vendor_without_known_settings_keeps_its_default(tmp_path, capsys):
-    assert run('[axes]\nbackend = ["socket", "ros2"]', tmp_path) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert [line.partition(": ")[0] for line in printed] == ["socket", "fastdds"]
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ([], "give the messages"),
+        (["--rate", "20"], "give --size"),
+        (["--size", "1KB", "--rate", "0"], "--rate"),
+        (["--size", "many", "--rate", "20"], "--size"),
+        (["--size", "1KB", "--rate", "20", "--deadline", "soon"], "--deadline"),
+        (["--size", "1KB", "--rate", "20", "--in-time", "2"], "--in-time"),
+        (["--size", "1KB", "--rate", "20", "--link", "wifi-55"], "wifi-54"),
+        (["--size", "1KB", "--rate", "20", "--link", "wifi-54", "--host", "robot"], "remove it or --host"),
+        (["--size", "1KB", "--rate", "20", "--host", "robot", "--host", "arm"], "run the command on robot"),
+        (["--size", "1KB", "--rate", "20", "--host", "robot.toml"], "robot.toml: No such file"),
+        (["plan.toml", "--size", "1KB"], "a plan has its own"),
+    ],
+)
+def test_a_question_that_is_none_is_one_line(words, reason, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["advise", *words, "--out", str(tmp_path / "runs")])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert reason in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
 
 
-def test_a_dry_run_counts_for_each_vendor_its_own_bundles(tmp_path, capsys):
-    run('[run]\nrepeats = 7\n[axes]\nbackend = ["socket", "cyclonedds", "zenoh"]', tmp_path, "--dry-run", "--json")
-    cells = [cell["name"] for cell in json.loads(capsys.readouterr().out)["cells"]]
-    for vendor in ("socket", "cyclonedds", "zenoh"):
-        known = bundles(vendor, parse_plan(f'[axes]\nbackend = "{vendor}"', "x", "x.toml"))
-        expected = module.LOOKS * (1 + len(known)) + 2 * 7 if known else 0
-        assert sum(vendor in name for name in cells) == expected
+def test_this_machine_may_be_named_next_to_the_other(tmp_path):
+    other = tmp_path / "robot.toml"
+    other.write_text('[devices.relay]\nssh = "me@robot"\nsetup = ". setup.sh"\n')
+    for hosts in ([str(other)], ["here", str(other)], [str(other), platform.node()]):
+        plan = ask("502KB", "20", hosts=hosts)
+        assert (plan.relay.ssh, plan.relay.setup, plan.has_two_devices) == ("me@robot", ". setup.sh", True)
+    assert ask("502KB", "20", hosts=["robot"]).relay.ssh == "robot"
+    assert not ask("502KB", "20", hosts=["here"]).has_two_devices
 
 
-@pytest.mark.parametrize(("looks", "proved"), [({"a": 0.5, "unbatched": 0.9}, "a"), ({"a": 0.99}, None), ({}, None)])
-def test_only_the_best_look_is_proved(looks, proved, tmp_path, monkeypatch, capsys):
-    proofs = []
-
-    def prove(plan, _vendor, path, _folder):
-        proofs.append((path.stem, plan.run.repeats))
-        return {"kept": True, "reason": "it pays"}
-
-    def written(_vendor, _texts, folder):
-        return [folder / "a.json5", folder / "unbatched.json5"]
-
-    monkeypatch.setattr(module, "_look", lambda *_: looks)
-    monkeypatch.setattr(module, "_prove", prove)
-    monkeypatch.setattr("dds_trace.extensions.campaigns.advice.write_bundles", written)
-    plan = parse_plan('[axes]\nbackend = "zenoh"', "x", "x.toml")
-    assert advise(plan, tmp_path, as_json=True) == (0 if looks else 10)
-    (entry,) = json.loads(capsys.readouterr().out)
-    assert proofs == ([(proved, module.PROOFS)] if proved else [])
-    assert (entry["kept"], entry["first_look"]) == (bool(proved), looks)
-
-
-def test_the_variables_are_printed_as_a_shell_takes_them():
-    advice = {"vendor": "zenoh", "kept": True, "reason": "it pays", "variables": {"ZENOH_CONFIG_OVERRIDE": "a=1;b=2"}}
-    assert "  export ZENOH_CONFIG_OVERRIDE='a=1;b=2'" in module.shown(advice)
+def test_a_link_is_a_preset_or_the_table_of_a_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text("[link]\nrate_mbit_s = 25\ndelay_ms = 5\n")
+    assert ask("1KB", "20", link="wifi-54").link == PRESETS["wifi-54"]
+    plan = ask("1KB", "20", link=str(file))
+    assert (plan.link.rate_mbit_s, plan.namespaces, plan.discovery) == (25, True, "subnet")
+    file.write_text("[run]\nmessages = 3\n")
+    with pytest.raises(OptionError, match="there is no"):
+        ask("1KB", "20", link=str(file))
 
 
 MESSAGE = {"data_type": "binary", "payload_bytes": 145_000, "rate_hz": 8.0}
@@ -95,8 +103,8 @@ def received(base, new, verdict):
 
 def test_what_was_received_comes_first_where_the_default_lost_most(sentences):
     rows = [proof("p50", math.inf, 82.4e6, "better", 0.0, 0.0, 0.0), proof("p99", None, None, "inconclusive")]
-    advice = {"vendor": "fastdds", "kept": True, "reason": "it pays", "proof": rows}
-    shown = module.shown({**advice, "received": [received(0.21, 1.0, "better")]})
+    advice = {"of": "Fast DDS paced", "against": "its default", "verdict": "better", "proof": rows}
+    shown = shown_proof({**advice, "received": [received(0.21, 1.0, "better")]})
     assert [line.split()[6] for line in shown[1:]] == ["received", "response", "response"]
     assert not [line for line in shown if "times" in line or "?" in line]
     sentences(*shown)
@@ -106,27 +114,11 @@ def test_what_does_not_pay_names_what_it_was_judged_by(sentences):
     moved = proof("p99", 135e6, 58e6, "inconclusive", 0.43, 0.1, 1.2)
     slower = proof("p50", 10e6, 12e6, "worse", 1.2, 1.1, 1.3)
     alike = received(1.0, 1.0, "same")
-    said = [
-        module._why_not(rows, [alike]) for rows in ([moved], [moved, slower], [proof("p50", 2e6, 1e6, "better", 0.5)])
-    ]
+    said = [why_not(rows, [alike]) for rows in ([moved], [moved, slower], [proof("p50", 2e6, 1e6, "better", 0.5)])]
     assert ["p99" in text for text in said] == [True, True, False]
     assert said[1].index("p50") < said[1].index("p99")
-    assert "received" in module._why_not([moved], [received(1.0, 0.9, "worse")])
+    assert "received" in why_not([moved], [received(1.0, 0.9, "worse")])
     sentences(*said)
-
-
-def test_a_first_look_is_the_mean_over_results_and_a_lost_message_is_late():
-    runs = {1: ("", 0), 2: ("", 1), 3: ("fast", 0), 4: ("fast", 1), 5: ("lossy", 0)}
-    responses = {1: 4e6, 2: 16e6, 3: 1e6, 4: 4e6, 5: None}
-    messages = pl.DataFrame(
-        {
-            "run_id": [run for run in runs for _ in range(10)],
-            "response_ns": [responses[run] for run in runs for _ in range(10)],
-        },
-        {"run_id": pl.UInt64, "response_ns": pl.Float64},
-    )
-    means = first_look(messages, runs)
-    assert means == {"": pytest.approx(8e6), "fast": pytest.approx(2e6), "lossy": pytest.approx(LOST_NS)}
 
 
 def comparison(*rows, received=("same", -0.01, 0.01), **other):

@@ -1,0 +1,451 @@
+"""The answer to a question: which middleware with which settings, searched and proven in runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from dds_trace.base.records import to_json
+from dds_trace.base.units import format_rate, format_size
+
+from .advice import variables_of
+from .folder import replace_text
+from .halving import FIRST_SECONDS, Candidate, Event, Look, Measurer, Race, Standing, ms_words
+from .link_probe import PROBE_S, probe_link
+from .plan.plan import Plan
+from .proof import ignored, proof_of
+from .question import Question, check_advisable, find_candidates
+from .search import Bisection, RateAnswer, round_rate
+from .trials import Durations, open_trials
+
+if TYPE_CHECKING:
+    from .halving import Limits, Order, Tell
+    from .plan.link import Link
+
+Answer: TypeAlias = "dict[str, Any]"
+"""What `answer.json` has: see `answer`."""
+
+PROOFS, LEAST_PROOFS = 5, 3
+"""Fresh runs of each side of the proof, and fewest where time is short."""
+
+PROOF_SHARE, PROOF_MESSAGES, PROOF_SECONDS = 0.45, 100, (2.0, 15.0)
+"""Most of the time for the proof, messages of its runs, and their shortest and longest length."""
+
+FIT_SECONDS, FIT_FRESH, FIT_SPAN, FIT_RESOLUTION = 2.0, 3, 64, 1.2
+"""Length of the runs of the search for what fits, and number of fresh ones of what it found, between the request and a 64th of it, exact within 20 %."""
+
+FILLED_SHARE = 0.7
+"""Share of the link's rate at which the candidates are compared where the requested load does not fit."""
+
+_FRESH = 1000
+"""Number of the runs before the fresh ones."""
+
+OpenTrials: TypeAlias = "Callable[[Plan, Path, Callable[[str], None], float], AbstractContextManager[Measurer]]"
+
+
+def answer(
+    question: Question,
+    out: Path,
+    tell: Tell = lambda _: None,
+    *,
+    order: Order | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Answer:
+    """Search and prove the best setup for a question in the folder `out`/NAME, and write `answer.json` there.
+
+    The folder of an interrupted search is continued; a finished one is kept, and a new one made.
+
+    Args:
+        tell: gets each step, in this thread, between runs. What it raises, and Ctrl-C, end the search with its recordings kept.
+        order: puts the most promising candidates first.
+
+    Returns:
+        `question`, `link` (measured or emulated, null on one machine), `load` (payload over the link's rate), `sentence`, `recommended`
+        (`middleware`, `vendor`, `bundle`, `configuration`, `variables`) or null, `candidates` (best first: `middleware`, `bundle`, `runs`,
+        `messages`, `received_ratio`, `in_time_ratio`, `p50_ms`, `p99_ms`, `dropped`), `proofs` (of the best `against` another: `kept`,
+        `verdict`, `reason`, `proof`, `received`, `command`), `fits` (highest `rate_hz` at the size and largest
+        `size_bytes` at the rate, null if not found) or null, `seconds`, `folder`.
+
+    Raises:
+        OptionError: the plan has what cannot be advised on, or needs a right that is missing.
+        TraceError: nothing can be recorded at all.
+    """
+    check_advisable(question.plan)
+    return Search(question, new_folder(out, question.plan.name), tell, order, clock).answer()
+
+
+def promise(question: Question, order: Order | None = None) -> tuple[int, float]:
+    """Return the recordings and seconds of a search in which the candidates hardly differ, by the search itself."""
+    check_advisable(question.plan)
+    made = _Made(Durations(question.plan))
+    with tempfile.TemporaryDirectory(prefix="dds-trace-advise-") as folder:
+        search = Search(question, Path(folder), lambda _: None, order, lambda: made.now_s, made.open)
+        if question.plan.has_two_devices:
+            made.now_s += PROBE_S
+        ranking = search.look(search.fitted(question.plan), question.plan.link)
+        search.record_proof(search.sides(ranking))
+    return made.recordings, made.now_s
+
+
+def new_folder(out: Path, name: str) -> Path:
+    number = 1
+    while (folder := out / (name if number == 1 else f"{name}-{number}")).joinpath("answer.json").exists():
+        number += 1
+    return folder
+
+
+@dataclass(slots=True)
+class _Made:
+    """A `Measurer` of a promise: records nothing, and lets its own time pass."""
+
+    durations: Durations
+    now_s: float = 0.0
+    recordings: int = 0
+    _numbers: dict[str, int] = field(default_factory=dict)
+
+    @contextmanager
+    def open(self, *_: object) -> Iterator[Measurer]:
+        yield self
+
+    def look(self, candidate: Candidate, number: int, seconds: float) -> Look:  # noqa: ARG002 - all runs are alike
+        self.now_s += self.durations.expected_s(candidate, seconds)
+        self.recordings += len(candidate.cells)
+        place = self._numbers.setdefault(candidate.name, len(self._numbers))
+        return Look(tuple(np.full(100, 1.01**place) for _ in candidate.cells))
+
+    def expected_s(self, candidate: Candidate, seconds: float) -> float:
+        return self.durations.expected_s(candidate, seconds)
+
+
+@dataclass(slots=True)
+class Search:
+    """The steps of an answer; `open` yields what measures in a folder."""
+
+    question: Question
+    folder: Path
+    tell: Tell
+    order: Order | None
+    clock: Callable[[], float]
+    open: OpenTrials = open_trials
+    link: Link | None = field(default=None, init=False)
+    load: float = field(default=0.0, init=False)
+    began_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.began_s = self.clock()
+        self._use_link(self.question.plan.link)
+
+    def answer(self) -> Answer:
+        plan = self.question.plan
+        if plan.has_two_devices:
+            self._note("link", f"measuring the link and the clocks, {PROBE_S:.0f} s")
+            self._use_link(probe_link(plan, self.folder, partial(self._note, "link")))
+        if self.link is not None:
+            self._note("link", f"link: {self.link}")
+        if self.load > 1:
+            self._note("fit", f"no setting makes this fit: {self._load_words()}")
+        ranking = self.look(self.fitted(plan), self.link)
+        sides = self.sides(ranking)
+        proofs: list[Answer] = []
+        chosen: Standing | None = None
+        fits: Answer | None = None
+        if sides and self.load <= 1 and not sides[0].excess(self.question.limits)[0]:
+            fresh = self.record_proof(sides)
+            proofs = self._judge(fresh)
+            chosen = self._choose(fresh, proofs)
+        if sides and chosen is None:
+            chosen = sides[0]
+            fits = self._fit(chosen.candidate)
+        result = self._result(ranking, chosen, proofs, fits)
+        text = json.dumps(to_json(result, not_finite=lambda _: None), indent=1)
+        replace_text(self.folder / "answer.json", f"{text}\n")
+        self._say(Event("answer", result["sentence"], None if chosen is None else chosen.candidate))
+        return result
+
+    def _use_link(self, link: Link | None) -> None:
+        self.link = link
+        if link is not None and link.rate_mbit_s:
+            self.load = self.question.load_mbit_s / self._carried_mbit_s(link)
+
+    @staticmethod
+    def _carried_mbit_s(link: Link) -> float:
+        return link.rate_mbit_s / (2 if link.shared else 1)
+
+    def _load_words(self) -> str:
+        assert self.link is not None
+        return f"the messages need {self.question.load_mbit_s:.3g} Mbit/s each way, the link carries {self._carried_mbit_s(self.link):.3g}"
+
+    def _note(self, stage: str, text: str) -> None:
+        self._say(Event(stage, text))
+
+    def _say(self, event: Event) -> None:
+        self.tell(replace(event, left_s=max(0.0, self._until_s - self.clock())))
+
+    @property
+    def _until_s(self) -> float:
+        return self.began_s + 60 * self.question.minutes
+
+    def fitted(self, plan: Plan) -> Plan:
+        """Return the plan, with rates that the link carries."""
+        if self.load <= 1:
+            return plan
+        scale = FILLED_SHARE / self.load
+        return replace(plan, cells=tuple(replace(cell, rate=float(f"{cell.rate * scale:.3g}")) for cell in plan.cells))
+
+    def look(self, plan: Plan, link: Link | None) -> list[Standing]:
+        """Return the candidates, best first."""
+        candidates: Sequence[Candidate] = find_candidates(plan, link, self.folder / "configurations")
+        if self.order is not None:
+            candidates = self.order(candidates)
+        looks = replace(plan, name="looks", cells=tuple(cell for one in candidates for cell in one.cells))
+        with self.open(looks, self.folder / "looks", partial(self._note, "look"), FIRST_SECONDS) as trials:
+            proof_s = 3 * PROOFS * trials.expected_s(candidates[0], self.proof_seconds(trials, candidates[0]))
+            until_s = self._until_s - proof_s
+            return Race(trials, self.question.limits, until_s, self._say, self.clock).halve(candidates)
+
+    def proof_seconds(self, trials: Measurer, candidate: Candidate) -> float:
+        """Return the length of a run of the proof."""
+        shortest_s, longest_s = PROOF_SECONDS
+        overhead_s = trials.expected_s(candidate, longest_s) - longest_s * len(candidate.cells)
+        allowed_s = PROOF_SHARE * 60 * self.question.minutes / (3 * PROOFS) - overhead_s
+        wanted_s = PROOF_MESSAGES / min(cell.rate for cell in candidate.cells)
+        return max(shortest_s, min(wanted_s, allowed_s / len(candidate.cells), longest_s))
+
+    @staticmethod
+    def sides(ranking: Sequence[Standing]) -> list[Standing]:
+        """Return the best, the default of its middleware, and the best of the others; nothing if none was measured."""
+        measured = [one for one in ranking if one.looks]
+        defaults = [
+            one
+            for one in measured[1:]
+            if not one.candidate.bundle and one.candidate.middleware == measured[0].candidate.middleware
+        ]
+        others = [one for one in measured[1:] if one not in defaults]
+        return [*measured[:1], *defaults[:1], *others[:1]]
+
+    def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
+        """Record fresh runs of each side in turns, forwards and backwards, in a folder for each."""
+        fresh = [Standing(side.candidate) for side in sides]
+        if len(fresh) < 2:
+            return fresh
+        with ExitStack() as stack:
+            races = []
+            for standing in fresh:
+                plan = replace(self.question.plan, name="proof", cells=standing.candidate.cells)
+                opened = self.open(plan, self._side_folder(standing), partial(self._note, "proof"), FIRST_SECONDS)
+                trials = stack.enter_context(opened)
+                races.append(Race(trials, self.question.limits, self._until_s, self._say, self.clock, "proof"))
+            best, trials = fresh[0].candidate, races[0].measurer
+            seconds = self.proof_seconds(trials, best)
+            turn_s = len(fresh) * trials.expected_s(best, seconds)
+            fitting = int((self._until_s - self.clock()) / turn_s)  # fixed before the first run
+            for number in range(max(LEAST_PROOFS, min(PROOFS, fitting))):
+                turns = list(zip(fresh, races, strict=True))
+                for standing, race in turns if number % 2 == 0 else reversed(turns):
+                    if not standing.dropped:
+                        race.run(standing, seconds)
+        return fresh
+
+    def _side_folder(self, standing: Standing) -> Path:
+        return self.folder / "proof" / re.sub(r"[^\w.+-]", "-", standing.candidate.name)
+
+    def _judge(self, fresh: Sequence[Standing]) -> list[Answer]:
+        proofs = []
+        for other in fresh[1:]:
+            folders = [self._side_folder(side) for side in (other, fresh[0])]
+            names = {"against": other.candidate.name, "of": fresh[0].candidate.name}
+            if failed := next((side for side in (fresh[0], other) if side.dropped), None):
+                reason = f"{failed.candidate.name} was not recorded whole: {failed.dropped}"
+                proofs.append(
+                    {
+                        **names,
+                        "kept": failed is other,
+                        "verdict": "incomplete",
+                        "reason": reason,
+                        "proof": [],
+                        "received": [],
+                    }
+                )
+                continue
+            command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
+            proofs.append({**names, **proof_of(fresh[0].candidate.name, *folders), "command": command})
+        return proofs
+
+    def _choose(self, fresh: Sequence[Standing], proofs: Sequence[Answer]) -> Standing | None:
+        """Return what keeps the limits in the fresh runs: the best, unless another is proven better or its default is as good."""
+        fitting = [one for one in fresh if one.looks and not one.dropped and not one.excess(self.question.limits)[0]]
+        if fresh[0] not in fitting:
+            return next(iter(fitting), None)
+        for other, proof in zip(fresh[1:], proofs, strict=True):
+            is_default = other.candidate.middleware == fresh[0].candidate.middleware and not other.candidate.bundle
+            if other in fitting and (proof["verdict"] == "worse" or (is_default and proof["verdict"] != "better")):
+                return other
+        return fresh[0]
+
+    def _fit(self, candidate: Candidate) -> Answer:
+        """Search the highest rate at the size and the largest size at the rate, each proven in fresh runs; None where there is none."""
+        plan = replace(self.question.plan, name="fit", cells=candidate.cells)
+        requested = max(self.question.plan.cells, key=lambda cell: cell.payload_bit_s or 0.0)
+        axes = {"rate_hz": ("rate", requested.rate)}
+        if requested.size:
+            axes["size_bytes"] = ("size", float(requested.size))
+        found: Answer = {}
+        with self.open(plan, self.folder / "fit", partial(self._note, "fit"), FIT_SECONDS) as trials:
+            race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, "fit")
+            for number, (name, (axis, value)) in enumerate(axes.items(), 1):
+                race.until_s = self.clock() + (self._until_s - self.clock()) * number / len(axes)
+                found[name] = self._fitting(race, candidate, axis, value)
+        return found
+
+    def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> float | None:
+        sustained: list[float] = []
+
+        def why_not(value: float, number: int, seconds: float = FIT_SECONDS, runs: int = 1) -> str:
+            cells = [
+                replace(cell, **{"rate": asked.rate, axis: _scaled(getattr(asked, axis), value / requested)})  # type: ignore[arg-type]  # two axes
+                for cell, asked in zip(candidate.cells, self.question.messages, strict=True)
+            ]
+            standing = Standing(replace(candidate, cells=tuple(cells)))
+            for turn in range(runs):
+                if race.clock() > race.until_s:
+                    raise _TimeUpError
+                race.run(standing, seconds, number + turn)
+                if standing.dropped:
+                    return standing.dropped
+            return standing.excess(self.question.limits)[1]
+
+        def trial(value: float, number: int) -> str:
+            reason = why_not(value, number)
+            if not reason:
+                sustained.append(value)
+            return reason
+
+        with suppress(_TimeUpError):
+            knee = Bisection(requested / FIT_SPAN, requested / max(1.0, self.load), FIT_RESOLUTION, 1, trial).run()
+            value = knee.rate_hz
+            while knee.answer is not RateAnswer.BELOW and value >= requested / FIT_SPAN:
+                if not why_not(value, _FRESH, self.proof_seconds(race.measurer, candidate), FIT_FRESH):
+                    return value
+                value = round_rate(value / FIT_RESOLUTION)
+        return None
+
+    def _result(
+        self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
+    ) -> Answer:
+        question, limits = self.question, self.question.limits
+        return {
+            "question": {
+                "messages": [{"data": one.data, "size": one.size, "rate_hz": one.rate} for one in question.messages],
+                "limits": limits,
+                "minutes": question.minutes,
+                "host": question.plan.relay.ssh,
+            },
+            "link": None if self.link is None else self.link.to_dict(),
+            "load": self.load,
+            "sentence": self._sentence(ranking, chosen, proofs, fits),
+            "recommended": None if chosen is None else _recommended(chosen.candidate),
+            "candidates": [_row(one, limits) for one in ranking],
+            "proofs": proofs,
+            "fits": fits,
+            "seconds": round(self.clock() - self.began_s, 1),
+            "folder": str(self.folder),
+        }
+
+    def _sentence(
+        self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
+    ) -> str:
+        if chosen is None:
+            return f"No answer: {ranking[0].candidate.name} was not measured: {ranking[0].dropped}."
+        name = chosen.candidate.name
+        if fits is not None:
+            reason = (
+                self._load_words()
+                if self.load > 1
+                else f"{name} came nearest: {chosen.excess(self.question.limits)[1]}"
+            )
+            rate, size = fits["rate_hz"], fits.get("size_bytes")
+            parts = [
+                *([f"{format_rate(rate)} at this size"] if rate else []),
+                *([f"{format_size(int(size))} at this rate"] if size else []),
+            ]
+            works = (
+                f"with {name}, up to {' or '.join(parts)} works"
+                if parts
+                else f"nothing that works was found with {name}"
+            )
+            return f"Nothing makes this fit ({reason}); {works}."
+        values = np.concatenate(chosen.responses())
+        in_time = float((values <= self.question.limits.deadline_ms).mean())
+        within = (
+            "arrived"
+            if math.isinf(self.question.limits.deadline_ms)
+            else f"within {self.question.limits.deadline_ms:g} ms"
+        )
+        shown = [f"{in_time:.2%} {within}, p99 {ms_words(np.quantile(values, 0.99, method='higher'))}"]
+        for proof in proofs:
+            one, other = proof["of"], proof["against"]
+            if name == one:
+                shown.append(
+                    f"proven better than {other}"
+                    if proof["verdict"] == "better"
+                    else f"no difference to {other} is proven"
+                )
+            elif name == other:
+                shown.append(
+                    f"proven better than {one}" if proof["verdict"] == "worse" else f"{one} is not proven better"
+                )
+        return f"Use {name}: {'; '.join(shown)}."
+
+
+class _TimeUpError(Exception):
+    """The time that was given is used."""
+
+
+def _scaled(value: float, scale: float) -> float:
+    return max(1, int(value * scale)) if isinstance(value, int) else round_rate(value * scale)
+
+
+def _row(standing: Standing, limits: Limits) -> Answer:
+    candidate = standing.candidate
+    row: Answer = {
+        "middleware": candidate.middleware,
+        "bundle": candidate.bundle,
+        "runs": len(standing.looks),
+        "messages": 0,
+    }
+    if standing.looks:
+        values = np.concatenate(standing.responses())
+        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist()
+        row |= {
+            "messages": len(values),
+            "received_ratio": float(np.isfinite(values).mean()),
+            "in_time_ratio": float((values <= limits.deadline_ms).mean())
+            if math.isfinite(limits.deadline_ms)
+            else None,
+            "p50_ms": p50,
+            "p99_ms": p99,
+        }
+    return {**row, "dropped": standing.dropped}
+
+
+def _recommended(candidate: Candidate) -> Answer:
+    path = None if candidate.path is None else candidate.path.absolute()
+    return {
+        "middleware": candidate.middleware,
+        "vendor": candidate.vendor,
+        "bundle": candidate.bundle,
+        "configuration": None if path is None else str(path),
+        "variables": {} if path is None else variables_of(candidate.vendor, path),
+    }

@@ -1,0 +1,290 @@
+"""Successive halving: short runs of all candidates, more and longer ones of those left.
+
+A candidate that keeps the limits precedes one that does not; of those that keep them the faster one precedes.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+import numpy as np
+
+from dds_trace.base.records import to_json
+from dds_trace.base.units import three_digits
+
+from .search import exceeds
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from .plan.cells import Cell
+
+LOST_MS = 10_000.0
+"""Response of a lost message where times are averaged."""
+
+PASSES = 2
+"""Runs of each candidate in a round, in alternating order."""
+
+FIRST_SECONDS = 2.0
+"""Length of the first round's runs; each further round doubles it."""
+
+FIRST_SHARE = 0.6
+"""Most of the time of the looks that the first round may take, of one run each where two take longer."""
+
+LEAST_SPREAD, DISTANCE = 0.05, 2.5
+"""A candidate is slower if it is so by as many standard errors; runs spread by at least 5 %."""
+
+MOSTLY = 0.5
+"""Share of late messages for which one run is enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A middleware with a bundle of settings; `cells` are its messages, `bundle` is empty and `path` None for the defaults."""
+
+    middleware: str
+    vendor: str
+    bundle: str
+    cells: tuple[Cell, ...]
+    path: Path | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.middleware} {self.bundle or 'default'}"
+
+
+Order: TypeAlias = Callable[[Sequence[Candidate]], Sequence[Candidate]]
+"""Function that returns the candidates with the most promising first; the first ones are tried where time is short."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a candidate has to keep: shares in percent of the messages, CPU of each recording process in percent of one processor."""
+
+    deadline_ms: float = math.inf
+    loss_percent: float = 1.0
+    late_percent: float = 1.0
+    cpu_percent: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One run of a candidate.
+
+    `response_ms` has an array for each message of the plan: planned send to reply, infinite for a message that was lost or never sent.
+    """
+
+    response_ms: tuple[NDArray[np.float64], ...] = ()
+    cpu_percent: float = 0.0
+    failure: str = ""
+
+    @property
+    def level(self) -> float:
+        """Logarithm of the geometric mean of p50 and p99 over all messages."""
+        times = [np.quantile(np.minimum(values, LOST_MS), (0.5, 0.99)) for values in self.response_ms]
+        return float(np.log(times).mean())
+
+
+@dataclass(slots=True)
+class Standing:
+    """What was measured of a candidate; `dropped` is why it takes no further part."""
+
+    candidate: Candidate
+    looks: list[Look] = field(default_factory=list)
+    dropped: str = ""
+
+    @property
+    def level(self) -> float:
+        return float(np.mean([look.level for look in self.looks])) if self.looks else math.inf
+
+    def responses(self) -> list[NDArray[np.float64]]:
+        """Return the responses of all runs in ms, an array for each message of the plan."""
+        return [np.concatenate(values) for values in zip(*(look.response_ms for look in self.looks), strict=True)]
+
+    def excess(self, limits: Limits) -> tuple[float, str]:
+        """Return by what share the limits are exceeded for sure, and in words; 0 where they are kept."""
+        found = [(0.0, "")]
+        for values in self.responses():
+            lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
+            for count, percent, words in (
+                (lost, limits.loss_percent, "lost"),
+                (late, limits.late_percent, f"later than {limits.deadline_ms:g} ms"),
+            ):
+                if exceeds(count, len(values), percent):
+                    share = count / len(values)
+                    found.append((share - percent / 100, f"{share:.1%} {words}"))
+        cpu = float(np.mean([look.cpu_percent for look in self.looks])) if self.looks else 0.0
+        if cpu > limits.cpu_percent:
+            found.append((cpu / limits.cpu_percent - 1, f"{cpu:.0f} % of a processor"))
+        return max(found)
+
+    def rank(self, limits: Limits) -> tuple[bool, float, float]:
+        return bool(self.dropped), self.excess(limits)[0], self.level
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A step of the search.
+
+    Attributes:
+        stage: `link`, `look`, `proof`, `fit` or `answer`.
+        state: of the candidate: `running`, `measured` or `dropped`; empty for a note.
+        text: a line for a person.
+        messages, lost, late: of all its runs of the stage so far; `p50_ms` and `p99_ms` of the response, infinite where such a message was lost.
+        left_s: rest of the time of the whole search.
+    """
+
+    stage: str
+    text: str = ""
+    candidate: Candidate | None = None
+    state: str = ""
+    runs: int = 0
+    messages: int = 0
+    lost: int = 0
+    late: int = 0
+    p50_ms: float | None = None
+    p99_ms: float | None = None
+    left_s: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the event as JSON takes it: `candidate` is a name or empty, an infinite time null."""
+        row: dict[str, Any] = to_json(replace(self, candidate=None), not_finite=lambda _: None)
+        return {**row, "candidate": self.candidate.name if self.candidate else ""}
+
+
+Tell: TypeAlias = Callable[[Event], None]
+"""Receiver of the steps, between runs; what it raises ends the search, with its recordings kept."""
+
+
+class Measurer(Protocol):
+    def look(self, candidate: Candidate, number: int, seconds: float) -> Look:
+        """Record the candidate's run of this number."""
+
+    def expected_s(self, candidate: Candidate, seconds: float) -> float:
+        """Return how long such a run is expected to take with its start and end."""
+
+
+@dataclass(slots=True)
+class Race:
+    """The runs of some candidates until a time of `clock`, told one by one."""
+
+    measurer: Measurer
+    limits: Limits
+    until_s: float
+    tell: Tell
+    clock: Callable[[], float] = time.monotonic
+    stage: str = "look"
+
+    def run(self, standing: Standing, seconds: float, number: int = 0) -> None:
+        """Record the next run of a candidate, or that of a number; a candidate that cannot run is dropped."""
+        candidate, number = standing.candidate, number or len(standing.looks) + 1
+        self._tell(standing, "running", f"{candidate.name}: run {number}")
+        look = self.measurer.look(candidate, number, seconds)
+        if look.failure:
+            self.drop(standing, look.failure)
+            return
+        standing.looks.append(look)
+        self._tell(standing, "measured")
+
+    def drop(self, standing: Standing, reason: str) -> None:
+        standing.dropped = reason
+        self._tell(standing, "dropped", f"{standing.candidate.name} is out: {reason}")
+
+    def halve(self, candidates: Sequence[Candidate], first_s: float = FIRST_SECONDS) -> list[Standing]:
+        """Return all candidates, best first; those that no time was left for are dropped, too."""
+        standings = [Standing(candidate) for candidate in candidates]
+        seconds = first_s
+        left, passes = self._first(standings, first_s)
+        while self._round(left, seconds, passes):
+            left, passes = self._kept(left), PASSES
+            if len(left) < 2:
+                break
+            half = left[: max(2, math.ceil(len(left) / 2))]
+            for standing in left[len(half) :]:
+                self.drop(standing, f"{self._behind(standing, half[0])}, among the slower half")
+            left, seconds = half, 2 * seconds
+        running = [standing for standing in left if not standing.dropped]
+        for standing in running:  # of an unfinished pass some have more and longer runs
+            del standing.looks[min(len(one.looks) for one in running) :]
+        return sorted(standings, key=lambda standing: standing.rank(self.limits))
+
+    def _first(self, standings: list[Standing], seconds: float) -> tuple[list[Standing], int]:
+        """Return what there is time to try, and how often."""
+        budget_s = FIRST_SHARE * (self.until_s - self.clock())
+        expected_s = [self.measurer.expected_s(standing.candidate, seconds) for standing in standings]
+        passes = PASSES if PASSES * sum(expected_s) <= budget_s else 1
+        fitting = max(2, sum(total_s <= budget_s for total_s in itertools.accumulate(expected_s)))
+        for standing in standings[fitting:]:
+            self.drop(standing, "not tried, there was no time")
+        return standings[:fitting], passes
+
+    def _round(self, left: Sequence[Standing], seconds: float, passes: int) -> bool:
+        """Run all so often; return whether there was time for it."""
+        is_first = not any(standing.looks for standing in left)
+        for turn in range(passes):
+            running = [standing for standing in left if not standing.dropped]
+            expected_s = sum(self.measurer.expected_s(standing.candidate, seconds) for standing in running)
+            if not is_first and self.clock() + expected_s > self.until_s:
+                return False
+            for standing in running if turn % 2 == 0 else reversed(running):
+                if self.clock() > self.until_s and not (is_first and turn == 0):
+                    return False
+                self.run(standing, seconds)
+            for standing in running:
+                excess, words = standing.excess(self.limits)
+                if (
+                    not standing.dropped
+                    and excess > MOSTLY
+                    and excess > min(other.excess(self.limits)[0] for other in running)
+                ):
+                    self.drop(standing, words)
+        return True
+
+    def _kept(self, left: Sequence[Standing]) -> list[Standing]:
+        """Drop what the evidence excludes; return the others, best first."""
+        ranked = sorted((one for one in left if not one.dropped), key=lambda one: one.rank(self.limits))
+        kept = ranked[:1]
+        for standing in ranked[1:]:
+            best, own = (one.excess(self.limits) for one in (ranked[0], standing))
+            error = self._spread(ranked) * math.sqrt(1 / len(ranked[0].looks) + 1 / len(standing.looks))
+            if len(standing.looks) < PASSES:
+                kept.append(standing)
+            elif own[0] > best[0] == 0:
+                self.drop(standing, own[1])
+            elif own[0] == best[0] and standing.level - ranked[0].level > DISTANCE * error:
+                self.drop(standing, self._behind(standing, ranked[0]))
+            else:
+                kept.append(standing)
+        return kept
+
+    @staticmethod
+    def _spread(standings: Sequence[Standing]) -> float:
+        """Return the standard deviation of runs of one candidate, pooled."""
+        squares = [(look.level - one.level) ** 2 for one in standings for look in one.looks]
+        return max(LEAST_SPREAD, math.sqrt(sum(squares) / max(1, len(squares) - len(standings))))
+
+    @staticmethod
+    def _behind(standing: Standing, best: Standing) -> str:
+        return f"{math.exp(standing.level - best.level):.2f} times as long as {best.candidate.name}"
+
+    def _tell(self, standing: Standing, state: str, text: str = "") -> None:
+        values = np.concatenate(standing.responses()) if standing.looks else np.empty(0)
+        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist() if len(values) else (None, None)
+        lost, late = int(np.isinf(values).sum()), int((values > self.limits.deadline_ms).sum())
+        words = (
+            text or f"{standing.candidate.name}: p50 {ms_words(p50)}, p99 {ms_words(p99)}, {lost} of {len(values)} lost"
+        )
+        runs = len(standing.looks)
+        self.tell(Event(self.stage, words, standing.candidate, state, runs, len(values), lost, late, p50, p99))
+
+
+def ms_words(value: float | None) -> str:
+    """Write a time to three digits; an infinite one is that of a lost message."""
+    return "-" if value is None else "lost" if math.isinf(value) else f"{three_digits(value)} ms"

@@ -1,0 +1,91 @@
+"""The proof that one setup is better than another: its verdicts, and in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.extensions.gates.compare import CompareOptions, compare
+from dds_trace.extensions.gates.costs import pays, speaks_against
+from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS, match_without
+from dds_trace.reports.book.groups import time_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+
+Proof: TypeAlias = "dict[str, Any]"
+"""`kept` (is better), `verdict` (better, worse or no difference), `reason`, and the rows of the comparison `proof` and `received`, ns."""
+
+_MESSAGE = ("data_type", "payload_bytes", "rate_hz")
+_PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high", "verdict")
+_RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference_high", "verdict")
+
+
+def ignored() -> str:
+    """Return the columns that `dds-trace compare --ignore` needs for two setups."""
+    return ",".join(name for name in CONTENDER_COLUMNS if name in IGNORABLE_COLUMNS)
+
+
+def compared() -> CompareOptions:
+    """Return how setups are compared: messages of the same kind, whatever the middleware and settings.
+
+    The response counts a message that waits for its turn to be sent, too.
+    """
+
+    match = match_without(ignored().split(","))
+    return CompareOptions(metrics=("response",), statistics=("p50", "p90", "p99"), match=match, paired=True)
+
+
+def proof_of(name: str, base: Path, new: Path) -> Proof:
+    """Compare the recordings of two folders, repeat by repeat; `name` is the new side's."""
+
+    comparison = compare(analyze(base, details=False), analyze(new, details=False), compared())
+    is_kept = pays(comparison)
+    proof = comparison.rows.select(_PROOF).rows(named=True)
+    received = comparison.delivery.select(_RECEIVED).rows(named=True)
+    is_better = "better" in {row["verdict"] for row in (*proof, *received)}
+    is_worse = not is_better and any(speaks_against(proof, received))
+    reason = f"{name} " + ("is proven better" if is_kept else f"looked best, and {why_not(proof, received)}")
+    verdict = "better" if is_kept else "worse" if is_worse else "no difference"
+    return {"kept": is_kept, "verdict": verdict, "reason": reason, "proof": proof, "received": received}
+
+
+def proof_lines(proof: Sequence[Mapping[str, Any]], received: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Describe each row; what was received comes first where the base lost most."""
+    lost_most = any(row["base_received_ratio"] < 0.5 for row in received)
+    parts = [list(map(_response, proof)), list(map(_delivery, received))]
+    return [line for part in (reversed(parts) if lost_most else parts) for line in part]
+
+
+def why_not(proof: Sequence[Proof], received: Sequence[Proof]) -> str:
+    """Describe why the new side is not kept."""
+
+    fewer, slower = speaks_against(proof, received)
+    judged = [*map(_delivery, fewer), *map(_response, slower)]
+    if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:
+        return "a result is missing, or is not to be judged"
+    moved = min((row for row in proof if row["ratio"] is not None), key=lambda row: row["ratio"], default=None)
+    most = (
+        "" if moved is None or moved["verdict"] != "inconclusive" else f"; moved most, not proven: {_response(moved)}"
+    )
+    return (judged[0] if judged else "no time and no share received is proven better") + most
+
+
+def _response(row: Mapping[str, Any]) -> str:
+
+    before, after = map(time_words, (row["base_ns"], row["new_ns"]))
+    ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
+    is_known = "lost" not in (before, after) and None not in ratios
+    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if is_known else ""
+    return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
+
+
+def _delivery(row: Mapping[str, Any]) -> str:
+    return f"{_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
+
+
+def _result(row: Mapping[str, Any]) -> str:
+    return f"{row['data_type']} {row['payload_bytes']:,} bytes at {row['rate_hz']:g} Hz"

@@ -1,0 +1,175 @@
+"""What is asked: a load between two devices, with limits; and the candidates for an answer."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.units import parse_duration, parse_rate, parse_size, spell_size
+from dds_trace.recorder.backends import installed_middlewares, load_backend
+from dds_trace.recorder.backends.ros2 import middleware_of
+
+from .advice import bundles, write_bundles
+from .halving import Candidate, Limits
+from .plan.cells import DEFAULTS
+from .plan.flows import MESSAGE_AXES, is_crowded
+from .plan.plan_file import parse_plan, read_host, read_link
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from .plan.cells import Cell
+    from .plan.link import Link
+    from .plan.plan import Plan
+
+HERE = ("here", "localhost")
+"""Names of this machine for `--host`, next to its own."""
+
+SIZED = ("binary", "string")
+"""Data that has any size."""
+
+NOT_RECOMMENDED = ("socket",)
+"""Backends that no ROS 2 node can use."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A plan with the messages of each middleware, what an answer has to keep, and the time to spend."""
+
+    plan: Plan
+    limits: Limits
+    minutes: float = 10.0
+
+    @property
+    def messages(self) -> list[Cell]:
+        """One cell of each message."""
+        return list({tuple(getattr(cell, axis) for axis in MESSAGE_AXES): cell for cell in self.plan.cells}.values())
+
+    @property
+    def load_mbit_s(self) -> float:
+        """Payload of the fastest message in one direction, as the messages are sent one after the other; 0 where the data has its own size."""
+        return max((cell.payload_bit_s or 0.0 for cell in self.plan.cells), default=0.0) / 1e6
+
+
+def ask(
+    size: str | None, rate: str, *, data: str = "binary", link: str | None = None, hosts: Sequence[str] = ()
+) -> Plan:
+    """Return the plan of what a person writes, with all installed middlewares.
+
+    Args:
+        size, rate: as `502KB`, `20`; a size of None is the data's own.
+        link: name of a preset, or a file with `[link]`; both devices are then namespaces of this machine.
+        hosts: the other device: an ssh name or a file with `[devices.relay]`; this machine may be named, too.
+
+    Raises:
+        OptionError: a value is wrong, or no middleware is installed.
+    """
+    others = [host for host in hosts if host not in (*HERE, platform.node())]
+    if link is not None and others:
+        raise OptionError("--link emulates a link on this machine; remove it or --host")
+    if len(others) > 1:
+        raise OptionError(
+            f"one of the two devices has to be this one ({platform.node()}); run the command on {others[0]}"
+        )
+    if size is None and data in SIZED:
+        raise OptionError(f"--data {data} has no size of its own; give --size")
+    size_bytes = None if size is None else parse_size(size, "--size")
+    message = {"data": data, "size": size_bytes, "rate": parse_rate(rate, "--rate")}
+    rows = [{"backend": backend, "rmw": rmw, **message} for backend, rmw in _middlewares()]
+    texts = [
+        "[[matrix]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in row.items() if value is not None)
+        for row in rows
+    ]
+    if not texts:
+        raise OptionError("no middleware is installed; `dds-trace doctor` names what to install")
+    words = [
+        "advice",
+        data.partition(":")[0],
+        *([spell_size(size_bytes)] if size_bytes else []),
+        f"{message['rate']:g}Hz",
+    ]
+    plan = parse_plan("".join(texts), "-".join(words), "the question")
+    if link is not None:
+        emulated = read_link(link)
+        return replace(plan, link=emulated, namespaces=True, connectivity=emulated.connectivity)
+    return replace(plan, relay=read_host(others[0]), connectivity=None) if others else plan
+
+
+def limits_of(deadline: str | None = None, in_time: str = "99%", cpu: float | None = None) -> Limits:
+    """Return the limits of what a person writes, such as `50ms` and `99%` or `0.99`; None is no limit."""
+    return Limits(
+        deadline_ms=math.inf if deadline is None else parse_duration(deadline, "--deadline") / 1e6,
+        late_percent=100 - _percent(in_time),
+        cpu_percent=math.inf if cpu is None else cpu,
+    )
+
+
+def _percent(text: str) -> float:
+    try:
+        value = float(text.rstrip("% "))
+    except ValueError:
+        value = 0.0
+    percent = value if text.rstrip().endswith("%") else 100 * value
+    if not 50 <= percent < 100:
+        raise OptionError(f"--in-time {limits.shown(text)}: write a share such as 99%, at least 50% and below 100%")
+    return percent
+
+
+def _middlewares() -> list[tuple[str, str | None]]:
+    """Return one (backend, rmw) of each vendor, ROS 2 before the vendor's own API."""
+    installed = [row for row in installed_middlewares() if row[0] not in NOT_RECOMMENDED]
+    by_vendor: dict[str, tuple[str, str | None]] = {}
+    for backend, rmw in sorted(installed, key=lambda row: row[0] != "ros2"):
+        by_vendor.setdefault(_vendor(backend, rmw), (backend, rmw))
+    return list(by_vendor.values())
+
+
+def _vendor(backend: str, rmw: str | None) -> str:
+    return middleware_of(rmw).vendor if backend == "ros2" else backend
+
+
+def _label(cell: Cell) -> str:
+    if cell.backend == "ros2":
+        return f"{middleware_of(cell.rmw).label} (ROS 2)"
+    return load_backend(cell.backend).label
+
+
+def check_advisable(plan: Plan) -> None:
+    """Refuse plans with more than messages from one device to another."""
+    faults = {
+        "a relay that a person starts": plan.by_hand,
+        "[[flows]], relays, hosts, pings and topics": bool(plan.flows) or any(map(is_crowded, plan.cells)),
+        "a bridge": any(cell.crosses_domains for cell in plan.cells),
+        "two middlewares in one result": any(cell.relay_backend or cell.relay_rmw for cell in plan.cells),
+        "the axes configuration and tuned": any(cell.configuration or cell.tuned for cell in plan.cells),
+        "rate = 'max'": any(math.isinf(cell.rate) for cell in plan.cells),
+    }
+    for name, is_there in faults.items():
+        if is_there:
+            raise OptionError(f"advise is not for {name}; remove that from the plan")
+
+
+def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candidate]:
+    """Return the defaults of each setup of the plan, then its bundles; their files are written to the folder."""
+    setups: dict[Cell, list[Cell]] = {}
+    for cell in plan.cells:
+        setups.setdefault(replace(cell, **{axis: DEFAULTS[axis] for axis in MESSAGE_AXES}), []).append(cell)
+    largest_bytes = max((cell.size or 0 for cell in plan.cells), default=0)
+    rows: list[tuple[int, Candidate]] = []
+    for setup, cells in setups.items():
+        vendor = _vendor(setup.backend, setup.rmw)
+        # ROS 2's LOCALHOST range adds transports of its own, next to which no file counts.
+        is_fixed = vendor == "fastdds" and plan.discovery == "localhost"
+        texts = {} if is_fixed else bundles(vendor, largest_bytes, link)
+        middleware = " ".join([_label(setup), *setup.changed_axes])
+        rows.append((0, Candidate(middleware, vendor, "", tuple(cells))))
+        for number, path in enumerate(write_bundles(vendor, texts, folder / vendor), 1):
+            configured = tuple(replace(cell, configuration=str(path)) for cell in cells)
+            rows.append((number, Candidate(middleware, vendor, path.stem, configured, path)))
+    return [candidate for _, candidate in sorted(rows, key=lambda row: row[0])]

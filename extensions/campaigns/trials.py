@@ -1,0 +1,134 @@
+"""Runs of candidates in one folder, as the search asks for them."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import TraceError
+
+from .folder import locked_folder
+from .halving import Look
+from .plan.schedule import RELAY_OVERHEAD_S, Estimate, group_by_relay
+from .run.progress import SweepProgress
+from .run.result import read_cpu_percent, read_responses
+from .run.runner import Runner
+from .run.state import Status
+from .station.station import open_station
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from .halving import Candidate
+    from .plan.cells import Cell
+    from .plan.plan import Plan
+
+CUTOFF_S, SETTLE_S = 5.0, 0.2
+
+
+def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
+    """Return the plan with runs of such a length: tried once, without a measurement of the recorder's own cost after the first repeat."""
+    run = replace(
+        plan.run,
+        messages=0,
+        seconds=seconds,
+        min_messages=12,
+        warmup=5,
+        attempts=1,
+        settle_seconds=SETTLE_S,
+        cutoff_seconds=CUTOFF_S,
+        own_cost_passes=1,
+    )
+    return replace(plan, name=name, run=run)
+
+
+@dataclass(slots=True)
+class Durations:
+    """How long runs of a plan take: by the plan's estimate, then as the runs so far."""
+
+    plan: Plan
+    _overheads_s: list[float] = field(default_factory=list)
+
+    def expected_s(self, candidate: Candidate, seconds: float) -> float:
+        """Return the duration of a run with its start and end."""
+        plan = plan_of_trials(self.plan, self.plan.name, seconds)
+        if self._overheads_s:
+            planned_s = sum(plan.run.planned_seconds(cell.rate) for cell in candidate.cells)
+            return planned_s + sum(self._overheads_s) / len(self._overheads_s)
+        cells = [replace(cell, repeat=2) for cell in candidate.cells]
+        return Estimate(plan).remaining(cells).seconds + RELAY_OVERHEAD_S
+
+    def took(self, candidate: Candidate, seconds: float, elapsed_s: float) -> None:
+        """Note how long a run took."""
+        run = plan_of_trials(self.plan, self.plan.name, seconds).run
+        self._overheads_s.append(elapsed_s - sum(run.planned_seconds(cell.rate) for cell in candidate.cells))
+
+
+@dataclass(slots=True)
+class Trials:
+    """A `Measurer` that records; a run that an interrupted search recorded is not recorded again."""
+
+    runner: Runner
+    durations: Durations
+
+    def look(self, candidate: Candidate, number: int, seconds: float) -> Look:
+        began_s = time.monotonic()
+        # The first repeat would measure the recorder's own cost.
+        cells = [replace(cell, repeat=number + 1) for cell in candidate.cells]
+        is_new = not all(self.runner.state[cell.name].done for cell in cells)
+        if failure := self.record(cells, seconds):
+            return Look(failure=failure)
+        if is_new:
+            self.durations.took(candidate, seconds, time.monotonic() - began_s)
+        paths = [self.paths(cell) for cell in cells]
+        try:
+            responses = tuple(read_responses(ping) for ping, _ in paths)
+            return Look(responses, max(read_cpu_percent(path) for pair in paths for path in pair if path.exists()))
+        except (TraceError, OSError) as err:
+            return Look(failure=str(err))
+
+    def expected_s(self, candidate: Candidate, seconds: float) -> float:
+        return self.durations.expected_s(candidate, seconds)
+
+    def record(self, cells: Sequence[Cell], seconds: float) -> str:
+        """Record each cell with a relay of its own settings; return why one could not be."""
+        self.runner.plan = plan_of_trials(self.runner.plan, self.runner.plan.name, seconds)
+        for group in group_by_relay(self.runner.plan, cells):
+            waiting = [cell for cell in group.cells if not self.runner.state[cell.name].done]
+            if not waiting:
+                continue
+            with self.runner.relay(group) as relay:
+                for cell in waiting:
+                    state = self.runner.record(cell, relay)
+                    if state.status is Status.FAILED:
+                        return state.reason
+                    if state.result is not None and state.result.not_applied:
+                        return f"not applied: {state.result.not_applied}"
+        return ""
+
+    def paths(self, cell: Cell) -> tuple[Path, Path]:
+        """Return the traces of the ping and of the relay."""
+        return self.runner.folder / f"{cell.name}.ping.mcap", self.runner.relay_path(cell.name)
+
+
+class Notes(SweepProgress):
+    """What a runner remarks."""
+
+    def __init__(self, note: Callable[[str], None]) -> None:
+        self._note = note
+
+    def note(self, text: str) -> None:
+        self._note(text)
+
+
+@contextmanager
+def open_trials(plan: Plan, folder: Path, note: Callable[[str], None], seconds: float) -> Iterator[Trials]:
+    """Lock the folder and open the station of a plan within the block; `seconds` is the length that its state is for."""
+    plan = plan_of_trials(plan, plan.name, seconds)
+    with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:
+        runner = Runner(plan, folder, station, Notes(note))
+        runner.prepare(plan.cells)
+        yield Trials(runner, Durations(plan))

@@ -1,0 +1,176 @@
+"""The steps of an answer with made runs; test_real_answer.py has real ones."""
+
+import json
+import math
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dds_trace.extensions.campaigns import answer as module
+from dds_trace.extensions.campaigns.answer import Search, new_folder, promise
+from dds_trace.extensions.campaigns.commands.advise import shown
+from dds_trace.extensions.campaigns.halving import Look
+from dds_trace.extensions.campaigns.plan.link import Link
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.question import Question, find_candidates, limits_of
+
+PLAN = '[axes]\nbackend = ["cyclonedds", "zenoh"]\nsize = "145KB"\nrate = 20\n'
+LINK = Link("made", rate_mbit_s=100, delay_ms=2, loss_percent=0.1)
+
+
+class Desk:
+    """Runs that take as long as they should, by a function of the candidate: its response in ms, and its share of losses."""
+
+    def __init__(self, response_ms, lost=lambda _: 0.0):
+        self.response_ms, self.lost = response_ms, lost
+        self.now_s, self.events, self.looks = 0.0, [], []
+        self.random = np.random.default_rng(0)
+
+    @contextmanager
+    def open(self, plan, _folder, _note, _seconds):
+        self.stage = plan.name
+        yield self
+
+    def look(self, candidate, number, seconds):
+        self.now_s += self.expected_s(candidate, seconds)
+        self.looks.append((self.stage, candidate, number))
+        values = self.response_ms(candidate) * self.random.lognormal(0, 0.05, 200)
+        values[self.random.random(200) < self.lost(candidate)] = math.inf
+        return Look((values,))
+
+    def expected_s(self, candidate, seconds):
+        return 3 + seconds * len(candidate.cells)
+
+    def search(self, folder, link=LINK, text=PLAN, minutes=10.0, **limits):
+        plan = replace(parse_plan(text, "asked", "asked.toml"), link=link, namespaces=link is not None)
+        question = Question(plan, limits_of(**limits), minutes)
+        return Search(question, folder, self.events.append, None, lambda: self.now_s, self.open)
+
+
+def made_proofs(monkeypatch, verdicts):
+    monkeypatch.setattr(
+        module,
+        "proof_of",
+        lambda _name, base, _new: (
+            {"verdict": verdicts[base.name], "kept": verdicts[base.name] == "better"}
+            | {"reason": "made", "proof": [], "received": []}
+        ),
+    )
+
+
+MEDIANS = {"Cyclone DDS default": 30, "Cyclone DDS small-packets": 10, "Zenoh default": 14}
+
+
+def median(candidate):
+    return MEDIANS.get(candidate.name, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("against_default", "against_other", "recommended"),
+    [
+        ("better", "better", "small-packets"),
+        ("better", "no difference", "small-packets"),
+        ("no difference", "better", ""),
+        ("worse", "no difference", ""),
+    ],
+)
+def test_the_best_is_used_where_it_is_proven_and_else_the_default(
+    tmp_path, monkeypatch, sentences, against_default, against_other, recommended
+):
+    made_proofs(monkeypatch, {"Cyclone-DDS-default": against_default, "Zenoh-default": against_other})
+    desk = Desk(median)
+    found = desk.search(tmp_path, deadline="50ms").answer()
+    assert (found["recommended"]["vendor"], found["recommended"]["bundle"]) == ("cyclonedds", recommended)
+    assert [proof["against"] for proof in found["proofs"]] == ["Cyclone DDS default", "Zenoh default"]
+    proofs = [(candidate.name, number) for stage, candidate, number in desk.looks if stage == "proof"]
+    assert sorted({name for name, _ in proofs}) == sorted(MEDIANS)
+    assert len(proofs) == 3 * module.PROOFS
+    assert proofs[:6] == [*proofs[:3], *((name, 2) for name, _ in reversed(proofs[:3]))]
+    assert desk.now_s <= 600
+    assert json.loads((tmp_path / "answer.json").read_text())["sentence"] == found["sentence"] == desk.events[-1].text
+    if recommended:
+        (name,) = found["recommended"]["variables"]
+        assert f"  export {name}=" in "\n".join(shown(found))
+    sentences(found["sentence"])
+
+
+def test_a_runner_up_that_is_proven_better_is_used(tmp_path, monkeypatch):
+    made_proofs(monkeypatch, {"Cyclone-DDS-default": "better", "Zenoh-default": "worse"})
+    assert Desk(median).search(tmp_path).answer()["recommended"]["middleware"] == "Zenoh"
+
+
+def test_what_breaks_a_limit_in_the_fresh_runs_is_not_used(tmp_path, monkeypatch):
+    made_proofs(monkeypatch, dict.fromkeys(("Cyclone-DDS-default", "Zenoh-default"), "better"))
+    desk = Desk(median)
+    desk.lost = lambda candidate: 0.1 * (desk.stage == "proof" and candidate.bundle == "small-packets")
+    found = desk.search(tmp_path).answer()
+    assert (found["recommended"]["vendor"], found["recommended"]["bundle"]) == ("cyclonedds", "")
+
+
+@pytest.mark.parametrize("most_bit_s", [2e6, 4e6, 9e6])
+def test_where_nothing_fits_the_highest_rate_and_the_largest_size_are_searched(tmp_path, sentences, most_bit_s):
+    """A setup that carries so many bits a second: the answers are within the resolution of it."""
+
+    def response(candidate):
+        (cell,) = candidate.cells
+        return 20 if cell.size * 8 * cell.rate <= most_bit_s else 500
+
+    desk = Desk(response)
+    found = desk.search(tmp_path, replace(LINK, rate_mbit_s=10), deadline="100ms").answer()
+    assert found["load"] == pytest.approx(2.32)
+    assert "no setting" in desk.events[1].text
+    fits = found["fits"]
+    assert fits["rate_hz"] <= most_bit_s / (8 * 145_000) <= fits["rate_hz"] * 1.21
+    assert fits["size_bytes"] <= most_bit_s / (8 * 20) <= fits["size_bytes"] * 1.21
+    assert not found["proofs"]
+    assert desk.now_s <= 620
+    if most_bit_s == 4e6:
+        sentences(found["sentence"])
+
+
+def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too(tmp_path):
+    desk = Desk(lambda candidate: 20 if candidate.cells[0].rate <= 5 else 400)
+    found = desk.search(tmp_path, deadline="100ms").answer()
+    assert 4 <= found["fits"]["rate_hz"] <= 5
+    assert found["fits"]["size_bytes"] is None
+    assert "came nearest" in found["sentence"]
+
+
+@pytest.mark.parametrize("minutes", [2, 3, 10, 30])
+@pytest.mark.parametrize("link", [None, LINK])
+def test_a_dry_run_promises_what_made_runs_take(tmp_path, monkeypatch, minutes, link):
+    monkeypatch.setattr(module, "proof_of", lambda *_: {"verdict": "better", "reason": "", "proof": [], "received": []})
+    desk = Desk(lambda _: 20)
+    search = desk.search(tmp_path, link, minutes=minutes)
+    recordings, seconds = promise(search.question)
+    assert 0 < seconds <= 60 * minutes
+    assert recordings >= 2 + 2 * module.LEAST_PROOFS
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_model_puts_the_candidates_in_order(tmp_path):
+    desk = Desk(median)
+    search = desk.search(tmp_path, minutes=1.0)
+    search.order = lambda candidates: sorted(candidates, key=lambda one: one.bundle != "short-queue")
+    ranking = search.look(search.question.plan, LINK)
+    assert ranking[0].candidate in [candidate for _, candidate, _ in desk.looks]
+    assert desk.looks[0][1].bundle == "short-queue"
+
+
+def test_a_finished_answer_is_kept(tmp_path):
+    assert new_folder(tmp_path, "a") == new_folder(tmp_path, "a") == tmp_path / "a"
+    for name in ("a", "a-2"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "answer.json").write_text("{}")
+    assert new_folder(tmp_path, "a").name == "a-3"
+
+
+def test_defaults_are_tried_first_and_no_file_of_fast_dds_on_loopback(tmp_path):
+    text = '[axes]\nbackend = ["ros2", "cyclonedds"]\nrmw = ["rmw_fastrtps_cpp"]\nsize = ["1KB", "9KB"]\n'
+    plan = parse_plan(text.replace('"cyclonedds"', '"zenoh"').replace("rmw = ", "# "), "asked", "asked.toml")
+    names = [(one.vendor, one.bundle) for one in find_candidates(plan, None, tmp_path)]
+    assert names[:2] == [("fastdds", ""), ("zenoh", "")]
+    assert [vendor for vendor, bundle in names if bundle] == ["zenoh"] * (len(names) - 2)
+    assert all(len(one.cells) == 2 for one in find_candidates(plan, None, tmp_path))

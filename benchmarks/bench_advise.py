@@ -1,28 +1,38 @@
-"""`dds-trace advise` on emulated links drawn with a seed: is what it keeps ever worse than the default in runs of its own?
+"""Minutes and setup of `dds-trace advise` against its predecessor, which asked one vendor at a time, and against all candidates.
 
-    python benchmarks/bench_advise.py OUT [--seed 39] [--links 6] [--json FILE]
+    python benchmarks/bench_advise.py OUT [--links ethernet second wifi lte] [--old SRC] [--grid 0] [--json FILE]
 
-Root, Linux. A kept file is measured again against the default, interleaved, in five repeats that the advice did not see. An
-interrupted run goes on with the same command.
+Root, Linux. SRC is the folder `src` of a checkout before the command took `--size`; without it only the new one is timed. Then the
+new answer, the best file of each vendor of the old one, and with `--grid N` all candidates run N times in turns; what is printed is
+the geometric mean of p50 and p99 of the response and the share received. An interrupted run goes on with the same command.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import random
+import math
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
-from dds_trace.analyzer.pipeline import analyze
-from dds_trace.extensions.campaigns.proof import compared
-from dds_trace.extensions.gates.compare import compare
+import numpy as np
 
-BACKENDS = ("ros2", "cyclonedds", "zenoh")
-SIZES_KB = (33, 145, 502)
-MOST_LOAD = 0.4
-"""Share of the link's rate that the payload takes in one direction at most."""
+from dds_trace.extensions.campaigns.halving import Candidate, Limits, Race, Standing
+from dds_trace.extensions.campaigns.plan.link import Link
+from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.question import find_candidates
+from dds_trace.extensions.campaigns.trials import open_trials
+
+LINKS = {
+    "ethernet": Link("ethernet", rate_mbit_s=100),
+    "second": Link("second", rate_mbit_s=25, delay_ms=5, loss_percent=0.5),
+    "wifi": Link("wifi", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=1, loss_burst=8),
+    "lte": Link("lte", rate_mbit_s=20, delay_ms=25, jitter_ms=8, loss_percent=0.1, queue_ms=300),
+}
+RUN_SECONDS, FRESH = 8.0, 5
 
 PLAN = """\
 [run]
@@ -33,102 +43,112 @@ repeats = 5
 order = "alternating"
 settle_seconds = 0.2
 cutoff_seconds = 6
-[devices.ping]
-options = ["--realtime", "50", "--no-own-cost"]
-[devices.relay]
-options = ["--realtime", "50", "--no-own-cost"]
 [link]
-name = "link-{number}"
-rate_mbit_s = {rate_mbit_s}
-delay_ms = {delay_ms}
-queue_ms = {queue_ms}
-loss_percent = {loss_percent}
+{link}
 [axes]
-backend = "{backend}"
+backend = ["ros2", "cyclonedds", "zenoh"]
 data = "binary"
-size = "{size_kb}KB"
-rate = {rate_hz}
-{further}"""
+size = "{size}"
+rate = {rate}
+"""
 
 
-def draw_link(seed: int, number: int) -> dict[str, object]:
-    """Return a link and a load, different ones for each number."""
-    rng = random.Random(f"{seed}.{number}")
-    rate_mbit_s = round(10 * 20 ** rng.random(), 1)
-    size_kb = rng.choice(SIZES_KB)
-    rate_hz = max(2, min(30, int(MOST_LOAD * rate_mbit_s * 1000 / (8 * size_kb))))
+def write_plan(path: Path, link: Link, size: str, rate: float) -> Path:
+    """Write the question as a plan, which both versions of the command read."""
+    values = {key: value for key, value in link.to_dict().items() if value}
+    path.write_text(
+        PLAN.format(link="\n".join(f"{k} = {json.dumps(v)}" for k, v in values.items()), size=size, rate=rate)
+    )
+    return path
+
+
+def timed(command: list[str], kept: Path, **variables: str) -> tuple[float, object]:
+    """Return minutes and JSON output of a command, those of an earlier run if it is through."""
+    if not kept.exists():
+        began_s = time.monotonic()
+        done = subprocess.run(
+            [sys.executable, "-m", "dds_trace", *command],
+            stdout=subprocess.PIPE,
+            text=True,
+            check=False,
+            env={**os.environ, **variables},
+        )
+        if done.returncode not in (0, 10):
+            raise SystemExit(f"{' '.join(command)} ended with {done.returncode}")
+        kept.write_text(json.dumps([(time.monotonic() - began_s) / 60, json.loads(done.stdout)]))
+    minutes, found = json.loads(kept.read_text())
+    return minutes, found
+
+
+def run_in_turns(plan_path: Path, candidates: list[Candidate], folder: Path, runs: int) -> list[Standing]:
+    """Record fresh runs of all candidates in turns; return them, best first."""
+    limits = Limits()
+    plan = parse_plan(plan_path.read_text(), "fresh", str(plan_path))
+    with open_trials(plan, folder, print, RUN_SECONDS) as trials:
+        race = Race(trials, limits, math.inf, lambda _: None, stage="fresh")
+        standings = [Standing(candidate) for candidate in candidates]
+        for number in range(runs):
+            for standing in standings if number % 2 == 0 else reversed(standings):
+                if not standing.dropped:
+                    race.run(standing, RUN_SECONDS)
+    return sorted(standings, key=lambda standing: standing.rank(limits))
+
+
+def row(standing: Standing) -> dict[str, object]:
+    """Describe what was measured of a candidate in fresh runs."""
+    if not standing.looks:
+        return {"setup": standing.candidate.name, "dropped": standing.dropped}
+    values = np.concatenate(standing.responses())
+    p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist()
     return {
-        "number": number,
-        "backend": BACKENDS[number % len(BACKENDS)],
-        "rate_mbit_s": rate_mbit_s,
-        "delay_ms": round(0.5 * 40 ** rng.random(), 1),
-        "queue_ms": rng.choice((30, 100, 200)),
-        "loss_percent": rng.choice((0, 0.05, 0.2, 1)),
-        "size_kb": size_kb,
-        "rate_hz": rate_hz,
+        "setup": standing.candidate.name,
+        "p50_ms": p50,
+        "p99_ms": p99,
+        "level_ms": math.exp(standing.level),
+        "received": float(np.isfinite(values).mean()),
     }
 
 
-def _sweep(*arguments: str) -> str:
-    command = [str(Path(sys.executable).with_name("dds-trace")), *arguments]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    if done.returncode not in (0, 10):
-        raise SystemExit(f"{' '.join(command)} ended with {done.returncode}")
-    return done.stdout
-
-
-def judge(link: dict[str, object], advice: dict[str, object], out: Path) -> dict[str, object]:
-    """Measure the kept file against the default in fresh runs; return the changes and how many are worse by their interval."""
-    plans = []
-    for name, further in (("default", ""), ("kept", f"configuration = {json.dumps(advice['configuration'])}")):
-        plans.append(out / f"{name}-{link['number']}.toml")
-        plans[-1].write_text(PLAN.format(**link, further=further))
-    _sweep("sweep", str(plans[0]), "--against", str(plans[1]), "--out", str(out))
-    folder = out / f"{plans[0].stem}-against-{plans[1].stem}"
-    comparison = compare(*(analyze(folder / side, details=False) for side in ("base", "new")), compared())
-    changes = comparison.rows.select("statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high").rows(
-        named=True
-    )
-    received = comparison.delivery.select("base_received_ratio", "new_received_ratio", "difference_high").rows(
-        named=True
-    )
-    worse = [row["statistic"] for row in changes if (row["ratio_low"] or 0) > 1]
-    worse += ["received" for row in received if (row["difference_high"] or 0) < 0]
-    return {"changes": changes, "received": received, "worse": worse}
-
-
 def main() -> None:
-    """Advise and judge link after link; print a line for each."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Time both commands on each link, and run what they found in turns."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--seed", type=int, default=39)
-    parser.add_argument("--links", type=int, nargs="+", default=list(range(6)), help="numbers of the links")
+    parser.add_argument("--links", nargs="+", choices=LINKS, default=list(LINKS))
+    parser.add_argument("--size", default="145KB")
+    parser.add_argument("--rate", type=float, default=8)
+    parser.add_argument("--minutes", default="10")
+    parser.add_argument("--old", type=Path, help="folder `src` of a checkout of the predecessor")
+    parser.add_argument("--grid", type=int, default=0, help="runs of every candidate")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     results = []
-    for number in options.links:
-        link = draw_link(options.seed, number)
-        plan = options.out / f"link-{number}.toml"
-        plan.write_text(PLAN.format(**link, further=""))
-        found = json.loads(_sweep("advise", str(plan), "--json", "--out", str(options.out)))
-        advice = found["recommended"] or {}
-        judged = judge(link, advice, options.out) if advice.get("configuration") else None
-        results.append(
-            {
-                "link": link,
-                "answer": {key: found[key] for key in ("sentence", "candidates", "proofs", "fits", "seconds")},
-                "judged": judged,
-            }
+    for name in options.links:
+        plan = write_plan(options.out / f"{name}.toml", LINKS[name], options.size, options.rate)
+        out = ["--out", str(options.out / name)]
+        minutes, found = timed(
+            ["advise", str(plan), "--minutes", options.minutes, "--json", *out], options.out / f"{name}.new.json"
         )
-        print(
-            number,
-            link["backend"],
-            found["sentence"],
-            "worse:" if judged else "",
-            judged["worse"] if judged else "",
-            flush=True,
-        )
+        chosen = {(found["recommended"]["vendor"], found["recommended"]["bundle"])}
+        result = {"link": name, "minutes": minutes, "sentence": found["sentence"]}
+        old = {}
+        if options.old:
+            old_minutes, advices = timed(
+                ["advise", str(plan), "--json", "--out", str(options.out / f"{name}-old")],
+                options.out / f"{name}.old.json",
+                PYTHONPATH=str(options.old),
+            )
+            old = {one["vendor"]: Path(one["configuration"]).stem if one["kept"] else "" for one in advices}
+            result |= {"old_minutes": old_minutes, "old": old}
+        asked = parse_plan(plan.read_text(), "fresh", str(plan))
+        every = find_candidates(asked, asked.link, options.out / name / "fresh-configurations")
+        wanted = chosen | set(old.items())
+        fresh = [one for one in every if options.grid or (one.vendor, one.bundle) in wanted]
+        ranking = run_in_turns(plan, fresh, options.out / name / "fresh", options.grid or FRESH)
+        new = next(one for one in ranking if (one.candidate.vendor, one.candidate.bundle) in chosen)
+        result |= {"fresh": [row(one) for one in ranking], "times_the_best": math.exp(new.level - ranking[0].level)}
+        results.append(result)
+        print(json.dumps(result, indent=1), flush=True)
         if options.json:
             options.json.write_text(json.dumps(results, indent=1) + "\n")
 

@@ -200,7 +200,7 @@ class TapOptions:
     expected_hz: Mapping[str, float] = detail(
         {},
         "--expect TOPIC=HZ",
-        "Rate below which a topic is LATE in the live view: /camera/image=30; repeatable. Default: learnt",
+        "Rate of a topic, which is SLOW in the live view below 90 % of it: /camera/image=30; repeatable. Default: learnt",
         parse=parse_rates,
     )
     diagnostics: bool = detail(False, "--diagnostics", "Publish the state of each topic on /diagnostics once a second.")

@@ -95,7 +95,7 @@ class TerminalWatch:
         self._live.update(Group(live_table(rows), line) if rows else line, refresh=True)
 
 
-_STYLES = {Health.OK: "green", Health.LATE: "yellow", Health.STALE: "red"}
+_STYLES = {Health.OK: "green", Health.SLOW: "yellow", Health.LATE: "yellow", Health.STALE: "red"}
 
 
 def live_table(rows: Sequence[LiveRow]) -> Table:

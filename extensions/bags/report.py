@@ -254,7 +254,6 @@ class BagReport(blocks.Report):
     name = "topics"
     title: str = "Is this bag whole?"
     kicker = "Topics of recordings"
-    scripts = ()
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -293,7 +292,7 @@ class BagReport(blocks.Report):
         limits = Section([Heading("Limits"), *gates] if gates else [], "gates", media=PAGE)
         title = Section([Heading("Are these recordings whole?", 1, media=MARKDOWN)])
         how = Section([Sentence(HOW_TO_READ, "soft")] if self.report.topics.height else [])
-        return [title, limits, *parts, Section(gates, media=TERMINAL | MARKDOWN), how]
+        return [title, *parts, limits, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
         topics = topics_of(self.report, health.path)

@@ -14,8 +14,8 @@ WINDOW_NS = 5 * SECOND_NS
 """Rates are of the messages of this time, or of the latest `KEPT_MESSAGES`."""
 LEARNING = 50
 """Messages after the first `WINDOW_NS` (a topic may begin with a burst) from which a rate is learnt, if none is given."""
-LATE_SHARE = 0.9
-"""A topic is late below this share of its expected rate, or after `LATE_PERIODS` without a message."""
+SLOW_SHARE = 0.9
+"""A topic is slow below this share of its expected rate, and late after `LATE_PERIODS` without a message."""
 LATE_PERIODS, STALE_PERIODS = 3, 10
 STALE_NS = SECOND_NS
 """A topic is stale after `STALE_PERIODS` without a message, and at least this time."""
@@ -73,8 +73,9 @@ class LiveTopic:
         periods = silence_ns * self.expected_hz / SECOND_NS
         if periods > STALE_PERIODS and silence_ns > STALE_NS:
             return Health.STALE
-        is_late = rate_hz < LATE_SHARE * self.expected_hz or periods > LATE_PERIODS
-        return Health.LATE if is_late else Health.OK
+        if periods > LATE_PERIODS:
+            return Health.LATE
+        return Health.SLOW if rate_hz < SLOW_SHARE * self.expected_hz else Health.OK
 
 
 def _rate_hz(arrivals: Sequence[tuple[int, int]], now_ns: int) -> float:

@@ -173,7 +173,7 @@ def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]], device: str = "
 
 
 TOPIC, TYPE_NAME = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
-_LEVELS = {Health.OK: 0, Health.LATE: 1, Health.STALE: 3}
+_LEVELS = {Health.OK: 0, Health.SLOW: 1, Health.LATE: 1, Health.STALE: 3}
 """OK, WARN and STALE of `diagnostic_msgs/msg/DiagnosticStatus`."""
 
 

@@ -55,6 +55,7 @@ class RelayProgress:
 
 class Health(Enum):
     OK = "OK"
+    SLOW = "SLOW"
     LATE = "LATE"
     STALE = "STALE"
 

@@ -266,6 +266,7 @@ class Glance:
     columns: tuple[str, ...]
     blocks: tuple[tuple[str, tuple[DotRow, ...]], ...]
     left_out: int
+    ticks: tuple[tuple[float, str], ...]
 
 
 def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -> Glance | None:
@@ -317,7 +318,18 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
                 choice = facets.option("choice", groups[0]) if groups else None
                 dots.append(DotRow(setup, choice, tuple(map(dot, cells))))
         blocks_drawn.append((name, tuple(dots)))
-    return Glance(message, columns, tuple(blocks_drawn), len(blocks) - len(shown))
+    ticks = tuple((percent(ns), format_duration(ns)) for ns in _scale(min(reached), max(reached), 4 // len(columns)))
+    return Glance(message, columns, tuple(blocks_drawn), len(blocks) - len(shown), ticks)
+
+
+def _scale(low_ns: float, high_ns: float, most: int) -> list[float]:
+    """Return round times of a log scale, from the coarsest steps that have two within it, else its ends."""
+    powers = range(math.floor(math.log10(low_ns)), math.ceil(math.log10(high_ns)) + 1)
+    for steps in ((1,), (1, 3), (1, 2, 5)):
+        times_ns = [step * 10.0**power for power in powers for step in steps if low_ns <= step * 10.0**power <= high_ns]
+        if len(times_ns) > 1:
+            return times_ns[:: math.ceil(len(times_ns) / max(most, 1))]
+    return [*dict.fromkeys((low_ns, high_ns))]
 
 
 def _by_place(places: Sequence[PlaceRows], size: str, rate: str) -> dict[str, dict[str, SizeRow]]:

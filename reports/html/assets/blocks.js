@@ -11,8 +11,8 @@ const more = document.getElementById("more");
 let shownRows = 2 * PAGE;
 
 function reveal(count) {
-  rows.forEach((row, index) => { row.hidden = index >= count; });
   if (more === null) return;
+  rows.forEach((row, index) => { row.hidden = index >= count; });
   const left = Math.max(0, rows.length - count) / 2;
   more.hidden = left === 0;
   more.textContent = `Show ${Math.min(PAGE, left)} more of ${left}`;

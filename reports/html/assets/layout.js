@@ -43,6 +43,7 @@ const MOST_PANELS = 24; // of one figure, until the reader asks for all
 const PAGE_HEIGHT = 933; // px of the 247 mm that a page has room for
 const LEAST_COLUMN = 96; // px of a panel in a labelled grid
 const LEAST_ROW = 64;
+const [LETTER, BOLD] = [6.2, 7]; // px of a letter of 12 px
 const END_STEP = 13; // px between two labels at line ends
 
 /**
@@ -86,7 +87,7 @@ function gridOf(
   const named = yTitle ? 20 : 0;
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
   const titles = every.map(({ title }) =>
-    isPicture ? wrapped(title, panelWidth / 6.4) : [shorten(title, panelWidth / 6.4)],
+    isPicture || isNarrow(width) ? wrapped(title, panelWidth / BOLD) : [shorten(title, panelWidth / BOLD)],
   );
   const lines = Math.max(1, ...titles.map((own) => own.length));
   const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 11 + 15 * lines;
@@ -162,7 +163,8 @@ function gridOf(
       ...(shares ? { showticklabels: false } : {}),
     };
     if (!grid && column === 0 && yTitle) {
-      const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
+      const fitting = plain(fitted(yTitle, heights[row] + between / 2));
+      const from = startsAt ? `${fitting}<br><b>axis starts at ${startsAt}</b>` : fitting;
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }
     if (!grid)
@@ -321,6 +323,12 @@ function endLabels({ ends, y }, height, suffix) {
     showarrow: false,
     font: { size: 12, color: end.color },
   }));
+}
+
+/** The title of an axis without its remark, and shortened, where a panel is lower than it is long. */
+function fitted(text, height) {
+  const room = height / LETTER;
+  return text.length > room ? shorten(text.replace(/ \(.*\)$/, ""), room) : text;
 }
 
 function shorten(text, most) {

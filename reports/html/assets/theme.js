@@ -3,7 +3,7 @@
 
 function setTheme(name) {
   document.documentElement.dataset.theme = name;
-  document.getElementById("theme").setAttribute("aria-pressed", String(name === "dark"));
+  document.getElementById("theme").textContent = name === "dark" ? "Light theme" : "Dark theme";
 }
 
 /** A page on file:// may not store it; then the system's theme applies at the next opening. */

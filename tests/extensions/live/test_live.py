@@ -258,7 +258,7 @@ TOPICS = [
         "/robot_1/front_left_camera/image_raw/compressed", Health.OK, 29.9, 30.0, 12_000_000, 31_000_000, 3, 10_000_000
     ),
     LiveRow("/lidar", Health.STALE, 0.0, None, None, None, 0, None),
-    LiveRow("/imu", Health.LATE, 80.0, 100.0, 1_000_000, 2_000_000, 0, 9_000_000),
+    LiveRow("/imu", Health.SLOW, 80.0, 100.0, 1_000_000, 2_000_000, 0, 9_000_000),
 ]
 
 
@@ -272,6 +272,8 @@ def test_the_live_page_of_a_tap_is_read_on_a_phone_and_in_the_dark(read_with, sc
         assert one.tab.locator("h1").inner_text() == "Topics of rover <7>"
         assert [cell.inner_text() for cell in one.tab.locator("tbody th").all()] == [row.topic for row in TOPICS]
         assert one.tab.evaluate("document.documentElement.scrollWidth") == width
+        assert one.tab.locator("tbody polyline").count() == len(TOPICS)
+        one.tab.wait_for_function("document.querySelector('polyline').points.length > 1")
         assert one.tab.locator("thead th").count() == one.tab.locator("tbody tr").first.locator("th, td").count()
         assert violations(one.tab, "document") == []
         assert one.complaints == []

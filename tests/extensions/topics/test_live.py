@@ -48,7 +48,7 @@ def test_a_rate_is_learnt_and_then_kept():
         topic.count(12 * SECOND + number * 200 * MS, 0, 1, 0)
     row = topic.row(12 * SECOND + 100 * 200 * MS)
     assert row.expected_hz == pytest.approx(10)
-    assert (row.health, round(row.rate_hz)) == (Health.LATE, 5)
+    assert (row.health, round(row.rate_hz)) == (Health.SLOW, 5), "slow is not late"
 
 
 def test_a_burst_at_the_start_is_no_rate():

@@ -3,7 +3,7 @@ from analyses import MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.sizes import MOST_ROWS
+from dds_trace.reports.book.sizes import MOST_ROWS, _scale
 
 
 def test_one_place_has_a_block_for_each_size_and_a_slower_setup_lies_further_right():
@@ -18,6 +18,24 @@ def test_one_place_has_a_block_for_each_size_and_a_slower_setup_lies_further_rig
         (slow,), (fast,) = fast_dds.dots, zenoh.dots
         assert 0 <= fast.low <= fast.at <= fast.high < slow.low <= slow.at <= slow.high <= 100
         assert fast_dds.choice != zenoh.choice
+    places = [at for at, _ in glance.ticks]
+    assert len(places) > 1
+    assert places == sorted(places)
+    assert all(0 <= at <= 100 for at in places)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "most", "times"),
+    [
+        (80_000, 2 * MS, 4, [1e5, 1e6]),
+        (1_000, 10_000 * MS, 4, [1e3, 1e5, 1e7, 1e9]),
+        (2 * MS, 60 * MS, 4, [3e6, 1e7, 3e7]),
+        (103 * MS, 112 * MS, 4, [103e6, 112e6]),
+        (1_000, 10_000 * MS, 2, [1e3, 1e7]),
+    ],
+)
+def test_the_scale_of_dots_has_round_times(low, high, most, times):
+    assert _scale(low, high, most) == pytest.approx(times)
 
 
 def test_several_places_have_a_column_a_link_and_a_block_a_device_pair():

@@ -55,7 +55,7 @@ def test_every_page_is_drawn_without_a_complaint_or_a_request(reader, pages, nam
 def test_without_a_result_no_heading_and_no_button_is_without_its_part(reader, pages):
     tab = reader.open(pages("empty folder"))
     assert tab.locator("h2:visible").all_inner_texts() == ["What was measured", "The answer"]
-    assert tab.locator("button:visible").all_inner_texts() == ["Dark"]
+    assert tab.locator("button:visible").all_inner_texts() == ["Dark theme"]
     assert not tab.evaluate("isPaper()"), "nothing varies as the paper's figures do"
 
 
@@ -345,9 +345,10 @@ def test_dark_follows_the_system_and_the_button(read_with, pages):
     tab = one.open(pages("small campaign"))
     ground = "getComputedStyle(document.body).backgroundColor"
     dark = tab.evaluate(ground)
+    assert tab.locator("#theme").inner_text() == "Light theme", "a button says what it does"
     tab.locator("#theme").click()
     assert tab.evaluate(ground) != dark
-    assert tab.locator("#theme").get_attribute("aria-pressed") == "false"
+    assert tab.locator("#theme").inner_text() == "Dark theme"
     assert one.complaints == []
 
 

@@ -109,7 +109,7 @@ NOTES: tuple[Check, ...] = (
         pl.col("recorders") > pl.col("processors"),
         "{recorders} recorders ran on one machine with {processors:# processor}.",
         "A rise with the number of relays may be this machine's and not the middleware's: lower rates, or a device for each host "
-        "([[devices]] of a plan), may help to judge.",
+        "([[devices]] of a plan), may show it.",
         effect=1 - pl.col("processors") / pl.col("recorders"),
     ),
     sessions.RECORDINGS.note(
@@ -161,7 +161,7 @@ NOTES: tuple[Check, ...] = (
         "The reader noticed something else",
         pl.col("notes").is_not_null(),
         "{notes}",
-        "Judge whether it affects the numbers.",
+        "Check whether it affects the numbers.",
     ),
     sketched,
     stale_rows,

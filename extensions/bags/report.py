@@ -47,8 +47,8 @@ TopicRow = Mapping[str, Any]
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
-    "Rate: the mean, holes included. Missing: messages that should be there, judged by stamps, numbers or the usual rate; "
-    "a range where these disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
+    "Rate: the mean, holes included. Missing: messages that should be there, by stamps, numbers or the usual rate; a range where these "
+    "disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )

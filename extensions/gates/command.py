@@ -63,7 +63,7 @@ Looks = Annotated[
 def compare_command(
     base: Annotated[Path, argument("BASE", "Traces before the change.")],
     new: Annotated[
-        Path | None, argument("[NEW]", "Traces after the change. Without it, BASE is judged by limits of its own.")
+        Path | None, argument("[NEW]", "Traces after the change. Without it, the limits apply to BASE.")
     ] = None,
     fail_if: FailIf = None,
     limits_file: Annotated[

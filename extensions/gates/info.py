@@ -327,8 +327,8 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
         ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
-        ("Not judged", dict.fromkeys(error.text for error in comparison.errors)),
-        ("Not judged", [f"repeat {one.repeat} of {one.cell}: {one.reason}" for one in comparison.left_out]),
+        ("Without a verdict", dict.fromkeys(error.text for error in comparison.errors)),
+        ("Without a verdict", [f"repeat {one.repeat} of {one.cell}: {one.reason}" for one in comparison.left_out]),
     )
     return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
 
@@ -338,8 +338,8 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
     gates = f", gates by {GATE_FAMILY}" if gated else ""
     return (
         f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",
-        "A lost message is infinitely late.",
-        f"The run is the unit: a verdict needs {MIN_RUNS} runs a side.",
+        "Lost messages count as later than any deadline.",
+        f"A verdict needs at least {MIN_RUNS} runs per side.",
         f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
         "A smaller change than the one that a result finds in 80 of 100 comparisons may be found, too, less often.",
     )

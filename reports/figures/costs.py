@@ -40,7 +40,7 @@ BRIDGE_COST = FigureMaker(
     how_to_read=(
         "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval and "
         "the difference; an interval that reaches the line shows no difference that these samples can prove; where a bridge loses many "
-        "messages look at the share received first: a lost message is infinitely late."
+        "messages look at the share received first: a lost message counts as later than any deadline."
     ),
     nothing="no message has a latency both in the same and in different domains with all else equal.",
     kind="bridge_cost",
@@ -119,7 +119,7 @@ DOMAIN_DIFFERENCE = FigureMaker(
     title="Latency in the same domain against different domains",
     how_to_read=(
         "Full bars stay in one domain, pale bars next to them cross to another through a bridge; bars are over the planned messages: "
-        "a lost message is infinitely late, and a bar that reaches the top lost too many."
+        "a lost message counts as later than any deadline, and a bar that reaches the top lost too many."
     ),
     nothing="no message was measured both in the same and in different domains with all else equal.",
     kind="bars",

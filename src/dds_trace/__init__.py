@@ -17,14 +17,14 @@ Analyze:
 - `write_derived`: write per-message latency as an MCAP for Foxglove and PlotJuggler.
 - `analyze_topics`: analyze the topics of recordings that are not ours.
 
-Judge:
+Compare:
 
 - `compare`: compare every result that two analyses have in common.
 - `CompareOptions`: how two sides are compared.
 - `Comparison`: the results that two sides have in common, and those that only one side has.
 - `Gate`: a condition under which a comparison fails.
 - `parse_gate`: read a gate such as `latency_p99 > +10%`.
-- `judge_gates`: judge every matched result by every gate.
+- `judge_gates`: the outcome of every gate in every matched result.
 - `GateOutcome`: the outcome of a gate, with its exit code.
 - `Job`: messages to send, and the latency that they need.
 - `make_job`: make one of words: `make_job(size="502KB", rate="20", deadline="50ms", reliability="0.999")`.

@@ -24,11 +24,8 @@ LINE = re.compile(
 )
 LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found in LINE.finditer(README)]
 
-TOOLS = 'pip install --target .tools uv rust-just && PATH="$PWD/.tools/bin:$PATH"'
-
 NOT_RUN = {
-    f"{TOOLS} just demo": "minutes; tests/extensions/campaigns/commands/test_sweep.py holds its plan, tests/cli its two commands",
-    f"{TOOLS} just test": "runs this test",
+    "pip install --target .tools uv rust-just": "needs the index; the demo takes minutes: tests/extensions/campaigns/commands/test_sweep.py holds its plan, tests/cli its two commands",
     "dds-trace sweep plans/quick.toml --out runs/": "minutes; its plan is read here, and tests/extensions/campaigns runs sweeps",
     "pip install '.[analyze]'": "needs the index: scripts/check_release.py installs each extra alone",
     "just docs": "tests/docs/test_site.py builds the site",
@@ -40,9 +37,9 @@ SHORT = ["--messages", "5", "--warmup", "1", "--rate", "100", "-o", "own_cost=fa
 
 
 def test_the_readme_is_read_in_thirty_seconds_and_installs_beside_an_externally_managed_python():
-    assert len(README.split()) <= 600
-    assert (README.count("```"), README.count("![")) == (4, 1)
-    assert len(re.findall(r"\]\(", README)) <= 10
+    assert len(README.split()) <= 500
+    assert (README.count("```"), README.count("![")) == (2, 1)
+    assert len(re.findall(r"\]\(", README)) <= 11
     assert "git clone" in README
     assert not re.search(r"pip install (?!--target)(?!'\.\[)", README)
 

@@ -113,7 +113,7 @@ TABLES: Mapping[str, Table] = {
     ),
     "search": Table("What `dds-trace capacity` looks for.", _keys_of(Search)),
     "thresholds": Table(
-        "What every result has to meet, judged as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
+        "What every result has to meet, checked as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
         '`received_ratio`, and a condition or a list of them, such as `latency_p99 = "< 20 ms"`, `received_ratio = ">= 99.9 %"`. '
         "Metrics have the names of [`--fail-if`](../how-to/ci.md). A table in it has the name of a result ([limits.toml](../how-to/ci.md#one-file-of-limits)).",
         {},

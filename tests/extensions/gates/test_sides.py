@@ -180,5 +180,5 @@ def test_an_interleaved_repeat_on_a_busier_machine_is_not_judged_where_most_are_
     found = compare(*(analyze(tmp_path / side, details=False) for side in ("base", "new")))
     assert [(one.cell, one.repeat) for one in found.left_out] == [("a", repeat) for repeat in left_out]
     assert found.delivery["base_runs"].to_list() == found.delivery["new_runs"].to_list() == [3 - len(left_out)]
-    notes = [note for note in comparison_info(found).notes if note.startswith("Not judged: repeat 1 of a: ")]
+    notes = [note for note in comparison_info(found).notes if note.startswith("Without a verdict: repeat 1 of a: ")]
     assert len(notes) == len(left_out)

@@ -98,12 +98,6 @@ def rows_of_groups(
     yield from _rows_of(together, take)
 
 
-def interval_rows(
-    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
-) -> Iterator[dict[str, object]]:
-    return rows_of_groups([(group, column, run_of_row)])
-
-
 def _measured(
     group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
 ) -> Iterator[_MetricOfGroup]:

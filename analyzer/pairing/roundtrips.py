@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import DTypeLike, NDArray
 
 from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import EventColumns, Stage
 
+from ..loading.event_index import EventKey
 from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from ..model.runs import MOST_MESSAGES
 from .counts import COUNT_SCHEMA, count_all, count_messages, count_sizes
+from .exchanges import Exchange
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import (
     MISSING,
@@ -34,15 +39,8 @@ from .pair import (
 from .utc import null_where_missing, utc_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
     from concurrent.futures import Executor
 
-    from numpy.typing import DTypeLike, NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run
-
-    from ..loading.event_index import EventKey
-    from .exchanges import Exchange
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 

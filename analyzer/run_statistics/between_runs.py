@@ -21,7 +21,7 @@ from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance,
 from ..statistics.percentiles import order_statistic_ranks
 from .bursts import COSINES, Float64, long_run_variance
 from .runs import Run, Runs, Statistic, quantile_at, quantiles_of_runs
-from .tails import Tail, episodes_of, tails_of, tails_of_all
+from .tails import Tail, episodes_of, tails_of_all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,21 +115,14 @@ def _units_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) ->
     return [list(by_statistic.values()) for by_statistic in units]
 
 
-def units_of(runs: Runs | Sequence[Run], statistic: Statistic) -> Units:
-    """Return the statistic of each run, or of neighbours together where one run does not support it.
+def _units(
+    group: Runs, runs: Runs, statistic: Statistic, tails: Sequence[Tail], values: Float64 | None = None
+) -> Units:
+    """Return the statistic of each unit: a run, or neighbours together where one run does not support it.
 
     A unit needs about as many episodes beyond the quantile as there are units: a tail of k episodes is biased by the order of 1/k,
     which no number of runs averages away, while U such units have a standard error of the order of 1/sqrt(k U).
     """
-    group = Runs.of(runs)
-    joined = _joined_where_short(group, statistic.needs)
-    tails = [] if statistic.quantile is None else tails_of(joined, [statistic.quantile])[0]
-    return _units(group, joined, statistic, tails)
-
-
-def _units(
-    group: Runs, runs: Runs, statistic: Statistic, tails: Sequence[Tail], values: Float64 | None = None
-) -> Units:
     episodes = None
     if statistic.quantile is None:
         independent = sum(map(_independent_for_mean, runs))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, pairwise
@@ -10,12 +11,16 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.distributions import special
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, WIDEST_TAIL, mean_and_variance, tail_share
 from .bursts import (
     EPISODE_GAP_SHARE,
     LEAST_GAP,
+    Float64,
+    Indices,
+    Int64,
     episode_ends,
     equal_episodes,
     gap_of,
@@ -24,16 +29,9 @@ from .bursts import (
     share_inflations,
     sizes_between,
 )
-from .runs import SendTimes
+from .runs import Runs, SendTimes, Values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from .bursts import Float64, Indices, Int64
-    from .runs import Runs, Values
-
     Streaks = tuple[Float64, Float64, Indices]
     """Positions of the first and of the last message of each streak, and its messages."""
 
@@ -143,16 +141,12 @@ class Beyond:
         return [self.positions[start:end] for start, end in pairwise(self.offsets.tolist())]
 
 
-def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
-    """Return the messages beyond each quantile of the group.
+def beyond_quantiles(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Beyond]:
+    """Return the messages beyond each quantile of the groups.
 
     One threshold for all, so that a quiet run adds no episodes; values are relative to their run's level, so that a
     slow run is not one.
     """
-    return _beyond_alike([runs], quantiles)
-
-
-def _beyond_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[Beyond]:
     first = groups[0]
     starts = np.arange(len(groups) + 1) * len(first.values)
     bounds = np.append((starts[:-1, None] + first.offsets[:-1]).ravel(), starts[-1])
@@ -195,7 +189,7 @@ def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[
         return [[] for _ in groups]
     levels = [level_below(quantile) for quantile in quantiles]
     extra = dict.fromkeys(level for level in levels if level is not None and level not in quantiles)
-    at = dict(zip([*quantiles, *extra], _beyond_alike(groups, [*quantiles, *extra]), strict=True))
+    at = dict(zip([*quantiles, *extra], beyond_quantiles(groups, [*quantiles, *extra]), strict=True))
     tails = [at[quantile] for quantile in quantiles]
     first, count = groups[0], len(groups)
     # All runs of all groups beyond the first quantile, then all beyond the second ...

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
+
+from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
 from ..model.names import group_words, is_topic, value_word, varying_parameters
+from ..model.parameters import ParameterValue
 from ..model.runs import UNSENT, RunRows, delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..run_statistics.between_runs import Estimate, Scale, estimates_of_runs, scale_of
@@ -17,17 +22,8 @@ from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
 from ..run_statistics.setups import RunLogarithms
 from .cases import partition_groups
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run as RunDescription
-
-    from ..model.parameters import ParameterValue
-
-    Key = tuple[ParameterValue, ...]
-    """Values of the match columns."""
+Key = tuple[ParameterValue, ...]
+"""Values of the match columns."""
 
 Made = TypeVar("Made")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import threading
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from difflib import get_close_matches
 from heapq import nsmallest
@@ -19,9 +21,6 @@ from dds_trace.recorder.payloads.base import DataType, Message, Payload, Source,
 from dds_trace.recorder.payloads.header import recognize_data_type
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
     from rosbags.typesys.store import Typestore
 
     from dds_trace.tracefile.format.bag_metadata import RecordedTopic

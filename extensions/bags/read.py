@@ -8,18 +8,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Header, Metadata, Statistics
+from mcap.records import Attachment, Channel, Header, Metadata, Statistics
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
 from dds_trace.tracefile.format.encoding import MESSAGE_HEADER, RECORD_HEADER
-from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, Block, most_unpacked_bytes
+from dds_trace.tracefile.mcapfile.chunks import PackedChunk
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from dds_trace.tracefile.mcapfile.records import parse_record, record_name, topic_of
 from dds_trace.tracefile.mcapfile.scan import lengths_at, unaligned
@@ -40,14 +42,6 @@ from dds_trace.tracefile.reading.source import (
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
 from .kinds import RECORDING_KINDS, RecordingKind, function_at
-
-if TYPE_CHECKING:
-    from mcap.records import Channel
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.mcapfile.blocks import Block
-    from dds_trace.tracefile.mcapfile.chunks import PackedChunk
-
 
 _MOST_CHANNEL_IDS = 1 << 16
 _SEQUENCE_AT, _LOG_TIME_AT, _PUBLISH_TIME_AT = 2, 6, 14

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -17,12 +18,7 @@ from dds_trace.recorder.host.load import DMA_LATENCY
 from dds_trace.recorder.kernel.counters import read_limits
 
 from .plan.cells import DEFAULTS, Cell
-from .plan.plan import Order
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from .plan.plan import Plan
+from .plan.plan import Order, Plan
 
 LEAST_REPEATS, USUAL_REPEATS = 3, 5
 WAKE_MS = 5

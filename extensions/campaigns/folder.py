@@ -7,15 +7,12 @@ import fcntl
 import os
 import re
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
 
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.files import create_file, output_error, replacing, try_lock
 from dds_trace.tracefile.format.ring import RING_SUFFIX
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-    from pathlib import Path
 
 LOCK_PATIENCE_S = 30.0
 """Time for the recorders of a killed sweep to close their traces."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import polars as pl
 
@@ -39,6 +39,7 @@ from dds_trace.analyzer.verdicts.judgements import (
     with_adjusted_verdicts,
 )
 from dds_trace.analyzer.verdicts.matching import (
+    Key,
     SetupRuns,
     completed_key,
     interleaved_keys,
@@ -70,10 +71,6 @@ from .sides import (
     recorded_apart,
     run_loads,
 )
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.verdicts.matching import Key
-
 
 Label = dict[str, ParameterValue]
 

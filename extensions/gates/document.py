@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -12,16 +13,14 @@ from xml.etree import ElementTree as ET
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
+from .compare import Comparison
 from .comparison_rows import DISTRIBUTION_LEVELS
 from .gate import GateOutcome
 from .words import gate_interval_words, measured_words, why_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import polars as pl
 
-    from .compare import Comparison
     from .info import ComparedGroup, ComparisonInfo
 
 

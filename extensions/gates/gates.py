@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import group_words, is_topic, varying_parameters
@@ -15,16 +15,13 @@ from dds_trace.analyzer.statistics.distributions import student_cdf, student_qua
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
 from dds_trace.analyzer.statistics.power import MOST_RUNS, holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
+from dds_trace.analyzer.verdicts.matching import Key
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration, format_number
 
 from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
 from .gate import Against, Gate, GateOutcome, rows_of_gates
 from .sections import fits_any
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.verdicts.matching import Key
-
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
 

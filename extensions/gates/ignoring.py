@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.names import group_words, value_word, varying_parameters
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, MATCH_COLUMNS, ParameterValue
-from dds_trace.analyzer.verdicts.matching import RELAY_COLUMNS
+from dds_trace.analyzer.verdicts.matching import RELAY_COLUMNS, Key
 from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     import polars as pl
-
-    from dds_trace.analyzer.verdicts.matching import Key
 
 
 IGNORABLE_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in CELL_COLUMNS)

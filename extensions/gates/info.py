@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Judgement, shown_changes
@@ -26,11 +28,8 @@ from .sides import SAME, UNKNOWN
 from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import polars as pl
 
-    from dds_trace.analyzer.run_statistics.change import DetectableChange
 
 UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
 

@@ -5,32 +5,28 @@ from __future__ import annotations
 import secrets
 import shutil
 import subprocess
+import threading
 import time
+from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
+from dds_trace.recorder.backends.node import Publisher, RawMessage
 from dds_trace.recorder.base_recording import BaseRecording, Recorded
 from dds_trace.recorder.host.clock import read_adjtimex
 from dds_trace.recorder.options import BEACON_RATE_HZ
 from dds_trace.recorder.payloads import data_types
-from dds_trace.recorder.roles.ping import PingThread, open_ping
+from dds_trace.recorder.roles.ping import AnyPing, PingThread, open_ping
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.progress import BeaconProgress
 from dds_trace.recorder.roles.relay import Relay
+from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import SESSION_TOPIC
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.writing.destination import ClosedTrace
+from dds_trace.tracefile.writing.sink import TraceSink
 
 from .exchange import NOTES_TOPIC, NOTES_TYPE, ClockNote, Exchanges, NotingSink
-
-if TYPE_CHECKING:
-    import threading
-    from contextlib import ExitStack
-
-    from dds_trace.recorder.backends.node import Publisher, RawMessage
-    from dds_trace.recorder.roles.ping import AnyPing
-    from dds_trace.tracefile.format.descriptions import Run, Session
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace
-    from dds_trace.tracefile.writing.sink import TraceSink
 
 TIMEOUT_S = 2.0
 _NAME, _OFFSET_S, _LEAP = 1, 4, 13

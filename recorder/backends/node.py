@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,8 +20,6 @@ from .other_side import Strangers, unlike_participant
 from .sizes import Sizes, call_option, response_size_option, size_option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping
-
     from typing_extensions import Self
 
 ROUND_S = 0.1

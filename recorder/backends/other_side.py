@@ -9,13 +9,9 @@ import subprocess
 import sys
 import threading
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 from ..choices import Security
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
 
 NOT_TEXT = "topic name that is not text"
 """Announced by a participant: Python's clients cannot list a graph that contains it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
@@ -11,8 +12,6 @@ from dds_trace.base.units import INFINITE_NS, spell_duration
 from ..choices import Durability, History, Reliability
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from dds_trace.tracefile.format.descriptions import Qos
 
     from .node import Endpoint

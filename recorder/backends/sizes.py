@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from dds_trace.base.limits import Whole
 from dds_trace.base.units import parse_size
 
 from ..choices import Call, Role
 from ..option import Axis, option
-
-if TYPE_CHECKING:
-    from dds_trace.base.limits import Whole
 
 
 class Sizes(NamedTuple):

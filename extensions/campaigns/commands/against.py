@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
-from dds_trace.extensions.gates.command import ReportKind, judge_sides
+from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from dds_trace.extensions.gates.command import JudgedSides
     from dds_trace.extensions.gates.gate import Gate
 
     from ..against import AgainstOutcome

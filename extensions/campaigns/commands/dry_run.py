@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -17,9 +19,6 @@ from dds_trace.recorder.choices import Role
 from .against import NewSide, say_missing, shown_sides, side_folders, startable, startable_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
     from ..plan.cells import Cell
     from ..plan.plan import Plan
     from ..sweep import Until

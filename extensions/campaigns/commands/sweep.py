@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
@@ -31,8 +32,6 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from dds_trace.extensions.gates.gate import Gate
 
     from ..plan.plan import Plan

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.files import expand_home
+from dds_trace.base.limits import Limit
 from dds_trace.base.units import spell_size
+from dds_trace.recorder.option import Option
 from dds_trace.recorder.option_table import OPTIONS, choices_of
 from dds_trace.recorder.options import DEFAULT_RATE_HZ
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.base.limits import Limit
-    from dds_trace.recorder.option import Option
 
 
 class OutageBy(Enum):

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.recorder.choices import Load
 
-from .cells import AXES, DEFAULTS, RELAY_AXES, environment_name
+from .cells import AXES, DEFAULTS, RELAY_AXES, Cell, environment_name
 from .flows import ONLY_RELAY, RelayPlace, sender_cells
-from .plan import connects_to_relay
+from .plan import DeviceSettings, Plan, connects_to_relay
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from .cells import Cell
-    from .plan import DeviceSettings, Plan
     from .schedule import CellGroup
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from dds_trace.base import limits
 from dds_trace.recorder.roles.ping import MAX_RELAYS
 
-from .cells import AXES, SENDER_AXES, Key
-from .plan import connects_to_relay
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from .cells import Cell
-    from .plan import Plan
+from .cells import AXES, SENDER_AXES, Cell, Key
+from .plan import Plan, connects_to_relay
 
 MOST_FLOWS = 8
 """Most flows: each has a process of its own, and pairs grow with their square."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.extensions.bridges.base import Halves, load_bridge
@@ -18,15 +18,8 @@ from dds_trace.recorder.backends.qos import warn_of_depth
 from dds_trace.recorder.choices import Discovery, Security
 from dds_trace.recorder.options import DEFAULT_MESSAGES
 
-from .cells import plan_key
-from .link import PRESETS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from .cells import Cell
-    from .link import Link
-
+from .cells import Cell, plan_key
+from .link import PRESETS, Link
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 

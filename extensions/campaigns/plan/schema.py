@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
+from dds_trace.base.limits import Limit
 from dds_trace.base.units import UNIT_BYTES
 from dds_trace.recorder.payloads import data_types, sources
 
@@ -20,11 +22,8 @@ from .link import LINES, PRESETS, Link
 from .plan import DeviceSettings, Network, RunSettings, Search
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from _typeshed import DataclassInstance
 
-    from dds_trace.base.limits import Limit
 
 INSTALLED = "installed"
 

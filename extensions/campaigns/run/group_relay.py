@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -14,8 +15,6 @@ from dds_trace.recorder.roles.ping import MAX_RELAYS
 from ..folder import segment_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-
     from ..station.devices import RelayDevice, StartedProgram
 
 START_POLL_S = 0.05

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import dataclass, replace
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import UNREADABLE, OptionError, TraceFormatError
@@ -14,12 +15,10 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.records import from_json, to_json
 
 from ..folder import is_segment_name, replace_text
+from ..plan.link import LinkReport
 from .result import CellResult
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from ..plan.link import LinkReport
     from .outage import OutageReport
 
 STATE_VERSION = 1

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Protocol
 
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import typed_words
 
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, place_of, remove_files
 from .programs import DEFAULTS_VARIABLE, Program, rehearse_program
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-    from pathlib import Path
 
 
 class StartedProgram(Protocol):

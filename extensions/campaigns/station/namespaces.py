@@ -8,14 +8,16 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceError
+from dds_trace.recorder.host.child import Child
 
 from ..plan.cells import OutageBy
-from ..plan.link import EndCounters
+from ..plan.link import EndCounters, ForwarderReport, Link, LinkReport
 from .emulation import (
     DROPPING_HANDLE,
     INTERFACE,
@@ -30,13 +32,8 @@ from .emulation import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from typing_extensions import Self
 
-    from dds_trace.recorder.host.child import Child
-
-    from ..plan.link import ForwarderReport, Link, LinkReport
 
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay|switch|host\d+)")
 _ROLES = ("ping", "relay")

@@ -6,6 +6,7 @@ Each number is a weighted sum of the medians of one repeat's runs; its interval 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,6 @@ from dds_trace.analyzer.verdicts.matching import CELL_LABEL
 from dds_trace.tracefile.format.json_fields import object_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from dds_trace.extensions.gates.compare import ComparedSide
 
     Pairs = Mapping[str, tuple[str, str]]

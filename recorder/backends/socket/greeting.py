@@ -12,15 +12,13 @@ import json
 import os
 import socket
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base.errors import OptionError
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..node import RawMessage, Receive
+from ..node import RawMessage, Receive
 
 RETRY_S = 0.2
 MAX_PEERS = 64

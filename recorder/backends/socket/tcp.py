@@ -11,12 +11,14 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable, Container, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from dds_trace.base.threads import FastLock
 
-from ..node import ROUND_S
+from ...security.tls import TlsSocket
+from ..node import ROUND_S, RawMessage
+from ..other_side import Strangers
 from .greeting import (
     CROWD,
     HALF_OPEN,
@@ -29,20 +31,14 @@ from .greeting import (
     SLOW,
     TOO_LARGE,
     UNSECURED,
+    Address,
     Greeting,
     PeerError,
+    Receivers,
     bound_socket,
     is_own_address,
     timeval,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Sequence
-
-    from ...security.tls import TlsSocket
-    from ..node import RawMessage
-    from ..other_side import Strangers
-    from .greeting import Address, Receivers
 
 HALF_OPEN_S = 5.0
 READER_PATIENCE_S = 0.25

@@ -12,12 +12,13 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
 
-from ..node import ROUND_S
+from ..node import ROUND_S, RawMessage
+from ..other_side import Strangers
 from .greeting import (
     CROWD,
     MALFORMED,
@@ -26,17 +27,12 @@ from .greeting import (
     MEMORY_BYTES,
     RETRY_S,
     TOO_LARGE,
+    Address,
     Greeting,
+    Receivers,
     bound_socket,
     timeval,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from ..node import RawMessage
-    from ..other_side import Strangers
-    from .greeting import Address, Receivers
 
 FRAGMENT_BYTES = 60_000
 """A UDP datagram has at most 65,507 bytes; Fast DDS cuts at about the same size."""

@@ -5,13 +5,17 @@ import pytest
 from polars.testing import assert_frame_equal
 from roundtrip_frames import MS, S, roundtrips, with_one_way
 
-from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, interval_rows, one_way_rows
+from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, one_way_rows, rows_of_groups
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 OUT_NS, BACK_NS = 2 * MS, 3 * MS
 """Medians of the two ways. Nobody can see the difference: the clocks seem to be off by half a millisecond."""
+
+
+def interval_rows(group, column, run_of_row):
+    return rows_of_groups([(group, column, run_of_row)])
 
 
 def ways(centre_ns, seed, messages=300):

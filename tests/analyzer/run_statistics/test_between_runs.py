@@ -10,11 +10,26 @@ from drawn_series import log_normal_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.between_runs import Scale, ends_of_units, interval_of_runs, scale_of, units_of
-from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic, joined_runs
+from dds_trace.analyzer.run_statistics.between_runs import (
+    Scale,
+    _joined_where_short,
+    _units,
+    ends_of_units,
+    interval_of_runs,
+    scale_of,
+)
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic, joined_runs
+from dds_trace.analyzer.run_statistics.tails import tails_of
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
 P50, P99 = Statistic(0.5), Statistic(0.99)
+
+
+def units_of(runs, statistic):
+    group = Runs.of(runs)
+    joined = _joined_where_short(group, statistic.needs)
+    tails = [] if statistic.quantile is None else tails_of(joined, [statistic.quantile])[0]
+    return _units(group, joined, statistic, tails)
 
 
 def constant_runs(*levels, messages=200):

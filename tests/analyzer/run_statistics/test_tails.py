@@ -45,7 +45,7 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
     runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
     levels = runs.levels
     relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.values, strict=True)]
-    (beyond,) = beyond_quantiles(runs, [quantile])
+    (beyond,) = beyond_quantiles([runs], [quantile])
     threshold = threshold_alone(np.concatenate(relative), quantile)
     places = [threshold.is_beyond(values).nonzero()[0].tolist() for values in relative]
     begins = np.cumsum([0, *map(len, groups)]).tolist()
@@ -65,11 +65,11 @@ def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
         return (beyond.indices.tolist(), beyond.positions.tolist(), beyond.offsets.tolist()), rows
 
     runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
-    beyond, tails = beyond_quantiles(runs, quantiles), tails_of_quantiles(runs, quantiles)
+    beyond, tails = beyond_quantiles([runs], quantiles), tails_of_quantiles(runs, quantiles)
     inflations, values = inflations_of(runs, quantiles), quantiles_of_runs(runs, quantiles)
     for row, quantile in enumerate(quantiles):
         alone = tails_of(runs, quantile)
-        assert compared(beyond[row], tails[row]) == compared(beyond_quantiles(runs, [quantile])[0], alone)
+        assert compared(beyond[row], tails[row]) == compared(beyond_quantiles([runs], [quantile])[0], alone)
         assert [tail.inflation for tail in tails[row]] == pytest.approx([tail.inflation for tail in alone], rel=1e-9)
         assert inflations[row] == pytest.approx(inflations_of(runs, [quantile])[0], rel=1e-9)
         assert values[row].tolist() == quantiles_of_runs(runs, [quantile])[0].tolist()

@@ -62,12 +62,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Slew:
-    """A slew that the fit of two devices cut into steps, or that bent one of its stretches.
-
-    Attributes:
-        first: index of the stretch after its first step, or after a bent stretch.
-        after: index after the stretch of its last step; equal to `first` without a step.
-    """
+    """A slew that a fit cut into the stretches from `first` to before `after`, or that bent the one before these."""
 
     first: int
     after: int

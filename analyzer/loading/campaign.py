@@ -63,12 +63,7 @@ class Campaign:
 def load_campaign(
     location: Place, load_all: LoadAll, *, skip: Collection[Path] = (), progress: Progress | None = None
 ) -> Campaign:
-    """Read every trace of a location; folders of results are in `skip`.
-
-    Raises:
-        MissingEventsError: there is nothing at a path, or no trace in it.
-        TraceFormatError: the only file or rosbag2 folder is not a trace.
-    """
+    """Read every trace of a location, at least one or an error; folders of results are in `skip`."""
     path = location.folder
     candidates = sorted({trace for part in location.parts for trace in _find(part, skip)})
     results = load_all(candidates)

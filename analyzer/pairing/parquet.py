@@ -43,11 +43,7 @@ _ARROW_TYPES = {
 
 @contextmanager
 def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -> Iterator[Callable[[pa.Table], None]]:
-    """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`.
-
-    Raises:
-        OutputError: the folder or the file cannot be written.
-    """
+    """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`."""
     # Texts are written as dictionaries; readers get the schema with texts, units and meanings.
     schema = base64.b64encode(ROUNDTRIPS_SCHEMA.serialize().to_pybytes()).decode()
     with ExitStack() as stack:

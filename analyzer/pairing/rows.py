@@ -126,11 +126,7 @@ def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG0
 
 
 class RowWriter:
-    """Writes the rows of a campaign; on an error, an earlier file stays. Without a path, many rows go to a temporary file.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Writes the rows of a campaign; an earlier file stays after an error. Without a path many go to a temporary file."""
 
     def __init__(self, path: Path | None = None, provenance: Mapping[str, str] | None = None) -> None:
         self._path = path

@@ -52,12 +52,7 @@ class Manifest:
 
 
 def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None:
-    """Write files (name such as `summary.parquet` -> function that writes at a path), then the manifest.
-
-    Raises:
-        OutputExistsError: the folder has other files than an earlier save, which is replaced.
-        OutputError: a file cannot be written; the earlier save stays.
-    """
+    """Write files (name -> function that writes at a path), then the manifest; an earlier save is replaced as a whole."""
     try:
         earlier = _earlier_files(folder)
         folder.mkdir(parents=True, exist_ok=True)

@@ -35,13 +35,7 @@ _LOCK_S = 2.0
 
 @contextmanager
 def replacing_results(folder: Path) -> Iterator[Path]:
-    """Yield a folder for drafts, which replace earlier results in `folder` once the block ends without an error.
-
-    After an error the earlier results are as they were. Files of other names are never touched.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
+    """Yield a folder for drafts, which replace the results of their names once the block ends without an error."""
     with ExitStack() as stack:
         with output_errors(folder):
             missing = [path for path in (folder, *folder.parents) if not path.exists()]

@@ -233,13 +233,7 @@ class RunningBridge:
 
 @contextmanager
 def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S) -> Iterator[RunningBridge]:
-    """Run a bridge during the block; no message has crossed yet when the block starts.
-
-    Raises:
-        OptionError: there is no such bridge, or it does not support the options.
-        BackendUnavailableError: its program is not on this machine.
-        BridgeError: it did not come up in time.
-    """
+    """Run a bridge during the block, through which no message has crossed yet; a `TraceError` where it cannot."""
     bridge = load_bridge(name)
     program = find_program(bridge)
     version = bridge.version(program)

@@ -31,12 +31,7 @@ class _Storage(Protocol):
 
 
 def find_remote(path: Path) -> list[Path]:
-    """Find every trace at or below `path` in object storage.
-
-    Raises:
-        MissingEventsError: there is nothing at `path`.
-        BackendUnavailableError: the storage's package is missing, or it does not answer.
-    """
+    """Find every trace at or below `path` in object storage; a `TraceError` without one, or where it does not answer."""
     with _storage(path) as (files, root):
         names = [PurePosixPath(name) for name in files.find(root)]
     if not names:

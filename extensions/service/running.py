@@ -34,14 +34,7 @@ _TRIES = 3
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The state of a recording, as `dds-trace record status --json` prints it.
-
-    Attributes:
-        pid_start: the process's start, in clock ticks since boot: ids are reused.
-        session_id: 16 hex digits.
-        began_ns: its start, ns since 1970.
-        told_ns: time of this state, ns since 1970.
-    """
+    """The state of a recording, as `dds-trace record status --json` prints it; `pid_start` as process ids are reused."""
 
     role: str
     path: str

@@ -155,12 +155,7 @@ def tuned_gc() -> Iterator[None]:
 
 
 class StopEvent(threading.Event):
-    """An event that signals set.
-
-    Attributes:
-        last_act: what a third one does before it ends the process: closes the trace.
-        is_spinning: a thread under SCHED_FIFO computed for `SPIN_S` without a pause; then none is under it any more.
-    """
+    """An event that signals set; a third one ends the process after `last_act`, and SIGXCPU is of a thread that spun."""
 
     is_repeated = is_spinning = False
     last_act: Callable[[], object] = staticmethod(lambda: None)

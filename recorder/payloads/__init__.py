@@ -40,13 +40,7 @@ def find_data_type(name: str) -> DataType:
 def open_payload(
     data: str, size_bytes: int | None, seed: int, *, open_node: Callable[[], Node], wait_s: float, stop: threading.Event
 ) -> AbstractContextManager[Payload]:
-    """Open the payload that `--data` names; a live source opens a second node and waits for `wait_s` at most.
-
-    Raises:
-        StoppedError: `stop` was set.
-        OptionError: there is no such data, or it cannot have that size.
-        BackendUnavailableError: a package to read it is not installed.
-    """
+    """Open the payload that `--data` names; a live source opens a second node, and waits for `wait_s` or `stop`."""
     source, name = _split_source(data)
     if source is None:
         return nullcontext(find_data_type(data).make(size_bytes, seed, stop))

@@ -60,12 +60,7 @@ def public_hash(keys: str) -> str:
 
 @contextmanager
 def opened_keys(level: Security, folder: str | None) -> Iterator[str | None]:
-    """Yield the folder of keys of a recording, made and removed by the one that finds none; None without security.
-
-    Raises:
-        OptionError: no folder is given, others can read it, or it is of another level.
-        BackendUnavailableError: it has to be made, and the package cryptography is not installed.
-    """
+    """Yield the folder of keys of a recording, made and removed by the one that finds none; None without security."""
     if level is Security.OFF:
         yield None
         return

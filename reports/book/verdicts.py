@@ -64,15 +64,9 @@ class WinCount:
 
 @dataclass(frozen=True, slots=True)
 class DataVerdict:
-    """Result for one kind of data, over all messages of two setups or more.
+    """Result for one kind of data at one `place` (devices, link, conditions), over all messages of two setups or more.
 
-    Attributes:
-        data: data type and domain mode, as in `Binary, same domain`.
-        cells: number of compared messages.
-        wins: the one with most messages first.
-        inconclusive: number of messages without a clear winner.
-        place: devices, link and conditions; each is judged for itself.
-        within_one_run: messages among the inconclusive ones for which a setup has fewer than three runs.
+    `wins` begin with the most; `within_one_run` are inconclusive messages for which a setup has fewer than three runs.
     """
 
     data: str

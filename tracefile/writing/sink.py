@@ -34,12 +34,7 @@ BUSY_SWITCH_INTERVAL_S = 1e-4
 
 
 class TraceSink(EventPacker):
-    """Trace while it is recorded; the description of `session`, in state `open`, is in the file on return.
-
-    Raises:
-        OutputExistsError: the destination exists, without `force`.
-        OutputError: the file cannot be created.
-    """
+    """Trace while it is recorded: a new file, with the description of `session` in state `open` on return."""
 
     def __init__(
         self, destination: TraceDestination, session: Session, *, clock_ns: Callable[[], int] = time.monotonic_ns

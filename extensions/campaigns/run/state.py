@@ -65,15 +65,7 @@ class CellState:
 
 
 class SweepState:
-    """The state of one sweep, saved after every change.
-
-    Attributes:
-        planned: number of cells of the sweep, for `dds-trace watch`; 0 while it is open.
-
-    Raises:
-        TraceFormatError: the file is not a state of this version.
-        OptionError: its plan has another digest, and records the same cells differently.
-    """
+    """The state of one sweep, saved after every change; `planned` cells are for `dds-trace watch`, 0 while it is open."""
 
     def __init__(self, path: Path, plan_name: str, digest: str) -> None:
         self.path = path

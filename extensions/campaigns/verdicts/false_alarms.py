@@ -40,13 +40,7 @@ def until_confidence(runs: int) -> float:
 
 
 def half_widths(rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: str) -> dict[str, float]:
-    """Return the half width of a statistic's interval between runs, in percent of the value, for each named set of run ids.
-
-    Infinite with fewer than three runs, and where the interval lacks an end.
-
-    Raises:
-        OptionError: there is no such statistic.
-    """
+    """Return half of a statistic's interval between runs, in percent, for each set of run ids; or infinity."""
     metric, statistic = check_statistic(text)
     return {
         name: _half_width_percent(

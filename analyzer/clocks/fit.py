@@ -54,10 +54,7 @@ class _Limits:
 
 
 def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
-    """Yield start and stop of each stretch without a step.
-
-    Messages around a step that agree with the clock before it and after it belong to no stretch.
-    """
+    """Yield start and stop of each stretch without a step; messages around one that agree with both sides are in none."""
     start = 0
     while start < len(points):
         step = _first_out_of_reach(points, start)
@@ -312,10 +309,7 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedWindows:
-    """The windows of one fit: `time` of each message in order, and `stretches` of messages without a step.
-
-    The origins were subtracted: of times on the ping's clock, and of offsets.
-    """
+    """The windows of one fit, less the origins: `time` of each message in order, and `stretches` without a step."""
 
     time: Float64
     windows: Windows

@@ -124,10 +124,7 @@ def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]
 
 
 def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
-    """Fit windows, and the halves of those that are bent or have no line; narrow the bounds of their messages.
-
-    A single message without a line is in no window: its stamps contradict each other.
-    """
+    """Fit windows, and halves of those that are bent or have no line (one message without is in none); narrow bounds."""
     fitted: list[Windows] = []
     origin: Intp | None = None  # of the remaining messages; None while these are all
     remaining = points

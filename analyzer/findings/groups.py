@@ -132,10 +132,8 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
     "This is the {role}'s program, not the link: a free CPU, another -o executor or a fresh process may help.",
 )
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
-    """Messages wait for the program that reads them.
-
-    A reader that fell back takes a message when a later one arrives: latency is a multiple of the period.
-    """
+    """Messages wait for the program that reads them."""
+    # A reader that fell back takes a message when a later one arrives: latency is a multiple of the period.
     rates = evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()
     for group, part, median_ns, p99_ns in parts:

@@ -249,10 +249,7 @@ def _is_whole(evidence: Evidence, session: Session) -> bool:
     "Repeat the run with one relay throughout; where both its traces are here, a message counts for the one that was there.",
 )
 def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
-    """A relay was restarted during a run.
-
-    Relays that answered together are in the setting of their result.
-    """
+    """A relay was restarted during a run."""
     relays: dict[tuple[int, str], list[Exchange]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay is not None:

@@ -88,10 +88,7 @@ class OneWay:
 def fit_exchanges(
     exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> OneWay:
-    """Fit the clocks of every exchange by its own messages; `bounds` as in `RoundTrips`.
-
-    `stamps` are T1, T3, T4 and T2 of each row by column name, or `pair.MISSING`.
-    """
+    """Fit the clocks of every exchange by its own messages; `stamps` are T1, T3, T4 and T2, or `pair.MISSING`."""
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
     is_fitted, is_bounded = np.zeros((2, rows), np.bool_)
@@ -194,10 +191,7 @@ _KNOT_COLUMNS = ("at_ns", "offset_ns", "bound_ns")
 
 
 def knots_of(exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]) -> pl.DataFrame:
-    """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`.
-
-    `relay_boot` is the boot id of the relay's session, `same_boot` whether the ping's is the same; null where unknown.
-    """
+    """List the knots of every run: the frame `clock_knots` with `KNOT_SCHEMA`, null for boots that are unknown."""
     described = [
         (
             (

@@ -168,10 +168,7 @@ MOST_NAMED = 1000
 
 
 def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
-    """Return the files' metadata, part of the contract (`docs/trace-format.md`): program, traces, time and clocks of the recording.
-
-    Equal input gives equal bytes: no time of the analysis.
-    """
+    """Return the files' metadata (`docs/trace-format.md`); equal input gives equal bytes: no time of the analysis."""
     read = sorted(source.path for source in campaign.sources if source.status != "skipped")
     sessions = sorted(campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id))
     clocks = [

@@ -275,10 +275,7 @@ def present(
 
 
 def _first_after_start(exchange: Exchange, published: Published, paired: PairedMessages) -> int | None:
-    """Return the first message that reached a relay which started within the run; None for other relays.
-
-    The clocks need no fit: the least T3 - T1 is at least their offset.
-    """
+    """Return the first message (by the least T3 - T1) for a relay that started within the run; None for others."""
     arrived = paired.relay_in_ns != MISSING
     if exchange.relay is None or not arrived.any():
         return None

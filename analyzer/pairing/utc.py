@@ -27,10 +27,7 @@ _STA_UNSYNC = 0x40
 def utc_columns(
     exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> list[pl.Series]:
-    """Return the columns `columns.UTC_COLUMNS` of the rows of some exchanges; arguments as for `one_way.fit_exchanges`.
-
-    Null where the instant is missing or precedes the start of its session (another session, or a reboot).
-    """
+    """Return `columns.UTC_COLUMNS` of some exchanges' rows, null where the instant is missing or not of its session."""
     sessions: dict[str, list[Session | None]] = {
         "publish_ns": [exchange.ping for exchange in exchanges],
         "relay_in_ns": [exchange.relay for exchange in exchanges],

@@ -159,10 +159,7 @@ _BINS = 256
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """The two modes of a series: the values of their peaks, and the `share` of the smaller one.
-
-    `valley` is the density between the peaks over the lower peak's.
-    """
+    """The two modes of a series: peaks, `share` of the smaller, and `valley` between them over the lower peak."""
 
     low: float
     high: float

@@ -37,10 +37,7 @@ class AgainstOutcome:
 
 
 def interleave(base: Plan, new: Plan, repeats: Mapping[int, Sequence[Cell]] | None = None) -> list[InterleavedRun]:
-    """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
-
-    A linear drift, and an effect of the first run on the second, cancel over two repeats.
-    """
+    """Return both sides' cells in the base's order; of each base, new, new, base ... by repeat: drifts cancel."""
     if len(base.cells) != len(new.cells):
         raise OptionError(
             f"the base has {counted(len(base.cells), 'result')} and the new side {len(new.cells)}; "

@@ -53,10 +53,7 @@ class Explanation:
 
 
 def explain_rates(plan: Plan) -> Explanation:
-    """Return the sweep of each setup of a plan at its fastest and its slowest rate, as it is and under `CONDITIONS`.
-
-    An `OptionError` for a plan with one rate, or conditions of its own.
-    """
+    """Return the sweep of each setup of a plan at its fastest and slowest rate, as it is and under `CONDITIONS`."""
     condition_axes = sorted({axis for axes in CONDITIONS.values() for axis in axes})
     if any(getattr(cell, axis) != DEFAULTS[axis] for cell in plan.cells for axis in condition_axes):
         raise OptionError(f"explain rates varies {', '.join(condition_axes)}; remove them from the plan")
@@ -101,10 +98,7 @@ def _native(cell: Cell) -> Cell | None:
 
 
 def explain_size(plan: Plan, text: str) -> Explanation:
-    """Return the sweep of each setup of a plan around a size (`SIZE`, or `LOW..HIGH`), each factor varied by itself.
-
-    An `OptionError` for a wrong size, and for data without a size to choose.
-    """
+    """Return the sweep of each setup of a plan around a size (`SIZE`, or `LOW..HIGH`), each factor varied by itself."""
     sizes = [parse_size(part, "SIZE") for part in text.split("..", 1)]
     low, high = sizes if len(sizes) > 1 else (round(share * sizes[0]) for share in AROUND)
     limits.check(limits.SIZE_BYTES, high, "SIZE")

@@ -36,11 +36,7 @@ _OWN_NAME = re.compile(
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
-    """Make the folder and lock it for one sweep within the block; yield the file descriptor of the lock.
-
-    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has ended. An
-    `OptionError` if another sweep uses the folder.
-    """
+    """Make and lock the folder within the block; yield the lock, which programs of a killed sweep keep."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)

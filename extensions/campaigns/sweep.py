@@ -45,10 +45,7 @@ _TARGET = re.compile(r"\s*(\w+)\s*:\s*([0-9.]+)\s*%\s*")
 
 @dataclass(frozen=True, slots=True)
 class Until:
-    """The precision at which a sweep ends: half width of a statistic's interval, in percent.
-
-    `measure` returns it for each cell, infinite for an open interval; `max_passes` includes the plan's.
-    """
+    """The precision at which a sweep ends: `measure` returns each cell's; `max_passes` includes the plan's."""
 
     statistic: str
     percent: float

@@ -18,10 +18,7 @@ NOT_TEXT = "topic name that is not text"
 
 
 class Strangers:
-    """Counts of what peers sent and this process did not accept, by kind.
-
-    Accepted messages never pay for its lock.
-    """
+    """Counts of what peers sent and this process did not accept, by kind."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -67,10 +64,7 @@ def name_of_participant(name: str, security: Security) -> str:
 
 
 def unlike_participant(names: Iterable[str], security: Security, network: Iterable[str]) -> str:
-    """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`.
-
-    `network` is the node's backend, domain and discovery range.
-    """
+    """Return in words that of a relay and this node one has security, by `names` or a look at `network`."""
     secured = security is not Security.OFF
     for name in sorted(_names_without_security(*network) if secured else names):
         match = _SECURED_NAME.fullmatch(name)

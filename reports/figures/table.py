@@ -63,10 +63,7 @@ MOST_OPENED_PANELS = 9
 
 
 def opened_figures(book: Book, drawn: Sequence[Figure]) -> frozenset[str]:
-    """Return the names of the figures that the page opens: the lines over what the campaign varies most, in few panels.
-
-    On one device pair also those that are `opened`; on several these have a panel for each.
-    """
+    """Return the figures that the page opens: lines over what varies most, and on one device pair those `opened`."""
     options = {key: len(dimension.options) for key, dimension in book.facets.dimensions.items()}
     over = sorted((("rate", lines.LATENCY_BY_RATE), ("size", lines.LATENCY_BY_SIZE)), key=lambda key: -options[key[0]])
     makers = [lines.BY_DEVICE, *(maker for _, maker in over), lines.VENDOR_COMPARISON]

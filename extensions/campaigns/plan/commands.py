@@ -53,10 +53,7 @@ def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
 def ping_arguments(
     plan: Plan, cell: Cell, wait_s: float, relay_address: str | None, further: Sequence[str] = ()
 ) -> list[str]:
-    """Return the arguments of a cell's ping, without `--out`.
-
-    `relay_address` is None on one machine; `further` are the addresses of the second host and those after it.
-    """
+    """Return the arguments of a cell's ping, without `--out`; addresses of relays are None and empty on one machine."""
     hosts = [relay_address, *further][: cell.hosts] if connects_to_relay(cell.backend) else []
     name = replace(cell, repeat=1).name
     partner = plan.partners.get(name)

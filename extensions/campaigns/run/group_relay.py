@@ -84,10 +84,7 @@ class GroupRelay:
         return {program.relay_id for name, program in self._running.items() if name.startswith("relay")}
 
     def check_answers(self, relay_ids: Collection[int]) -> None:
-        """Raise a `CellFailedError` if only relays of somebody else answered: in one domain a ping takes any relay's replies.
-
-        Ours was slower then, and its trace has nothing of the run. The next attempt waits until ours serves.
-        """
+        """Raise a `CellFailedError` if only relays of others answered; the next attempt waits until ours serves."""
         if relay_ids and not self.device.keeps_traces and not (self._relay_ids() | self._killed_ids) & {*relay_ids}:
             self.waits = True
             names = ", ".join(f"{relay_id:08x}" for relay_id in relay_ids)

@@ -34,10 +34,7 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's entry in the state file, which has `{}` for None; `run_id` (16 hex digits) is the run that counts.
-
-    `further` are the traces of the second relay and those after it, which contain this cell's part.
-    """
+    """One cell's entry in the state file, `{}` for None; `run_id` is the run that counts, `further` its other traces."""
 
     status: Status = Status.PENDING
     attempts: int = 0

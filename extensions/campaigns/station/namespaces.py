@@ -50,10 +50,7 @@ class Side:
 
     @property
     def prefix(self) -> list[str]:
-        """Words before a command that run it in this namespace, with its own shared memory.
-
-        With one `/dev/shm` for both sides some middleware (Zenoh) would bypass the link.
-        """
+        """Words before a command that run it in this namespace, with its own /dev/shm: Zenoh would bypass the link."""
         own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
         system_ip = shutil.which("ip", path=SYSTEM_PATH) or "ip"
         return [system_ip, "netns", "exec", self.namespace, "sh", "-c", own_memory, "sh"]
@@ -64,10 +61,7 @@ def _is_air(link: Link | None) -> bool:
 
 
 class NamespacePair:
-    """A context manager: two namespaces and the link between them, by default a bare veth.
-
-    With several `hosts` there is a namespace for each, and all are on a bridge in one more.
-    """
+    """Two namespaces, with further hosts one for each and a bridge, and the link of them, by default a bare veth."""
 
     def __init__(self, link: Link | None, hosts: int = 1, *, has_air: bool = False) -> None:
         self.link = self._shaped = link

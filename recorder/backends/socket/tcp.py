@@ -270,10 +270,7 @@ def _deliver(
 
 
 class _TcpPeer:
-    """One connection: any thread writes whole frames, its own thread reads them.
-
-    A peer that the user chose (`is_chosen`) is waited for without end.
-    """
+    """One connection: any thread writes frames, its own reads them; one that the user chose is waited for without end."""
 
     def __init__(
         self, connection: socket.socket | TlsSocket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
@@ -331,10 +328,7 @@ class _TcpPeer:
                 raise BlockingIOError
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
-        """Deliver each frame until the connection ends or is broken.
-
-        Each read expects a frame like the last one, in memory allocated beforehand: one call of the kernel and no copy.
-        """
+        """Deliver each frame until the end, into memory for one like the last: one call of the kernel and no copy."""
         receive_into, take, give = self._receive, delivering.take, delivering.give
         head, topic, head_bytes, expected_bytes = b"", "", 0, 0  # 0: nothing is expected
         while True:

@@ -7,16 +7,17 @@ response time (planned send to reply, so that a late sender counts).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from statistics import fmean
 from typing import NamedTuple
 
 from dds_trace.base.units import counted
 
 from .plan.cells import Cell
 from .plan.plan import Plan, Search
-from .plan.schedule import LOSS_OVERHEAD_S, RELAY_OVERHEAD_S, Estimate, carried_rate, group_by_relay
+from .plan.schedule import RELAY_OVERHEAD_S, Estimate, carried_rate, group_by_relay, loss_seconds
 from .run.result import CellResult
 from .run.runner import Runner
 from .run.state import Status
@@ -201,31 +202,28 @@ def search_estimate(plan: Plan, cell: Cell, sustained_hz: float) -> SearchEstima
 
     bisect_rates(plan.search, trial)
     estimate = Estimate(plan)
-    lost_s = [LOSS_OVERHEAD_S for tried, is_beyond in trials.items() if is_beyond and not estimate.link_seconds(tried)]
-    return SearchEstimate(len(trials), sum(map(estimate.cell_seconds, trials)) + sum(lost_s))
+    lost = sum(is_beyond and not estimate.link_seconds(tried) for tried, is_beyond in trials.items())
+    return SearchEstimate(len(trials), sum(map(estimate.cell_seconds, trials)) + lost * loss_seconds(cell))
 
 
 def search_estimates(plan: Plan) -> tuple[SearchEstimate, SearchEstimate, SearchEstimate]:
-    """Return least, expected and most; expected is that the link's rate, or all rates, work."""
+    """Return least, expected and most; expected is the link's rate, without one in half of all cases that all rates work."""
     lowest, highest = plan.search.min_rate, plan.search.max_rate
     rates = [lowest / 2, *(lowest * (highest / lowest) ** (step / _STEPS) for step in range(_STEPS + 1)), 2 * highest]
-    expected = [
-        search_estimate(plan, cell, min(2 * highest, FILLED_SHARE * carried_rate(plan, cell))) for cell in plan.cells
-    ]
-    costs = [
-        [likely, *(search_estimate(plan, cell, rate) for rate in rates)]
-        for cell, likely in zip(plan.cells, expected, strict=True)
-    ]
     relays_s = RELAY_OVERHEAD_S * len(group_by_relay(plan, plan.cells))
+    costs, likely = list[list[SearchEstimate]](), list[list[SearchEstimate]]()
+    for cell in plan.cells:
+        tried = [search_estimate(plan, cell, rate) for rate in rates]
+        filled_hz = FILLED_SHARE * carried_rate(plan, cell)
+        is_known = filled_hz < 2 * highest
+        likely.append([search_estimate(plan, cell, filled_hz)] if is_known else [*tried, *tried[-1:] * len(tried)])
+        costs.append([*tried, *likely[-1]])
 
-    def ends(choose: Callable[[Iterable[float]], float]) -> SearchEstimate:
-        recordings, seconds = (sum(choose(tried[index] for tried in cost) for cost in [*costs]) for index in range(2))
-        return SearchEstimate(int(recordings), relays_s + seconds)
+    def total(choose: Callable[[list[float]], float], cells: list[list[SearchEstimate]]) -> SearchEstimate:
+        recordings, seconds = (sum(choose([cost[index] for cost in tried]) for tried in cells) for index in range(2))
+        return SearchEstimate(round(recordings), relays_s + seconds)
 
-    middle = SearchEstimate(
-        sum(tried.recordings for tried in expected), relays_s + sum(tried.seconds for tried in expected)
-    )
-    return ends(min), middle, ends(max)
+    return total(min, costs), total(fmean, likely), total(max, costs)
 
 
 _STEPS = 40

@@ -252,6 +252,38 @@ def test_a_tutorial_is_a_transcript(page, made, tmp_path, monkeypatch, domain_id
     assert [name for name in made if not Path(name).is_file()] == []
 
 
+CAMERA = DOCS / "tutorials" / "camera-late.md"
+BY_HAND = re.findall(r"^    (dds-trace record .*)", CAMERA.read_text(encoding="utf-8"), re.MULTILINE)
+"""What a person types in a terminal each, on both devices, until Ctrl-C."""
+
+
+@pytest.mark.middleware
+def test_the_recording_of_a_page_leads_to_an_answer_like_its_own(tmp_path, monkeypatch, domain_id):
+    pytest.importorskip("rclpy", reason="rclpy is not installed")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+    driver = [sys.executable, DOCS.parent / "tests/support/topic_publisher.py"]
+    topics = re.search(r"--topics (\S+)", "".join(BY_HAND))[1].split(",")
+    with ExitStack() as stack:
+        for topic in topics:
+            publisher = subprocess.Popen([*driver, topic, "20", "100"])
+            stack.callback(publisher.wait)
+            stack.callback(publisher.terminate)
+        running = [RunningCommand(*shlex.split(line)) for line in BY_HAND]
+        running += [RunningCommand(*shlex.split(line.replace("robot", "laptop"))) for line in BY_HAND]
+        for command in running:
+            stack.callback(command.clean_up)
+        for command, line in zip(running, 2 * BY_HAND, strict=True):
+            command.wait_for_line("your clocks differ by" if "beacon" in line else topics[0])
+        for command in running:
+            assert command.stop(signal.SIGINT).status == 0
+    assert len([*tmp_path.glob("*.mcap")]) == 4
+    said = RunningCommand("dds-trace", "analyze", tmp_path).finish().stdout
+    assert re.search(TIME, last_sentence(said)), said
+    for topic in topics:
+        assert re.search(rf"{topic}, on (robot|laptop): one way", said), said
+
+
 @pytest.mark.parametrize("line", lines_in_text())
 def test_options_within_a_sentence_are_those_of_the_program(line, capsys):
     program, *words = shlex.split(line)

@@ -7,6 +7,8 @@ import random
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from dds_trace.recorder.backends import load_backend
+
 from .flows import recorded_together
 from .plan import Order
 
@@ -21,12 +23,12 @@ RUN_OVERHEAD_S = 1.0
 
 OWN_COST_S = 1.0
 
-BRIDGE_OVERHEAD_S = 2.0
+BRIDGE_OVERHEAD_S = 5.0
 
 RELAY_OVERHEAD_S = 1.0
 
-LOSS_OVERHEAD_S = 5.0
-"""Wait for lost replies, a new relay and its discovery."""
+LOSS_OVERHEAD_S = 2.5
+"""Wait for lost replies, a new relay and its discovery, in half of the recordings that may lose some."""
 
 
 def start_lead_s(pings: int) -> float:
@@ -116,21 +118,24 @@ class Estimate:
         return self.plan.run.planned_seconds(cell.rate, cell.outage) + overhead_s + self.plan.run.settle_seconds
 
     def link_seconds(self, cell: Cell) -> float:
-        """Return what a lossy or full link adds."""
-        link, run = self.plan.link_of(cell), self.plan.run
+        """Return what a lossy or full link adds; streams lose nothing."""
+        link, run, slower = self.plan.link_of(cell), self.plan.run, cell.rate / carried_rate(self.plan, cell) - 1
         if link is None:
             return 0.0
-        carried_hz = carried_rate(self.plan, cell)
-        if cell.rate > carried_hz:
-            planned_s = run.planned_seconds(cell.rate, cell.outage)
-            return LOSS_OVERHEAD_S + min(run.cutoff_seconds, planned_s * (cell.rate / carried_hz - 1))
-        return LOSS_OVERHEAD_S * bool(link.loss_percent or link.outage_ms or link.file)
+        may_lose = slower > 0 or bool(link.loss_percent or link.outage_ms or link.file)
+        later_s = max(run.planned_seconds(cell.rate, cell.outage) * slower, 0.0)
+        return may_lose * loss_seconds(cell) + min(run.cutoff_seconds, later_s)
 
     def measured(self, cell: Cell, seconds: float) -> None:
         self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate, cell.outage)))
 
     def remaining(self, cells: list[Cell]) -> Remaining:
         return Remaining(sum(self.cell_seconds(together[0]) for together in recorded_together(cells)))
+
+
+def loss_seconds(cell: Cell) -> float:
+    is_datagrams = load_backend(cell.backend).speaks_dds or cell.transport == "udp"
+    return LOSS_OVERHEAD_S if is_datagrams else 0.0
 
 
 def carried_rate(plan: Plan, cell: Cell) -> float:

@@ -17,6 +17,8 @@ PAGE = Path(__file__).parents[3] / "docs" / "tutorials" / "two-devices.md"
 PING, RELAY = "192.168.0.10", "192.168.0.20"
 READY = {"record relay": "serves domain", "trace bridge": " runs: "}
 """What a command says on stderr once others may begin; a command with none of these words runs to its end."""
+LAST_WORDS = {"record ping": r"1\d\d|200", "trace analyze runs": r"\d (ms|µs)\b"}
+"""What the answer of a command that runs to its end has."""
 MESSAGES, WARMUP, PAYLOAD_BYTES = 200, 10, 33_000
 LEAST_RECEIVED = 0.9
 
@@ -73,6 +75,8 @@ def _follow(blocks, devices):
                 else:
                     done = command.finish()
                     assert done.status == 0, done.stderr
+                    words = next(words for part, words in LAST_WORDS.items() if part in line)
+                    assert re.search(words, done.stdout + done.stderr), (line, done)
         for command in waiting:
             done = command.stop(signal.SIGINT)
             assert done.status == 0, done.stderr

@@ -276,20 +276,23 @@ def test_a_dry_run_of_a_search_counts_the_recordings_that_the_search_makes(limit
     least, expected, most = search_estimates(plan)
     assert least.recordings <= 2 * cost.recordings <= most.recordings
     assert least.seconds <= expected.seconds <= most.seconds
-    assert expected.recordings == 2 * search_estimate(plan, cell, 5000).recordings
+    all_work = 2 * search_estimate(plan, cell, 5000).recordings
+    assert all_work < expected.recordings < (all_work + most.recordings) / 2
 
 
 def test_a_link_that_carries_less_or_loses_takes_time_as_long_as_a_run_may_take():
-    text = "[run]\nseconds = 5\n{}[axes]\nbackend = 'socket'\n[[matrix]]\nsize = '145KB'\nrate = {}\n"
+    text = "[run]\nseconds = 5\n{}[axes]\nbackend = '{}'\n[[matrix]]\nsize = '145KB'\nrate = {}\n"
 
-    def seconds(link, rate_hz):
-        plan = parse_plan(text.format(link, rate_hz), "s", "s.toml")
+    def seconds(link, rate_hz, backend="cyclonedds"):
+        plan = parse_plan(text.format(link, backend, rate_hz), "s", "s.toml")
         return plan_seconds(plan).seconds
 
     wire, lossy = "[link]\nrate_mbit_s = 100\n", "[link]\nrate_mbit_s = 100\nloss_percent = 1\n"
     plain = seconds("", 50)
     assert seconds(wire, 50) == plain
     assert seconds(lossy, 50) == plain + LOSS_OVERHEAD_S
+    assert seconds(lossy, 50, "socket") == plain  # TCP
+    assert seconds(wire, 172.4, "socket") == pytest.approx(plain + 5, rel=0.01)
     assert seconds(wire, 172.4) == pytest.approx(plain + LOSS_OVERHEAD_S + 5, rel=0.01)  # twice what it carries
     assert seconds(wire, 2000) == pytest.approx(plain + LOSS_OVERHEAD_S + 30, rel=0.01)
     assert seconds(wire.replace("]", "]\nshared = true"), 86.2) == pytest.approx(plain + LOSS_OVERHEAD_S + 5, rel=0.01)

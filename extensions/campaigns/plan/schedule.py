@@ -30,6 +30,9 @@ RELAY_OVERHEAD_S = 1.0
 LOSS_OVERHEAD_S = 2.5
 """Wait for lost replies, a new relay and its discovery, in half of the recordings that may lose some."""
 
+SLOW_LOSS_S, LARGE_BYTES = 10.0, 65_000
+"""The same of Fast DDS and large messages: it sends 64 KB at once, and again at its next heartbeat, up to 3 s later."""
+
 
 def start_lead_s(pings: int) -> float:
     return 3.0 + pings if pings > 1 else 0.0
@@ -134,8 +137,11 @@ class Estimate:
 
 
 def loss_seconds(cell: Cell) -> float:
-    is_datagrams = load_backend(cell.backend).speaks_dds or cell.transport == "udp"
-    return LOSS_OVERHEAD_S if is_datagrams else 0.0
+    if not load_backend(cell.backend).speaks_dds and cell.transport != "udp":
+        return 0.0
+    is_large = cell.reliability == "reliable" and (cell.size or 0) > LARGE_BYTES
+    is_slow = is_large and cell.backend == "ros2" and "cyclonedds" not in (cell.rmw or "")
+    return SLOW_LOSS_S if is_slow else LOSS_OVERHEAD_S
 
 
 def carried_rate(plan: Plan, cell: Cell) -> float:

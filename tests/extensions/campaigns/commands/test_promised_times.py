@@ -1,4 +1,4 @@
-"""What `--dry-run` promises, against what the same commands took: recorded runs on two cores, on which the recorders came first (SCHED_RR).
+"""What `--dry-run` promises, against what the same commands took: recorded on two cores, where they came before all others (SCHED_RR).
 
 A row is a command, its plan, and what `sweep`, `capacity`, `explain` or `advise` then took as a user called it, start and analysis included.
 """
@@ -84,6 +84,17 @@ RECORDED = {
         plan("messages = 40\nwarmup = 5\nrepeats = 3", "backend = 'cyclonedds'\nrate = 20", "'33KB'"),
         24,
         108,
+    ),
+    "advice for Fast DDS": (
+        "advise",
+        plan(
+            "messages = 20\nrepeats = 5",
+            "backend = 'ros2'\nrmw = 'rmw_fastrtps_cpp'\nrate = 8",
+            "'145KB'",
+            "[link]\nrate_mbit_s = 40\ndelay_ms = 3\nloss_percent = 1\n",
+        ),
+        22,
+        326,
     ),
     "advice": (
         "advise",

@@ -11,7 +11,6 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..statistics.distributions import special
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, WIDEST_TAIL, mean_and_variance, tail_share
@@ -54,64 +53,47 @@ LEAST_PART = 0.1
 LIKELY = 0.95
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Where a tail begins: at an order statistic, above it from p50 on; `is_part` of values equal to it."""
+def limits_of(series: Sequence[Values], quantiles: Sequence[float]) -> Float64:
+    """Return where the tails of ascending series begin, shape (series, quantiles): at it or beyond it, which is above it from p50 on.
 
-    value: float
-    is_upper: bool
-    is_part: bool
-
-    def is_beyond(self, values: Values) -> NDArray[np.bool_]:
-        """Return which values are in the tail; beyond an infinite threshold, the lost messages."""
-        if math.isinf(self.value):
-            return values >= self.value
-        if self.is_upper:
-            return values >= (self.value if self.is_part else math.nextafter(self.value, math.inf))
-        return values <= self.value if self.is_part else values < self.value
-
-
-def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
-    """Return the threshold of each quantile of ascending values.
-
-    Values equal to the quantile (a coarse clock) are part of the tail if its share fits better then, or it is empty without.
+    Values equal to the quantile (a coarse clock) are part of the tail if its share fits better then, or it is empty without. Beyond an
+    infinite limit are the lost messages.
     """
-    last = len(ordered) - 1
-    values = ordered[[math.floor(last * q) if q >= 0.5 else math.ceil(last * q) for q in quantiles]]
-    below, after = (ordered.searchsorted(values, side).tolist() for side in ("left", "right"))
-    return [
-        _threshold(value, quantile, len(ordered), less, no_more)
-        for value, quantile, less, no_more in zip(values.tolist(), quantiles, below, after, strict=True)
-    ]
+    share = np.array(quantiles)
+    is_upper, messages = share >= 0.5, np.array([len(ordered) for ordered in series])[:, None]
+    ranks = (messages - 1) * share
+    indices = np.where(is_upper, np.floor(ranks), np.ceil(ranks)).astype(np.intp)
+    at = [ordered[row] for ordered, row in zip(series, indices, strict=True)]
+    below, after = (
+        np.array([ordered.searchsorted(values, side) for ordered, values in zip(series, at, strict=True)])
+        for side in ("left", "right")
+    )
+    counts = np.where(is_upper, [messages - after, messages - below], [below, after])
+    is_empty = (counts == 0) | (counts == messages)
+    off = np.abs(counts - messages * np.where(is_upper, 1 - share, share))
+    is_part = (is_empty[1] < is_empty[0]) | ((is_empty[1] == is_empty[0]) & (off[1] < off[0]))
+    limits = np.array(at, np.float64)
+    next_to = np.nextafter(limits, np.where(is_upper, np.inf, -np.inf))
+    return np.where(is_part | np.isinf(limits), limits, next_to)
 
 
-def _threshold(value: float, quantile: float, messages: int, less: int, no_more: int) -> Threshold:
-    is_upper = quantile >= 0.5
-    if math.isinf(value):
-        return Threshold(float(value), is_upper, is_part=False)
-    counts = (messages - no_more, messages - less) if is_upper else (less, no_more)
-    expected = messages * (1 - quantile if is_upper else quantile)
-    misfits = [(count in {0, messages}, abs(count - expected)) for count in counts]
-    return Threshold(float(value), is_upper, is_part=misfits[1] < misfits[0])
+def indices_beyond(values: Values, offsets: Indices, limits: Float64, quantiles: Sequence[float]) -> list[Indices]:
+    """Return for each quantile the indices of the values beyond the limit of their series.
 
-
-def indices_beyond(
-    values: Values, offsets: Indices, thresholds: Sequence[Sequence[Threshold]], quantiles: Sequence[float]
-) -> list[Indices]:
-    """Return for each quantile the indices of the values beyond the threshold of their series.
-
-    An upper tail is searched in the next wider one, by indices for speed. `values` are series after series, from
-    `offsets`; `thresholds` are of each series one for each quantile.
+    An upper tail is searched in the next wider one, by indices for speed. `values` are series after series, from `offsets`; `limits`
+    are `limits_of` the series.
     """
     indices: dict[float, Indices] = {}
     wider, remainder, ends = None, values, offsets
-    by_quantile = zip(quantiles, zip(*thresholds, strict=True), strict=True)
-    for quantile, by_series in sorted(by_quantile, key=itemgetter(0)):
-        spans = pairwise(ends.tolist())
-        parts = [tail.is_beyond(remainder[start:end]) for tail, (start, end) in zip(by_series, spans, strict=True)]
+    for quantile, by_series in sorted(zip(quantiles, limits.T.tolist(), strict=True), key=itemgetter(0)):
+        is_upper = quantile >= 0.5
+        parts = [
+            remainder[start:end] >= limit if is_upper or limit == math.inf else remainder[start:end] <= limit
+            for limit, (start, end) in zip(by_series, pairwise(ends.tolist()), strict=True)
+        ]
         inside = np.concatenate(parts).nonzero()[0]
         indices[quantile] = inside if wider is None else wider[inside]
-        if by_series[0].is_upper:
+        if is_upper:
             wider, remainder = indices[quantile], remainder[inside]
             ends = wider.searchsorted(offsets)
     return [indices[quantile] for quantile in quantiles]
@@ -150,12 +132,12 @@ def beyond_quantiles(groups: Sequence[Runs], quantiles: Sequence[float]) -> list
     first = groups[0]
     starts = np.arange(len(groups) + 1) * len(first.values)
     bounds = np.append((starts[:-1, None] + first.offsets[:-1]).ravel(), starts[-1])
-    thresholds = [thresholds_of(runs.ordered_relative, quantiles) for runs in groups]
+    limits = limits_of([runs.ordered_relative for runs in groups], quantiles)
     is_single = len(groups) == 1
     values = first.relative if is_single else np.concatenate([runs.relative for runs in groups])
     positions_of_all = first.positions if is_single else _positions([runs.times for runs in groups], bounds)
     beyond = []
-    for indices in indices_beyond(values, starts, thresholds, quantiles):
+    for indices in indices_beyond(values, starts, limits, quantiles):
         offsets = indices.searchsorted(bounds)
         beyond.append(Beyond(indices, positions_of_all(indices, offsets), offsets))
     return beyond
@@ -259,8 +241,8 @@ def _may_be_bursts(beyond: Beyond, runs: int, messages: int) -> list[bool]:
 
 
 def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
-    thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
-    indices = indices_beyond(runs.values, runs.offsets, thresholds, quantiles)
+    limits = limits_of([run.ordered for run in runs], quantiles)
+    indices = indices_beyond(runs.values, runs.offsets, limits, quantiles)
     return share_inflations(
         runs.cells,
         np.concatenate([runs.cells.counts(tail) for tail in indices]),

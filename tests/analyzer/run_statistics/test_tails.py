@@ -9,13 +9,12 @@ from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, Statistic, quantiles_of_runs
 from dds_trace.analyzer.run_statistics.tails import (
     Tail,
-    Threshold,
     beyond_quantiles,
     bursts_to_count,
     episodes_of,
     inflations_of,
     level_below,
-    thresholds_of,
+    limits_of,
 )
 from dds_trace.analyzer.run_statistics.tails import tails_of as tails_of_quantiles
 
@@ -25,15 +24,18 @@ def tails_of(runs, quantile):
     return tails
 
 
-def threshold_alone(values, quantile):
-    (threshold,) = thresholds_of(np.sort(values), [quantile])
-    return threshold
+def limit_alone(values, quantile):
+    return limits_of([np.sort(values)], [quantile])[0, 0]
+
+
+def is_beyond(values, limit, quantile):
+    return values >= limit if quantile >= 0.5 or limit == math.inf else values <= limit
 
 
 def test_the_tail_begins_at_an_order_statistic():
     values = np.random.default_rng(1).permutation(100)
-    assert threshold_alone(values, 0.9) == Threshold(89.0, is_upper=True, is_part=False)
-    assert threshold_alone(values, 0.1) == Threshold(10.0, is_upper=False, is_part=False)
+    assert limit_alone(values, 0.9) == math.nextafter(89.0, math.inf)
+    assert limit_alone(values, 0.1) == math.nextafter(10.0, -math.inf)
 
 
 @given(
@@ -41,13 +43,13 @@ def test_the_tail_begins_at_an_order_statistic():
     quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
 )
 @settings(deadline=None)
-def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
+def test_a_group_has_the_limit_of_all_its_values(groups, quantile):
     runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
     levels = runs.levels
     relative = [levels.relative(run.values, level) for run, level in zip(runs, levels.values, strict=True)]
     (beyond,) = beyond_quantiles([runs], [quantile])
-    threshold = threshold_alone(np.concatenate(relative), quantile)
-    places = [threshold.is_beyond(values).nonzero()[0].tolist() for values in relative]
+    limit = limit_alone(np.concatenate(relative), quantile)
+    places = [is_beyond(values, limit, quantile).nonzero()[0].tolist() for values in relative]
     begins = np.cumsum([0, *map(len, groups)]).tolist()
     assert [part.tolist() for part in np.split(beyond.indices, beyond.offsets[1:-1])] == [
         [begin + place for place in of_run] for begin, of_run in zip(begins, places, strict=False)
@@ -92,7 +94,7 @@ def test_one_run_alone_has_the_same_inflation_either_way(values, quantile):
 def test_equal_values_are_part_of_the_tail_if_that_fits_better(quantile, messages):
     # Ninety 1 and ten 2. p90 is 1, and 2 lies beyond; p99 is 2, and nothing else does; p20 and p5 are 1.
     values = np.array([1] * 90 + [2] * 10)
-    assert threshold_alone(values, quantile).is_beyond(values).sum() == messages
+    assert is_beyond(values, limit_alone(values, quantile), quantile).sum() == messages
 
 
 def test_beyond_what_is_all_the_same_lies_nothing():
@@ -100,10 +102,10 @@ def test_beyond_what_is_all_the_same_lies_nothing():
     assert (tail.messages, tail.inflation, episodes_of([tail])) == (0, 1.0, None)
 
 
-def test_beyond_an_infinite_threshold_are_the_lost():
+def test_beyond_an_infinite_limit_are_the_lost():
     values = np.arange(1000.0)
     values[300:350] = math.inf
-    assert threshold_alone(values, 0.99) == Threshold(math.inf, is_upper=True, is_part=False)
+    assert limit_alone(values, 0.99) == math.inf
     (tail,) = tails_of([Run(values)], 0.99)
     assert (tail.messages, tail.sizes.tolist()) == (50, [50])
     assert tail.inflation > 10

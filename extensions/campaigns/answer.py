@@ -22,7 +22,7 @@ from dds_trace.base.units import format_rate, format_size
 
 from .advice import variables_of
 from .folder import replace_text
-from .halving import FIRST_SECONDS, Candidate, Event, Look, Measurer, Race, Standing, ms_words
+from .halving import FIRST_SECONDS, Candidate, Event, Look, Measurer, Race, Standing
 from .link_probe import PROBE_S, probe_link
 from .plan.plan import Plan
 from .proof import ignored, proof_of
@@ -31,7 +31,7 @@ from .search import Bisection, RateAnswer, round_rate
 from .trials import Durations, open_trials
 
 if TYPE_CHECKING:
-    from .halving import Limits, Order, Tell
+    from .halving import Order, Tell
     from .plan.link import Link
 
 Answer: TypeAlias = "dict[str, Any]"
@@ -73,10 +73,9 @@ def answer(
 
     Returns:
         `question`, `link` (measured or emulated, null on one machine), `load` (payload over the link's rate), `sentence`, `recommended`
-        (`middleware`, `vendor`, `bundle`, `configuration`, `variables`) or null, `candidates` (best first: `middleware`, `bundle`, `runs`,
-        `messages`, `received_ratio`, `in_time_ratio`, `p50_ms`, `p99_ms`, `dropped`), `proofs` (of the best `against` another: `kept`,
-        `verdict`, `reason`, `proof`, `received`, `command`), `fits` (highest `rate_hz` at the size and largest
-        `size_bytes` at the rate, null if not found) or null, `seconds`, `folder`.
+        (`middleware`, `vendor`, `bundle`, `configuration`, `variables`) or null, `candidates` (best first: an `Event.to_dict()`
+        of the first looks, and `dropped`), `proofs` (of the best `against` another: `kept`, `verdict`, `reason`, `proof`, `received`,
+        `command`), `fits` (highest `rate_hz` at the size and largest `size_bytes` at the rate, null if not found) or null, `seconds`, `folder`.
 
     Raises:
         OptionError: the plan has what cannot be advised on, or needs a right that is missing.
@@ -89,14 +88,14 @@ def answer(
 def promise(question: Question, order: Order | None = None) -> tuple[int, float]:
     """Return the recordings and seconds of a search in which the candidates hardly differ, by the search itself."""
     check_advisable(question.plan)
-    made = _Made(Durations(question.plan))
+    trials = _Imagined(question.plan)
     with tempfile.TemporaryDirectory(prefix="dds-trace-advise-") as folder:
-        search = Search(question, Path(folder), lambda _: None, order, lambda: made.now_s, made.open)
+        search = Search(question, Path(folder), lambda _: None, order, lambda: trials.now_s, trials.open)
         if question.plan.has_two_devices:
-            made.now_s += PROBE_S
+            trials.now_s += PROBE_S
         ranking = search.look(search.fitted(question.plan), question.plan.link)
         search.record_proof(search.sides(ranking))
-    return made.recordings, made.now_s
+    return trials.recordings, trials.now_s
 
 
 def new_folder(out: Path, name: str) -> Path:
@@ -107,10 +106,9 @@ def new_folder(out: Path, name: str) -> Path:
 
 
 @dataclass(slots=True)
-class _Made:
+class _Imagined(Durations):
     """A `Measurer` of a promise: records nothing, and lets its own time pass."""
 
-    durations: Durations
     now_s: float = 0.0
     recordings: int = 0
     _numbers: dict[str, int] = field(default_factory=dict)
@@ -120,13 +118,10 @@ class _Made:
         yield self
 
     def look(self, candidate: Candidate, number: int, seconds: float) -> Look:  # noqa: ARG002 - all runs are alike
-        self.now_s += self.durations.expected_s(candidate, seconds)
+        self.now_s += self.expected_s(candidate, seconds)
         self.recordings += len(candidate.cells)
         place = self._numbers.setdefault(candidate.name, len(self._numbers))
         return Look(tuple(np.full(100, 1.01**place) for _ in candidate.cells))
-
-    def expected_s(self, candidate: Candidate, seconds: float) -> float:
-        return self.durations.expected_s(candidate, seconds)
 
 
 @dataclass(slots=True)
@@ -209,7 +204,7 @@ class Search:
         candidates: Sequence[Candidate] = find_candidates(plan, link, self.folder / "configurations")
         if self.order is not None:
             candidates = self.order(candidates)
-        looks = replace(plan, name="looks", cells=tuple(cell for one in candidates for cell in one.cells))
+        looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
         with self.open(looks, self.folder / "looks", partial(self._note, "look"), FIRST_SECONDS) as trials:
             proof_s = 3 * PROOFS * trials.expected_s(candidates[0], self.proof_seconds(trials, candidates[0]))
             until_s = self._until_s - proof_s
@@ -226,13 +221,9 @@ class Search:
     @staticmethod
     def sides(ranking: Sequence[Standing]) -> list[Standing]:
         """Return the best, the default of its middleware, and the best of the others; nothing if none was measured."""
-        measured = [one for one in ranking if one.looks]
-        defaults = [
-            one
-            for one in measured[1:]
-            if not one.candidate.bundle and one.candidate.middleware == measured[0].candidate.middleware
-        ]
-        others = [one for one in measured[1:] if one not in defaults]
+        measured = [standing for standing in ranking if standing.looks]
+        defaults = [standing for standing in measured[1:] if _is_default(standing, measured[0])]
+        others = [standing for standing in measured[1:] if standing not in defaults]
         return [*measured[:1], *defaults[:1], *others[:1]]
 
     def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
@@ -285,12 +276,12 @@ class Search:
 
     def _choose(self, fresh: Sequence[Standing], proofs: Sequence[Answer]) -> Standing | None:
         """Return what keeps the limits in the fresh runs: the best, unless another is proven better or its default is as good."""
-        fitting = [one for one in fresh if one.looks and not one.dropped and not one.excess(self.question.limits)[0]]
+        fitting = [row for row in fresh if row.looks and not row.dropped and not row.excess(self.question.limits)[0]]
         if fresh[0] not in fitting:
             return next(iter(fitting), None)
         for other, proof in zip(fresh[1:], proofs, strict=True):
-            is_default = other.candidate.middleware == fresh[0].candidate.middleware and not other.candidate.bundle
-            if other in fitting and (proof["verdict"] == "worse" or (is_default and proof["verdict"] != "better")):
+            is_simpler = _is_default(other, fresh[0]) and proof["verdict"] != "better"
+            if other in fitting and (proof["verdict"] == "worse" or is_simpler):
                 return other
         return fresh[0]
 
@@ -301,21 +292,21 @@ class Search:
         axes = {"rate_hz": ("rate", requested.rate)}
         if requested.size:
             axes["size_bytes"] = ("size", float(requested.size))
-        found: Answer = {}
+        fits: Answer = {}
         with self.open(plan, self.folder / "fit", partial(self._note, "fit"), FIT_SECONDS) as trials:
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, "fit")
             for number, (name, (axis, value)) in enumerate(axes.items(), 1):
                 race.until_s = self.clock() + (self._until_s - self.clock()) * number / len(axes)
-                found[name] = self._fitting(race, candidate, axis, value)
-        return found
+                fits[name] = self._fitting(race, candidate, axis, value)
+        return fits
 
     def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> float | None:
         sustained: list[float] = []
 
         def why_not(value: float, number: int, seconds: float = FIT_SECONDS, runs: int = 1) -> str:
             cells = [
-                replace(cell, **{"rate": asked.rate, axis: _scaled(getattr(asked, axis), value / requested)})  # type: ignore[arg-type]  # two axes
-                for cell, asked in zip(candidate.cells, self.question.messages, strict=True)
+                replace(cell, **{"rate": message.rate, axis: _scaled(getattr(message, axis), value / requested)})  # type: ignore[arg-type]  # two axes
+                for cell, message in zip(candidate.cells, self.question.messages, strict=True)
             ]
             standing = Standing(replace(candidate, cells=tuple(cells)))
             for turn in range(runs):
@@ -347,7 +338,9 @@ class Search:
         question, limits = self.question, self.question.limits
         return {
             "question": {
-                "messages": [{"data": one.data, "size": one.size, "rate_hz": one.rate} for one in question.messages],
+                "messages": [
+                    {"data": cell.data, "size": cell.size, "rate_hz": cell.rate} for cell in question.messages
+                ],
                 "limits": limits,
                 "minutes": question.minutes,
                 "host": question.plan.relay.ssh,
@@ -356,7 +349,7 @@ class Search:
             "load": self.load,
             "sentence": self._sentence(ranking, chosen, proofs, fits),
             "recommended": None if chosen is None else _recommended(chosen.candidate),
-            "candidates": [_row(one, limits) for one in ranking],
+            "candidates": [{**row.event("look", limits).to_dict(), "dropped": row.dropped} for row in ranking],
             "proofs": proofs,
             "fits": fits,
             "seconds": round(self.clock() - self.began_s, 1),
@@ -366,47 +359,39 @@ class Search:
     def _sentence(
         self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
     ) -> str:
+        limits = self.question.limits
         if chosen is None:
             return f"No answer: {ranking[0].candidate.name} was not measured: {ranking[0].dropped}."
         name = chosen.candidate.name
         if fits is not None:
-            reason = (
-                self._load_words()
-                if self.load > 1
-                else f"{name} came nearest: {chosen.excess(self.question.limits)[1]}"
-            )
+            reason = self._load_words() if self.load > 1 else f"{name} was nearest: {chosen.excess(limits)[1]}"
             rate, size = fits["rate_hz"], fits.get("size_bytes")
-            parts = [
-                *([f"{format_rate(rate)} at this size"] if rate else []),
-                *([f"{format_size(int(size))} at this rate"] if size else []),
-            ]
-            works = (
-                f"with {name}, up to {' or '.join(parts)} works"
-                if parts
-                else f"nothing that works was found with {name}"
-            )
-            return f"Nothing makes this fit ({reason}); {works}."
-        values = np.concatenate(chosen.responses())
-        in_time = float((values <= self.question.limits.deadline_ms).mean())
-        within = (
-            "arrived"
-            if math.isinf(self.question.limits.deadline_ms)
-            else f"within {self.question.limits.deadline_ms:g} ms"
-        )
-        shown = [f"{in_time:.2%} {within}, p99 {ms_words(np.quantile(values, 0.99, method='higher'))}"]
+            parts = [f"{format_rate(rate)} at this size"] if rate else []
+            parts += [f"{format_size(int(size))} at this rate"] if size else []
+            works = f"up to {' or '.join(parts)} works" if parts else "nothing that works was found"
+            return f"Nothing makes this fit ({reason}); with {name} {works}."
+        event = chosen.event("proof", limits)
+        late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"
+        compared = []
         for proof in proofs:
-            one, other = proof["of"], proof["against"]
-            if name == one:
-                shown.append(
-                    f"proven better than {other}"
-                    if proof["verdict"] == "better"
-                    else f"no difference to {other} is proven"
-                )
-            elif name == other:
-                shown.append(
-                    f"proven better than {one}" if proof["verdict"] == "worse" else f"{one} is not proven better"
-                )
-        return f"Use {name}: {'; '.join(shown)}."
+            if name in (proof["of"], proof["against"]):
+                is_base, verdict = name == proof["against"], str(proof["verdict"])
+                verdict = _OPPOSITES.get(verdict, verdict) if is_base else verdict
+                compared.append(_VERDICTS[verdict].format(proof["of"] if is_base else proof["against"]))
+        return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}."
+
+
+_OPPOSITES = {"better": "worse", "worse": "better"}
+_VERDICTS = {
+    "better": "proven better than {}",
+    "worse": "proven worse than {}",
+    "no difference": "no difference to {} is proven",
+    "incomplete": "not compared with {}",
+}
+
+
+def _is_default(standing: Standing, of: Standing) -> bool:
+    return not standing.candidate.bundle and standing.candidate.middleware == of.candidate.middleware
 
 
 class _TimeUpError(Exception):
@@ -415,29 +400,6 @@ class _TimeUpError(Exception):
 
 def _scaled(value: float, scale: float) -> float:
     return max(1, int(value * scale)) if isinstance(value, int) else round_rate(value * scale)
-
-
-def _row(standing: Standing, limits: Limits) -> Answer:
-    candidate = standing.candidate
-    row: Answer = {
-        "middleware": candidate.middleware,
-        "bundle": candidate.bundle,
-        "runs": len(standing.looks),
-        "messages": 0,
-    }
-    if standing.looks:
-        values = np.concatenate(standing.responses())
-        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist()
-        row |= {
-            "messages": len(values),
-            "received_ratio": float(np.isfinite(values).mean()),
-            "in_time_ratio": float((values <= limits.deadline_ms).mean())
-            if math.isfinite(limits.deadline_ms)
-            else None,
-            "p50_ms": p50,
-            "p99_ms": p99,
-        }
-    return {**row, "dropped": standing.dropped}
 
 
 def _recommended(candidate: Candidate) -> Answer:

@@ -92,43 +92,6 @@ class Look:
         return float(np.log(times).mean())
 
 
-@dataclass(slots=True)
-class Standing:
-    """What was measured of a candidate; `dropped` is why it takes no further part."""
-
-    candidate: Candidate
-    looks: list[Look] = field(default_factory=list)
-    dropped: str = ""
-
-    @property
-    def level(self) -> float:
-        return float(np.mean([look.level for look in self.looks])) if self.looks else math.inf
-
-    def responses(self) -> list[NDArray[np.float64]]:
-        """Return the responses of all runs in ms, an array for each message of the plan."""
-        return [np.concatenate(values) for values in zip(*(look.response_ms for look in self.looks), strict=True)]
-
-    def excess(self, limits: Limits) -> tuple[float, str]:
-        """Return by what share the limits are exceeded for sure, and in words; 0 where they are kept."""
-        found = [(0.0, "")]
-        for values in self.responses():
-            lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
-            for count, percent, words in (
-                (lost, limits.loss_percent, "lost"),
-                (late, limits.late_percent, f"later than {limits.deadline_ms:g} ms"),
-            ):
-                if exceeds(count, len(values), percent):
-                    share = count / len(values)
-                    found.append((share - percent / 100, f"{share:.1%} {words}"))
-        cpu = float(np.mean([look.cpu_percent for look in self.looks])) if self.looks else 0.0
-        if cpu > limits.cpu_percent:
-            found.append((cpu / limits.cpu_percent - 1, f"{cpu:.0f} % of a processor"))
-        return max(found)
-
-    def rank(self, limits: Limits) -> tuple[bool, float, float]:
-        return bool(self.dropped), self.excess(limits)[0], self.level
-
-
 @dataclass(frozen=True, slots=True)
 class Event:
     """A step of the search.
@@ -154,9 +117,56 @@ class Event:
     left_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the event as JSON takes it: `candidate` is a name or empty, an infinite time null."""
+        """Return the event as JSON takes it: of `candidate` its `name`, `middleware` and `bundle`; an infinite time is null."""
         row: dict[str, Any] = to_json(replace(self, candidate=None), not_finite=lambda _: None)
-        return {**row, "candidate": self.candidate.name if self.candidate else ""}
+        if self.candidate is not None:
+            row["candidate"] = {key: getattr(self.candidate, key) for key in ("name", "middleware", "vendor", "bundle")}
+        return row
+
+
+@dataclass(slots=True)
+class Standing:
+    """What was measured of a candidate; `dropped` is why it takes no further part."""
+
+    candidate: Candidate
+    looks: list[Look] = field(default_factory=list)
+    dropped: str = ""
+
+    @property
+    def level(self) -> float:
+        return float(np.mean([look.level for look in self.looks])) if self.looks else math.inf
+
+    def responses(self) -> list[NDArray[np.float64]]:
+        """Return the responses of all runs in ms, an array for each message of the plan."""
+        return [np.concatenate(values) for values in zip(*(look.response_ms for look in self.looks), strict=True)]
+
+    def excess(self, limits: Limits) -> tuple[float, str]:
+        """Return by what share the limits are exceeded for sure, and in words; 0 where they are kept."""
+        excesses = [(0.0, "")]
+        for values in self.responses():
+            lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
+            for count, percent, words in (
+                (lost, limits.loss_percent, "lost"),
+                (late, limits.late_percent, f"later than {limits.deadline_ms:g} ms"),
+            ):
+                if exceeds(count, len(values), percent):
+                    share = count / len(values)
+                    excesses.append((share - percent / 100, f"{share:.1%} {words}"))
+        cpu = float(np.mean([look.cpu_percent for look in self.looks])) if self.looks else 0.0
+        if cpu > limits.cpu_percent:
+            excesses.append((cpu / limits.cpu_percent - 1, f"{cpu:.0f} % of a processor"))
+        return max(excesses)
+
+    def event(self, stage: str, limits: Limits, state: str = "", text: str = "") -> Event:
+        """Describe all runs so far."""
+        name, values = self.candidate.name, np.concatenate([*self.responses(), []])
+        lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
+        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist() if len(values) else (None, None)
+        words = f"{name}: p50 {ms_words(p50)}, p99 {ms_words(p99)}, {lost} of {len(values)} lost"
+        return Event(stage, text or words, self.candidate, state, len(self.looks), len(values), lost, late, p50, p99)
+
+    def rank(self, limits: Limits) -> tuple[bool, float, float]:
+        return bool(self.dropped), self.excess(limits)[0], self.level
 
 
 Tell: TypeAlias = Callable[[Event], None]
@@ -173,7 +183,7 @@ class Measurer(Protocol):
 
 @dataclass(slots=True)
 class Race:
-    """The runs of some candidates until a time of `clock`, told one by one."""
+    """The runs of some candidates until a time of `clock`; `tell` gets each."""
 
     measurer: Measurer
     limits: Limits
@@ -201,18 +211,18 @@ class Race:
         """Return all candidates, best first; those that no time was left for are dropped, too."""
         standings = [Standing(candidate) for candidate in candidates]
         seconds = first_s
-        left, passes = self._first(standings, first_s)
-        while self._round(left, seconds, passes):
-            left, passes = self._kept(left), PASSES
-            if len(left) < 2:
+        racing, passes = self._first(standings, first_s)
+        while self._round(racing, seconds, passes):
+            racing, passes = self._not_slower(racing), PASSES
+            if len(racing) < 2:
                 break
-            half = left[: max(2, math.ceil(len(left) / 2))]
-            for standing in left[len(half) :]:
-                self.drop(standing, f"{self._behind(standing, half[0])}, among the slower half")
-            left, seconds = half, 2 * seconds
-        running = [standing for standing in left if not standing.dropped]
+            half = racing[: max(2, math.ceil(len(racing) / 2))]
+            for standing in racing[len(half) :]:
+                self.drop(standing, f"{self._times_words(standing, half[0])}, among the slower half")
+            racing, seconds = half, 2 * seconds
+        running = [standing for standing in racing if not standing.dropped]
         for standing in running:  # of an unfinished pass some have more and longer runs
-            del standing.looks[min(len(one.looks) for one in running) :]
+            del standing.looks[min(len(row.looks) for row in running) :]
         return sorted(standings, key=lambda standing: standing.rank(self.limits))
 
     def _first(self, standings: list[Standing], seconds: float) -> tuple[list[Standing], int]:
@@ -225,11 +235,11 @@ class Race:
             self.drop(standing, "not tried, there was no time")
         return standings[:fitting], passes
 
-    def _round(self, left: Sequence[Standing], seconds: float, passes: int) -> bool:
+    def _round(self, racing: Sequence[Standing], seconds: float, passes: int) -> bool:
         """Run all so often; return whether there was time for it."""
-        is_first = not any(standing.looks for standing in left)
+        is_first = not any(standing.looks for standing in racing)
         for turn in range(passes):
-            running = [standing for standing in left if not standing.dropped]
+            running = [standing for standing in racing if not standing.dropped]
             expected_s = sum(self.measurer.expected_s(standing.candidate, seconds) for standing in running)
             if not is_first and self.clock() + expected_s > self.until_s:
                 return False
@@ -247,42 +257,32 @@ class Race:
                     self.drop(standing, words)
         return True
 
-    def _kept(self, left: Sequence[Standing]) -> list[Standing]:
+    def _not_slower(self, racing: Sequence[Standing]) -> list[Standing]:
         """Drop what the evidence excludes; return the others, best first."""
-        ranked = sorted((one for one in left if not one.dropped), key=lambda one: one.rank(self.limits))
-        kept = ranked[:1]
-        for standing in ranked[1:]:
-            best, own = (one.excess(self.limits) for one in (ranked[0], standing))
-            error = self._spread(ranked) * math.sqrt(1 / len(ranked[0].looks) + 1 / len(standing.looks))
-            if len(standing.looks) < PASSES:
-                kept.append(standing)
-            elif own[0] > best[0] == 0:
-                self.drop(standing, own[1])
-            elif own[0] == best[0] and standing.level - ranked[0].level > DISTANCE * error:
-                self.drop(standing, self._behind(standing, ranked[0]))
-            else:
-                kept.append(standing)
-        return kept
+        ranked = sorted((row for row in racing if not row.dropped), key=lambda row: row.rank(self.limits))
+        spread = self._spread(ranked)
+        for standing in ranked[1:] if len(ranked[-1].looks) >= PASSES else ():
+            best, (excess, words) = ranked[0], standing.excess(self.limits)
+            least_excess = best.excess(self.limits)[0]
+            error = spread * math.sqrt(1 / len(best.looks) + 1 / len(standing.looks))
+            if excess > least_excess == 0:
+                self.drop(standing, words)
+            elif excess == least_excess and standing.level - best.level > DISTANCE * error:
+                self.drop(standing, self._times_words(standing, best))
+        return [standing for standing in ranked if not standing.dropped]
 
     @staticmethod
     def _spread(standings: Sequence[Standing]) -> float:
         """Return the standard deviation of runs of one candidate, pooled."""
-        squares = [(look.level - one.level) ** 2 for one in standings for look in one.looks]
+        squares = [(look.level - row.level) ** 2 for row in standings for look in row.looks]
         return max(LEAST_SPREAD, math.sqrt(sum(squares) / max(1, len(squares) - len(standings))))
 
     @staticmethod
-    def _behind(standing: Standing, best: Standing) -> str:
+    def _times_words(standing: Standing, best: Standing) -> str:
         return f"{math.exp(standing.level - best.level):.2f} times as long as {best.candidate.name}"
 
     def _tell(self, standing: Standing, state: str, text: str = "") -> None:
-        values = np.concatenate(standing.responses()) if standing.looks else np.empty(0)
-        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist() if len(values) else (None, None)
-        lost, late = int(np.isinf(values).sum()), int((values > self.limits.deadline_ms).sum())
-        words = (
-            text or f"{standing.candidate.name}: p50 {ms_words(p50)}, p99 {ms_words(p99)}, {lost} of {len(values)} lost"
-        )
-        runs = len(standing.looks)
-        self.tell(Event(self.stage, words, standing.candidate, state, runs, len(values), lost, late, p50, p99))
+        self.tell(standing.event(self.stage, self.limits, state, text))
 
 
 def ms_words(value: float | None) -> str:

@@ -67,12 +67,11 @@ class Durations:
         self._overheads_s.append(elapsed_s - sum(run.planned_seconds(cell.rate) for cell in candidate.cells))
 
 
-@dataclass(slots=True)
-class Trials:
+@dataclass(slots=True, kw_only=True)
+class Trials(Durations):
     """A `Measurer` that records; a run that an interrupted search recorded is not recorded again."""
 
     runner: Runner
-    durations: Durations
 
     def look(self, candidate: Candidate, number: int, seconds: float) -> Look:
         began_s = time.monotonic()
@@ -82,16 +81,13 @@ class Trials:
         if failure := self.record(cells, seconds):
             return Look(failure=failure)
         if is_new:
-            self.durations.took(candidate, seconds, time.monotonic() - began_s)
+            self.took(candidate, seconds, time.monotonic() - began_s)
         paths = [self.paths(cell) for cell in cells]
         try:
             responses = tuple(read_responses(ping) for ping, _ in paths)
             return Look(responses, max(read_cpu_percent(path) for pair in paths for path in pair if path.exists()))
         except (TraceError, OSError) as err:
             return Look(failure=str(err))
-
-    def expected_s(self, candidate: Candidate, seconds: float) -> float:
-        return self.durations.expected_s(candidate, seconds)
 
     def record(self, cells: Sequence[Cell], seconds: float) -> str:
         """Record each cell with a relay of its own settings; return why one could not be."""
@@ -131,4 +127,4 @@ def open_trials(plan: Plan, folder: Path, note: Callable[[str], None], seconds: 
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:
         runner = Runner(plan, folder, station, Notes(note))
         runner.prepare(plan.cells)
-        yield Trials(runner, Durations(plan))
+        yield Trials(plan, runner=runner)

@@ -137,24 +137,17 @@ def _say(event: Event) -> None:
         say(f"{event.left_s / 60:4.1f} min left, {event.stage}: {event.text}")
 
 
-def shown(found: Answer) -> list[str]:
+def shown(answer: Answer) -> list[str]:
     """Return the lines of an answer."""
-    from ..halving import ms_words
-
-    chosen = found["recommended"]
-    lines = [found["sentence"]]
-    if chosen:
-        lines += [f"  export {name}={shlex.quote(value)}" for name, value in chosen["variables"].items()]
-    lines += [line for proof in found["proofs"] for line in shown_proof(proof)]
-    lines.append("Candidates, received and response in the first looks:")
-    for row in found["candidates"][:MOST_ROWS]:
-        name = f"{row['middleware']} {row['bundle'] or 'default'}"
-        p50, p99 = (ms_words(row.get(statistic)) for statistic in ("p50_ms", "p99_ms"))
-        times = f"{row['received_ratio']:.1%}, p50 {p50}, p99 {p99}" if row["runs"] else "-"
-        lines.append(f"  {name}: {times}" + (f" ({row['dropped']})" if row["dropped"] else ""))
-    further = len(found["candidates"]) - MOST_ROWS
+    variables = (answer["recommended"] or {}).get("variables", {})
+    lines = [answer["sentence"], *(f"  export {name}={shlex.quote(value)}" for name, value in variables.items())]
+    lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
+    lines.append("Candidates, response in the first looks:")
+    for row in answer["candidates"][:MOST_ROWS]:
+        lines.append(f"  {row['text']}" + (f" ({row['dropped']})" if row["dropped"] else ""))
+    further = len(answer["candidates"]) - MOST_ROWS
     lines += [f"  and {further} more"] if further > 0 else []
-    return [*lines, f"Wrote {found['folder']}/answer.json"]
+    return [*lines, f"Wrote {answer['folder']}/answer.json"]
 
 
 def shown_proof(proof: Answer) -> list[str]:

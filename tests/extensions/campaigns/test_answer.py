@@ -135,7 +135,7 @@ def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too(tmp_pa
     found = desk.search(tmp_path, deadline="100ms").answer()
     assert 4 <= found["fits"]["rate_hz"] <= 5
     assert found["fits"]["size_bytes"] is None
-    assert "came nearest" in found["sentence"]
+    assert "was nearest" in found["sentence"]
 
 
 @pytest.mark.parametrize("minutes", [2, 3, 10, 30])

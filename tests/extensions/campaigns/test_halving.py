@@ -153,7 +153,7 @@ def test_each_run_is_told_when_it_starts_and_ends():
     assert counts == sorted(counts)
     assert all(event.p50_ms <= event.p99_ms for event in measured)
     rows = [json.loads(json.dumps(event.to_dict())) for event in made.events]
-    assert [row["candidate"] for row in rows[:3]] == ["toy a", "toy a", "toy b"]
+    assert [row["candidate"]["name"] for row in rows[:3]] == ["toy a", "toy a", "toy b"]
 
 
 def test_what_a_receiver_raises_ends_it():

@@ -89,6 +89,6 @@ def test_two_devices_are_asked_over_ssh_and_their_link_is_measured(tmp_path, dom
     assert 25 < found["link"]["rate_mbit_s"] < 55
     assert found["link"]["delay_ms"] >= 4
     assert "clocks" in done.stderr
-    configured = [row for row in found["candidates"] if row["bundle"] and row["runs"]]
+    configured = [row for row in found["candidates"] if row["candidate"]["bundle"] and row["runs"]]
     assert configured, found
     assert found["question"]["host"].endswith("@127.0.0.1")

@@ -229,8 +229,6 @@ class Search:
     def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
         """Record fresh runs of each side in turns, forwards and backwards, in a folder for each."""
         fresh = [Standing(side.candidate) for side in sides]
-        if len(fresh) < 2:
-            return fresh
         with ExitStack() as stack:
             races = []
             for standing in fresh:
@@ -253,25 +251,16 @@ class Search:
         return self.folder / "proof" / re.sub(r"[^\w.+-]", "-", standing.candidate.name)
 
     def _judge(self, fresh: Sequence[Standing]) -> list[Answer]:
-        proofs = []
+        proofs: list[Answer] = []
         for other in fresh[1:]:
             folders = [self._side_folder(side) for side in (other, fresh[0])]
-            names = {"against": other.candidate.name, "of": fresh[0].candidate.name}
+            proof: Answer = {"of": fresh[0].candidate.name, "against": other.candidate.name}
             if failed := next((side for side in (fresh[0], other) if side.dropped), None):
-                reason = f"{failed.candidate.name} was not recorded whole: {failed.dropped}"
-                proofs.append(
-                    {
-                        **names,
-                        "kept": failed is other,
-                        "verdict": "incomplete",
-                        "reason": reason,
-                        "proof": [],
-                        "received": [],
-                    }
-                )
+                proof |= {"kept": failed is other, "verdict": "incomplete", "proof": [], "received": []}
+                proofs.append({**proof, "reason": f"{failed.candidate.name} was not recorded: {failed.dropped}"})
                 continue
             command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
-            proofs.append({**names, **proof_of(fresh[0].candidate.name, *folders), "command": command})
+            proofs.append({**proof, **proof_of(fresh[0].candidate.name, *folders), "command": command})
         return proofs
 
     def _choose(self, fresh: Sequence[Standing], proofs: Sequence[Answer]) -> Standing | None:
@@ -301,8 +290,6 @@ class Search:
         return fits
 
     def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> float | None:
-        sustained: list[float] = []
-
         def why_not(value: float, number: int, seconds: float = FIT_SECONDS, runs: int = 1) -> str:
             cells = [
                 replace(cell, **{"rate": message.rate, axis: _scaled(getattr(message, axis), value / requested)})  # type: ignore[arg-type]  # two axes
@@ -317,14 +304,8 @@ class Search:
                     return standing.dropped
             return standing.excess(self.question.limits)[1]
 
-        def trial(value: float, number: int) -> str:
-            reason = why_not(value, number)
-            if not reason:
-                sustained.append(value)
-            return reason
-
         with suppress(_TimeUpError):
-            knee = Bisection(requested / FIT_SPAN, requested / max(1.0, self.load), FIT_RESOLUTION, 1, trial).run()
+            knee = Bisection(requested / FIT_SPAN, requested / max(1.0, self.load), FIT_RESOLUTION, 1, why_not).run()
             value = knee.rate_hz
             while knee.answer is not RateAnswer.BELOW and value >= requested / FIT_SPAN:
                 if not why_not(value, _FRESH, self.proof_seconds(race.measurer, candidate), FIT_FRESH):
@@ -335,16 +316,10 @@ class Search:
     def _result(
         self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
     ) -> Answer:
-        question, limits = self.question, self.question.limits
+        question, limits, host = self.question, self.question.limits, self.question.plan.relay.ssh
+        messages = [{"data": cell.data, "size": cell.size, "rate_hz": cell.rate} for cell in question.messages]
         return {
-            "question": {
-                "messages": [
-                    {"data": cell.data, "size": cell.size, "rate_hz": cell.rate} for cell in question.messages
-                ],
-                "limits": limits,
-                "minutes": question.minutes,
-                "host": question.plan.relay.ssh,
-            },
+            "question": {"messages": messages, "limits": limits, "minutes": question.minutes, "host": host},
             "link": None if self.link is None else self.link.to_dict(),
             "load": self.load,
             "sentence": self._sentence(ranking, chosen, proofs, fits),
@@ -368,7 +343,11 @@ class Search:
             rate, size = fits["rate_hz"], fits.get("size_bytes")
             parts = [f"{format_rate(rate)} at this size"] if rate else []
             parts += [f"{format_size(int(size))} at this rate"] if size else []
-            works = f"up to {' or '.join(parts)} works" if parts else "nothing that works was found"
+            works = (
+                f"up to {' or '.join(parts)} works"
+                if parts
+                else f"nothing that works was found in {self.question.minutes:g} min"
+            )
             return f"Nothing makes this fit ({reason}); with {name} {works}."
         event = chosen.event("proof", limits)
         late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"

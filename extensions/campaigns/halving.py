@@ -247,13 +247,10 @@ class Race:
                 if self.clock() > self.until_s and not (is_first and turn == 0):
                     return False
                 self.run(standing, seconds)
+            least_excess = min((standing.excess(self.limits)[0] for standing in running), default=0.0)
             for standing in running:
                 excess, words = standing.excess(self.limits)
-                if (
-                    not standing.dropped
-                    and excess > MOSTLY
-                    and excess > min(other.excess(self.limits)[0] for other in running)
-                ):
+                if not standing.dropped and excess > max(MOSTLY, least_excess):
                     self.drop(standing, words)
         return True
 
@@ -261,7 +258,7 @@ class Race:
         """Drop what the evidence excludes; return the others, best first."""
         ranked = sorted((row for row in racing if not row.dropped), key=lambda row: row.rank(self.limits))
         spread = self._spread(ranked)
-        for standing in ranked[1:] if len(ranked[-1].looks) >= PASSES else ():
+        for standing in ranked[1:] if all(len(row.looks) >= PASSES for row in ranked) else ():
             best, (excess, words) = ranked[0], standing.excess(self.limits)
             least_excess = best.excess(self.limits)[0]
             error = spread * math.sqrt(1 / len(best.looks) + 1 / len(standing.looks))

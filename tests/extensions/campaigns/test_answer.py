@@ -159,6 +159,30 @@ def test_a_model_puts_the_candidates_in_order(tmp_path):
     assert desk.looks[0][1].bundle == "short-queue"
 
 
+def test_one_candidate_alone_is_measured_and_used(tmp_path):
+    """As of a vendor without known settings, and on a machine with one middleware."""
+    text = PLAN.replace('["cyclonedds", "zenoh"]', '"socket"')
+    found = Desk(lambda _: 20).search(tmp_path, text=text, deadline="50ms").answer()
+    assert (found["recommended"]["vendor"], found["recommended"]["variables"]) == ("socket", {})
+    assert "nothing to compare it with" in found["sentence"]
+    found = Desk(lambda _: 200).search(tmp_path, text=text, deadline="50ms").answer()
+    assert found["fits"] == {"rate_hz": None, "size_bytes": None}
+
+
+def test_what_cannot_run_is_out_and_named(tmp_path, monkeypatch):
+    made_proofs(monkeypatch, {})
+    desk = Desk(median)
+    measured = desk.look
+    desk.look = lambda one, *of: Look(failure="no licence") if one.vendor == "zenoh" else measured(one, *of)
+    found = desk.search(tmp_path, text=PLAN.replace('"cyclonedds"', '"socket"')).answer()
+    assert found["recommended"]["vendor"] == "socket"
+    assert {row["dropped"] for row in found["candidates"][1:]} == {"no licence"}
+    desk.look = lambda *_: Look(failure="no licence")
+    found = desk.search(tmp_path).answer()
+    assert (found["recommended"], found["fits"]) == (None, None)
+    assert "no licence" in found["sentence"]
+
+
 def test_a_finished_answer_is_kept(tmp_path):
     assert new_folder(tmp_path, "a") == new_folder(tmp_path, "a") == tmp_path / "a"
     for name in ("a", "a-2"):

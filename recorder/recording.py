@@ -28,7 +28,7 @@ from .base_recording import LOOK_S, BaseRecording, Leave, Recorded
 from .choices import Call, Discovery, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
-from .host.environment import kept_stdout
+from .host.environment import kept_output
 from .host.load import loaded
 from .host.process import parse_cpus
 from .option import ACTION_GOAL_BYTES
@@ -37,6 +37,7 @@ from .payloads import is_live, open_payload, served_data_types
 from .payloads.base import DataType
 from .payloads.binary import BINARY
 from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
+from .roles.own_look import look_at_self
 from .roles.ping import LONGEST_SETTLE_NS, AnyPing, PingThread, open_ping
 from .roles.plan import check_rate, check_serialization, plan_run
 from .roles.progress import Watch
@@ -180,7 +181,7 @@ class PingRecording(BaseRecording):
 
     def meet(self, stack: ExitStack) -> bool:
         self.role = open_ping(self.node, self._plan, self.clock)
-        with kept_stdout() as read_error:
+        with kept_output() as read_error:
             self.node.start()
             asked = _check_bridge(self.options, self._ping_options, self._plan.payload.data_type)
             if asked is not None:
@@ -214,7 +215,8 @@ class PingRecording(BaseRecording):
         if not has_echo and not self.stop.is_set():
             answers = f"{ping.echoing_relays} of {ping_options.relays} relays answer; " if ping.echoing_relays else ""
             causes = own_causes(ping.probes, read_applied(Applied(Snapshot(sockets=()))), read_error())
-            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied, causes))
+            own = tuple(look_at_self(node))
+            raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied, causes, own))
         if has_echo and bridge is not None:
             bridge.mark_ready()
         # Others may need a moment more; through a bridge they are not discovered.

@@ -94,12 +94,12 @@ def interface_named(cyclonedds_uri: str) -> str:
 
 def configuration_texts(cyclonedds_uri: str) -> list[str]:
     parts = re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri)
-    return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
+    return [part if part.lstrip().startswith("<") else file_text(part) for part in parts]
 
 
 def _asked_by_environment(requested: Asked, environment: Mapping[str, str], profile: str) -> Asked:
     if profile:
-        request = read_profile_request(_file_text(profile))
+        request = read_profile_request(file_text(profile))
         return replace(
             requested,
             transport=request.transport,
@@ -128,7 +128,7 @@ def _interface_at(name: str) -> str:
     return ""
 
 
-def _file_text(entry: str) -> str:
+def file_text(entry: str) -> str:
     try:
         return read_regular(Path(entry.strip().removeprefix("file://"))).decode(errors="replace")
     except OSError:

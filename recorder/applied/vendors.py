@@ -44,6 +44,7 @@ class VendorFacts:
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
         builtin_transports: (transport, tuned) of its RMW -> FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
+        name_interface: the variable that names the only interface `{}`.
         tcp_has_both_buffers: whether `-o buffer` is of both directions of its TCP connections, which are read back then.
     """
 
@@ -57,6 +58,7 @@ class VendorFacts:
     variables: tuple[str, ...] = ()
     builtin_transports: Mapping[tuple[str, bool], str | None] = field(default_factory=dict)
     tcp_has_both_buffers: bool = False
+    name_interface: str = ""
 
 
 BUFFER_BYTES = 4_000_000
@@ -99,6 +101,10 @@ VENDORS: Mapping[str, VendorFacts] = {
             memory={SEGMENT: re.compile(r"(iceoryx|iox)\w*")},  # its only shared memory is iceoryx's
             libraries={r"libddsc": "cyclonedds", r"librmw_cyclonedds_cpp\.so": "", r"libiceoryx": ""},
             tuned=TunedFacts(BUFFER_BYTES),
+            name_interface=(
+                'CYCLONEDDS_URI=\'<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{}"/></Interfaces></General>'
+                "</Domain></CycloneDDS>'"
+            ),
         ),
         VendorFacts(
             "connext",

@@ -17,7 +17,7 @@ from ..host.environment import MiddlewareEnvironment, watched_configuration
 from ..security.keys import LAST_SECURED_DOMAIN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .node import Node, NodeOptions
@@ -32,10 +32,12 @@ class Meeting(Enum):
     """The ping connects to the relay's address, the relay listens."""
 
 
-DDS_MEETING = (
-    "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), a firewall lets UDP "
-    "ports {ports} through, and the network multicast"
-)
+def dds_meeting(without_multicast: str) -> str:
+    """Return what nodes need to meet; the likeliest first."""
+    return (
+        "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), the network lets multicast "
+        f"through ({without_multicast}), and a firewall UDP ports {{ports}}"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,7 @@ class Backend:
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
         variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
+        own_causes: yields for a ROS middleware, the discovery range and variables what keeps this process from meeting others.
         profile_of: returns for a ROS middleware and environment variables the path of the profile in effect, and in words what is not read.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.
@@ -84,6 +87,7 @@ class Backend:
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
     describe_installed: Callable[[], str] | None = None
+    own_causes: Callable[[str | None, Discovery, Mapping[str, str]], Iterable[str]] = lambda *_: ()
     profile_of: Callable[[str | None, Mapping[str, str]], tuple[str, str]] = lambda _rmw, _environment: ("", "")
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None

@@ -19,7 +19,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, Durability, History, Reliability
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
-from .base import DDS_MEETING, Backend, Meeting, has_package
+from .base import Backend, Meeting, dds_meeting, has_package
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
     LAST_ACKNOWLEDGEMENT_S,
@@ -279,7 +279,7 @@ BACKEND = Backend(
     find_installed=lambda: [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else [],
     install="pip install 'dds-trace[connext]' (in a clone '.[connext]'), then set RTI_LICENSE_FILE to your rti_license.dat",
     meeting=Meeting.DISCOVERY_OR_PEERS,
-    meeting_needs=DDS_MEETING + " (else name the other device with --peer)",
+    meeting_needs=dds_meeting("else name the other device with --peer"),
     speaks_dds=True,
     environment=MiddlewareEnvironment(
         configuration=(ConfigurationVariable("NDDS_QOS_PROFILES", ";"),), files=("USER_QOS_PROFILES.xml",)

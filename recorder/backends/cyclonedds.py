@@ -21,7 +21,7 @@ from dds_trace.base.units import SECOND_NS
 
 from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
-from .base import DDS_MEETING, Backend, Meeting, has_package
+from .base import Backend, Meeting, dds_meeting, has_package
 from .cyclone_settings import (
     cyclone_qos,
     cyclone_settings,
@@ -437,7 +437,7 @@ BACKEND = Backend(
         "pip install 'dds-trace[cyclonedds]' (in a clone '.[cyclonedds]') (wheels for x86_64), or build the package `cyclonedds` on this device"
     ),
     meeting=Meeting.DISCOVERY,
-    meeting_needs=DDS_MEETING + " (else list peers in CYCLONEDDS_URI)",
+    meeting_needs=dds_meeting("else list peers in CYCLONEDDS_URI"),
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
     priorities=range(-(1 << 31), 1 << 31),

@@ -8,7 +8,7 @@ import re
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -25,7 +25,7 @@ _REFUSAL = re.compile(
     r"\bconfig: (?P<cyclonedds>.*(?:unknown|invalid|no unit).*)"
     r"|XMLPARSER Error\] (?P<fastdds>.+?) -> Function"  # it then goes on without the file
 )
-_ERROR = re.compile(r" Error\] (.+?) -> Function")
+_ERROR = re.compile(r" Error\] (?P<fastdds>.+?) -> Function|^\d+\.\d+ \[\d+\] +\S+: (?P<cyclonedds>.+)$", re.MULTILINE)
 
 _INLINE_STARTS = ("<", "{", "str://")
 """A value that starts so is a configuration itself, not the name of a file."""
@@ -112,15 +112,18 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
 
 
 @contextmanager
-def kept_stdout() -> Iterator[Callable[[], str]]:
-    """Yield what reads the first error of Fast DDS on stdout, which is passed on at the end of the block."""
-    with tempfile.TemporaryFile() as printed:
+def kept_output() -> Iterator[Callable[[], str]]:
+    """Yield what reads the first error of Fast DDS or Cyclone DDS on stdout and stderr, which are passed on at the end of the block.
+
+    What Python prints on stderr is printed at once.
+    """
+    with tempfile.TemporaryFile() as printed, os.fdopen(os.dup(STDERR), "w", buffering=1) as stderr:
         try:
-            with _redirected(printed, STDOUT):
-                yield lambda: "".join(_ERROR.findall(_text(printed))[:1])
+            with _redirected(printed, STDOUT, STDERR), redirect_stderr(stderr):
+                yield lambda: next((match[match.lastgroup or 0] for match in _ERROR.finditer(_text(printed))), "")
         finally:
             with suppress(OSError):  # nobody reads it
-                os.write(STDOUT, _text(printed).encode())
+                os.write(STDERR, _text(printed).encode())
 
 
 @contextmanager

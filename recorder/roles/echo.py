@@ -87,7 +87,12 @@ def own_causes(probes: Traffic, applied: Applied, error: str) -> Iterator[str]:
 
 
 def explain_silence(
-    node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = (), causes: Iterable[str] = ()
+    node: Node,
+    plan: RunPlan,
+    waited_s: float,
+    not_applied: tuple[Difference, ...] = (),
+    causes: Iterable[str] = (),
+    own: Iterable[str] = (),
 ) -> str:
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
@@ -111,7 +116,8 @@ def explain_silence(
         f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}"
         f"{' (this device only)' if options.discovery is Discovery.LOCALHOST else ''}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
-        f"  try: {_SAME_SECURITY if unlike else _advice(view, node, plan, not_applied, causes)}"
+        "  try: "
+        + "\n  then: ".join([*own, _SAME_SECURITY if unlike else _advice(view, node, plan, not_applied, causes)])
         + ("\n  not applied: " + "; ".join(difference.words for difference in not_applied) if not_applied else "")
     )
 
@@ -181,7 +187,9 @@ def _advice_unheard(node: Node, size_bytes: int, seen_causes: Iterable[str]) -> 
             f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does "
             "not take in time: try --reliability reliable or a smaller --size"
         )
-    causes.append("look at errors of the middleware above; try a smaller --size or a longer -o wait")
+    causes.append(
+        "look at errors of the middleware above, and in the relay's output; try a smaller --size or a longer -o wait"
+    )
     return f"a relay is there but messages do not get through: {'; '.join(causes)}; check firewalls between the devices"
 
 

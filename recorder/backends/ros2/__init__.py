@@ -11,7 +11,7 @@ from dds_trace.base.files import read_regular
 from ...applied.vendors import VENDORS, RosMiddleware, ros_middleware
 from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
-from ..base import DDS_MEETING, Backend, Meeting
+from ..base import Backend, Meeting, dds_meeting
 from .calls import Ros2CallNode
 from .fastdds_profile import applied_transport
 from .installation import (
@@ -25,6 +25,7 @@ from .installation import (
     find_rmws,
     missing_rmw,
     open_router,
+    own_causes,
     profile_of,
     set_discovery_range,
     set_security,
@@ -83,9 +84,8 @@ BACKEND = Backend(
     describe_installed=describe_installed,
     install=INSTALL,
     meeting=Meeting.DISCOVERY,
-    meeting_needs=(
-        DDS_MEETING + " (else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read)"
-    ),
+    meeting_needs=dds_meeting("else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read"),
+    own_causes=own_causes,
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
     has_ros=True,

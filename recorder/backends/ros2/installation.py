@@ -17,10 +17,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import psutil
+
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.printable import printable
 
+from ...applied.asked import file_text, read_profile_request
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
 from ...host.child import Child
@@ -30,7 +33,7 @@ from ..node import Middleware
 from ..qos import requested_durations
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from ..node import NodeOptions
 
@@ -246,6 +249,54 @@ def profile_of(rmw: str | None, environment: Mapping[str, str]) -> tuple[str, st
     names = f"{running.profile_variables[0]} or ./{running.profile_file}"
     version = package_version(running.package) or ""
     return "", f"{ignored[0]} is ignored: Fast DDS {version} reads {names}" if ignored else ""
+
+
+def own_causes(rmw: str | None, discovery: Discovery, environment: Mapping[str, str]) -> Iterator[str]:
+    """Yield what in these variables keeps a node from meeting others, with what to do."""
+    named = environment.get("RMW_IMPLEMENTATION", "")
+    if named and named != WHEELS_RMW:
+        yield f"RMW_IMPLEMENTATION is {named} here: the relay's has to be a middleware that it meets"
+    if ros_middleware(rmw or WHEELS_RMW).vendor != "fastdds":
+        return
+    if server := environment.get("ROS_DISCOVERY_SERVER"):
+        nobody = "" if any(map(_may_listen, server.split(";"))) else ", and nothing on this machine listens there"
+        variables = " and ".join(name for name in ("ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT") if environment.get(name))
+        yield (
+            f"ROS_DISCOVERY_SERVER is {server} here{nobody}: this process only meets those that ask the same server; "
+            f"`unset {variables.replace(' and', '')}`, or set it on both sides and start the server"
+        )
+    path, _ = profile_of(rmw, environment)
+    interfaces = read_profile_request(file_text(path)).interfaces if path else ()
+    present = {*psutil.net_if_addrs(), *(each.address for some in psutil.net_if_addrs().values() for each in some)}
+    if interfaces and not present & {*interfaces}:
+        yield (
+            f"the whitelist of the profile {Path(path).name} only has {', '.join(interfaces)}, and no interface here has that name or "
+            "address: correct it, or unset the variable that names the profile"
+        )
+    peers = environment.get("ROS_STATIC_PEERS", "")
+    if peers and discovery is Discovery.LOCALHOST:
+        yield f"ROS_STATIC_PEERS is {peers} here, and --discovery localhost meets this machine only: --discovery subnet"
+    for peer in peers.split(";") if peers else ():
+        if not _has_address(peer):
+            yield f"ROS_STATIC_PEERS: {printable(peer, 80)} has no address here; separate addresses by semicolons"
+
+
+def _may_listen(server: str) -> bool:
+    """Return whether a UDP socket of this machine has the server's port, or the server is elsewhere."""
+    host, _, port = server.strip().removeprefix("UDPv4:").strip("[]").rpartition(":")
+    host, port = (host, port) if host else (port, "11811")
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((host, int(port)))
+    except (OSError, ValueError):  # it is in use, or of another machine
+        return True
+    return False
+
+
+def _has_address(host: str) -> bool:
+    with suppress(OSError, UnicodeError):
+        return bool(socket.getaddrinfo(host.strip(), None))
+    return False
 
 
 _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-9]{0,99}")

@@ -8,11 +8,10 @@ from processes import PATIENCE_S, ping
 from waiting import wait_until
 
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.extensions.bridges.programs import program_environment
 
 JAZZY = os.environ.get("DDS_TRACE_JAZZY", "")
 """`dds-record` of the environment with Jazzy, where this one has Kilted."""
-BOOTSTRAP = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-"""With which ROS 2 from wheels has started Python again: a process of another distribution loads its own libraries."""
 pytestmark = [pytest.mark.middleware, pytest.mark.skipif(not JAZZY, reason="just test-kilted names both environments")]
 
 
@@ -20,7 +19,12 @@ def recorded(folder, domain_id, *options):
     folder.mkdir()
     log = folder / "relay.log"
     command = [JAZZY, "--role", "relay", "--domain", domain_id, *options, "--out", folder / "relay.mcap"]
-    with log.open("w") as file, subprocess.Popen([*map(str, command)], stdout=file, stderr=subprocess.STDOUT) as relay:
+    with (
+        log.open("w") as file,
+        subprocess.Popen(
+            [*map(str, command)], stdout=file, stderr=subprocess.STDOUT, env=program_environment({}, foreign=True)
+        ) as relay,
+    ):
         try:
             wait_until(lambda: "serves" in log.read_text(), PATIENCE_S)
             sent = ("--size", "1MB", "--rate", 20, "--messages", 40)

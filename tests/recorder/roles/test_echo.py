@@ -4,13 +4,14 @@ from dataclasses import replace
 import pytest
 from fake_node import FakeNode
 
+from dds_trace.base.streams import say
 from dds_trace.recorder.applied.applied import Applied, Snapshot, Traffic
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
 from dds_trace.recorder.choices import Discovery, Security, Transport
 from dds_trace.recorder.errors import RelayLostError
-from dds_trace.recorder.host.environment import kept_stdout
+from dds_trace.recorder.host.environment import kept_output
 from dds_trace.recorder.kernel.sockets import Socket, TcpState
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
@@ -97,14 +98,18 @@ def test_what_the_ping_saw_comes_first_and_a_firewall_last(node):
     assert not list(own_causes(Traffic(2, 0, 5_000_000), applied, ""))[1:]
 
 
-def test_what_fast_dds_prints_on_stdout_is_read_and_passed_on(capfd):
-    with kept_stdout() as read_error:
+def test_what_a_middleware_prints_is_read_and_passed_on_and_our_own_lines_at_once(capfd):
+    with kept_output() as read_error:
         os.write(
             1, b"\x1b[31;1m Error] \x1b[37mFailed init_port: open_and_lock_file failed\x1b[34;1m -> Function open\n"
         )
         assert read_error() == "Failed init_port: open_and_lock_file failed"
-        assert not capfd.readouterr().out
-    assert "open_and_lock_file failed" in capfd.readouterr().out
+        say("waiting")
+        assert capfd.readouterr() == ("", "waiting\n")
+    assert "open_and_lock_file failed" in capfd.readouterr().err
+    with kept_output() as read_error:
+        os.write(2, b"1795870701.539528 [38] dq.builtin: type [COMPLETE ef]: with invalid type object\n")
+        assert read_error() == "type [COMPLETE ef]: with invalid type object"
 
 
 def test_no_socket_is_missed_where_no_relay_is_seen(node, plan):

@@ -1,0 +1,92 @@
+"""What this process can see of itself where no echo comes: settings, interfaces and connections that cannot work."""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import psutil
+
+from ..applied.vendors import vendor_facts
+from ..backends import load_backend
+from ..choices import Discovery
+from ..domains import domain_port_range
+from ..kernel.sockets import DiagError, dump_sockets, read_sockets
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..backends.node import Node
+    from ..kernel.sockets import Socket
+
+_STUCK_SEGMENTS = 3
+"""Segments of a connection that were sent again; a healthy one that just opened has none."""
+_IP_MTU = 14
+"""Socket option of <linux/in.h>, which `socket` lacks."""
+
+
+def look_at_self(node: Node) -> Iterator[str]:
+    """Yield, the surest first, what keeps messages of this process from arriving, with what to do."""
+    backend, rmw = load_backend(node.middleware.backend), node.middleware.rmw
+    sockets = read_sockets() or ()
+    yield from backend.own_causes(rmw, node.options.discovery, os.environ)
+    if backend.speaks_dds:
+        yield from _shared_ports(node.options.domain_id, sockets)
+    yield from _stuck_connections(sockets)
+    if backend.speaks_dds and node.options.discovery is not Discovery.LOCALHOST:
+        yield from _one_of_several_interfaces(node.middleware.vendor, sockets)
+
+
+def _shared_ports(domain_id: int, sockets: Sequence[Socket]) -> Iterator[str]:
+    own, ports = (
+        {read.inode for read in sockets},
+        domain_port_range(domain_id)[2:],
+    )  # all share the first two by intention
+    with suppress(DiagError):
+        for other in dump_sockets(socket.AF_INET, socket.IPPROTO_UDP):
+            if other.inode not in own and other.local[1] in {read.local_port for read in sockets} & {*ports}:
+                yield (
+                    f"another process has UDP port {other.local[1]} of this one, too, and the kernel gives each datagram to one of "
+                    "them: end it, or give it another --domain"
+                )
+                return
+
+
+def _stuck_connections(sockets: Sequence[Socket]) -> Iterator[str]:
+    for read in sockets:
+        if read.tcp is not None and read.tcp.retransmitted >= _STUCK_SEGMENTS:
+            mtu = _path_mtu(read)
+            yield (
+                f"the connection to {read.remote_address}:{read.remote_port} sent {read.tcp.retransmitted} segments again, and "
+                f"{read.tcp.acked_bytes:,} bytes were acknowledged: the path loses packets, maybe those as large as its MTU{mtu}; "
+                "try a smaller MTU of the interface"
+            )
+
+
+def _path_mtu(read: Socket) -> str:
+    family = socket.AF_INET if read.family == "ipv4" else socket.AF_INET6
+    with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect((read.remote_address, read.remote_port))
+        return f" ({probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)} here)"
+    return ""
+
+
+def _one_of_several_interfaces(vendor: str, sockets: Sequence[Socket]) -> Iterator[str]:
+    opened = {read.local_address for read in sockets if read.protocol == "udp"}
+    stats = psutil.net_if_stats()
+    named = {
+        address.address: name
+        for name, addresses in psutil.net_if_addrs().items()
+        for address in addresses
+        if address.family == socket.AF_INET and not address.address.startswith("127.") and stats[name].isup
+    }
+    used = {named[address] for address in opened & named.keys()}
+    others = sorted({*named.values()} - used)
+    if used and others:
+        cure = vendor_facts(vendor).name_interface.format(others[0])
+        yield (
+            f"this process sends through the interface {', '.join(sorted(used))} only, and has {', '.join(others)}, too: name the one in "
+            f"the relay's network{f', {cure}' if cure else ''}"
+        )

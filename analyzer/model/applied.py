@@ -17,6 +17,10 @@ _LARGEST_PACKET_BYTES = 65_535
 """Largest IP packet (RFC 791): `lo`, with that MTU, cuts none."""
 
 
+_LEAST_MTU_BYTES = 1280
+"""Of IPv6 (RFC 8200): no link that cuts smaller packets is met."""
+
+
 def words_not_applied(session: Session) -> tuple[str, ...]:
     words = [entry.get("words") for entry in objects_of(session.extra.get("not_applied"))]
     return tuple(dict.fromkeys(text for text in words if isinstance(text, str) and text))
@@ -91,8 +95,10 @@ def may_be_cut(session: Session, payload_bytes: int) -> bool:
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False
-    mtu_bytes = _integer(object_of(session.host.get("mtu")), path) if path is not None else None
-    return mtu_bytes is None or min(payload_bytes + _HEADERS_BYTES, _LARGEST_PACKET_BYTES) > mtu_bytes
+    mtus = object_of(session.host.get("mtu"))
+    known = (_integer(mtus, name) for name in ([path] if path is not None and path in mtus else mtus))
+    mtu_bytes = min((size for size in known if size is not None), default=_LEAST_MTU_BYTES)
+    return min(payload_bytes + _HEADERS_BYTES, _LARGEST_PACKET_BYTES) > mtu_bytes
 
 
 def kernel_limits(session: Session) -> dict[str, int]:

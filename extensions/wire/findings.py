@@ -9,10 +9,27 @@ import polars as pl
 from dds_trace.analyzer.findings.evidence import SMALLER_DATAGRAMS, Evidence, Observation, percent, warning
 from dds_trace.analyzer.findings.rows import Row, Rows, in_result
 from dds_trace.analyzer.model.applied import may_be_cut
+from dds_trace.analyzer.model.environment import middleware_version
 from dds_trace.analyzer.model.finding import Subject
 from dds_trace.base.units import counted, three_digits
+from dds_trace.recorder.backends.ros2.installation import FAST_DDS_2, FAST_DDS_3
+from dds_trace.tracefile.format.descriptions import Session
 
-WIRE = Rows(Subject.RESULT, lambda evidence: evidence.details.wire, in_result)
+_HEARTBEATS = {"fastdds": "{} in a Fast DDS profile", "cyclonedds": "Internal/HeartbeatInterval of Cyclone DDS"}
+
+
+def _heartbeat_setting(session: Session) -> str:
+    facts = FAST_DDS_2 if middleware_version(session).startswith("2.") else FAST_DDS_3
+    return _HEARTBEATS.get(session.vendor, "the one of its settings").format(facts.times[0])
+
+
+def _wire(evidence: Evidence) -> pl.DataFrame:
+    settings = {group: _heartbeat_setting(exchange.ping) for exchange, group in evidence.exchanges_by_group()}
+    heartbeat = pl.col("group").replace_strict(settings, default="", return_dtype=pl.String)
+    return evidence.details.wire.with_columns(heartbeat=heartbeat)
+
+
+WIRE = Rows(Subject.RESULT, _wire, in_result)
 
 
 def _complete_rows(evidence: Evidence) -> Iterator[Row]:
@@ -22,18 +39,23 @@ def _complete_rows(evidence: Evidence) -> Iterator[Row]:
 @warning("fragments_lost", Subject.RESULT, f"One lost fragment loses its whole datagram: {SMALLER_DATAGRAMS}.")
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A result's datagrams lost IP fragments."""
-    cut = {
-        group
-        for exchange, group in evidence.exchanges_by_group()
-        for session in (exchange.ping, exchange.relay)
-        if session is not None and may_be_cut(session, exchange.run.payload_bytes)
-    }
+    cut = _cut(evidence)
     for row in _complete_rows(evidence):
         if row["reassembly_failed"] and row["group"] in cut:
             yield evidence.result(
                 row["group"],
                 f"While its messages were under way, the kernels of both sides counted {_not_joined(row['reassembly_failed'])}.",
             )
+
+
+def _cut(evidence: Evidence) -> set[int]:
+    """Return the groups with messages that may be sent as IP fragments."""
+    return {
+        group
+        for exchange, group in evidence.exchanges_by_group()
+        for session in (exchange.ping, exchange.relay)
+        if session is not None and may_be_cut(session, exchange.run.payload_bytes)
+    }
 
 
 def _not_joined(datagrams: int) -> str:
@@ -57,6 +79,7 @@ FEWEST_AGAIN = 5
 )
 def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
     """Much of the traffic is repeats."""
+    cut = _cut(evidence)
     for row in _complete_rows(evidence):
         byte_share = row["again_bytes_share"] or 0.0
         message_share = row["again_messages"] / row["messages"] if row["messages"] else 0.0
@@ -68,20 +91,20 @@ def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
                 f"{percent(byte_share, 1)} of the bytes on the wire were sent again, "
                 f"{row['again_messages']} of {counted(row['messages'], 'message')}{requests}.",
                 max(byte_share, message_share),
-                remedy=_remedy(row),
+                remedy=_remedy(row, is_cut=row["group"] in cut),
             )
 
 
-def _remedy(row: Row) -> str:
+def _remedy(row: Row, *, is_cut: bool) -> str:
     if row["udp_receive_buffer_full"]:
         return (
             f"{counted(row['udp_receive_buffer_full'], 'datagram')} met a full receive buffer, so give the sockets larger "
             "ones (--tuned, net.core.rmem_max)"
         )
-    if row["reassembly_failed"]:
+    if row["reassembly_failed"] and is_cut:
         return f"{_not_joined(row['reassembly_failed'])}, so {SMALLER_DATAGRAMS}"
     return (
-        "neither kernel counted a lost datagram, so look at the link: a lower rate or --depth may help, or best effort where a "
+        f"{'no message of this size is cut' if row['reassembly_failed'] else 'neither kernel counted a lost datagram'}, so look at the link: a lower rate or --depth may help, or best effort where a "
         "lost message may stay lost"
     )
 
@@ -145,8 +168,7 @@ CHECKS = {
             & (pl.col("again_messages") >= FEWEST_AGAIN),
             "{again_messages} of {messages:# message} were sent again; half of them waited for {waited_heartbeats_p50:digits} heartbeat "
             "periods, {resent_after_p50_ns:duration}, or longer.",
-            "A shorter heartbeat period of the writer may help: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of "
-            "Cyclone DDS.",
+            "A shorter heartbeat period of the writer may help: {heartbeat}.",
             pl.col("again_messages") / pl.col("messages"),
         ),
         discovery_traffic,

@@ -37,7 +37,7 @@ class TopicReport:
     """Topics, and the recordings with what was wrong with them.
 
     `rate_hz` = (messages - 1) / duration (of the recording where no rate is steady), `expected_rate_hz` while no message is missing; `jitter_ns` a robust standard deviation of the
-    intervals between log times (1.4826 median deviations); `gaps` over `GAP_PERIODS` medians; `missing` null where nothing is known
+    intervals between log times (1.4826 median deviations); `gaps` over two medians; `missing` null where nothing is known
     (not periodic, no counter), `missing_inside` while all topics stopped; `age_from` `header` (log time - header stamp), `publish` (log
     time - publish time) or null; `age_negative` logged before their stamp; `age_bound_ns` the largest error of corrected ages, null for others; `stamps_backwards` header stamps older than the previous one.
 

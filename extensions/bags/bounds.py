@@ -42,5 +42,8 @@ FEW = 0.02
 STEADY = 1e-5
 """The spread of an age, in ages, that no late stream has: a constant offset is of another clock."""
 
+P99, FEWEST_FOR_P99 = 0.99, 100
+"""A quantile, and the fewest values that show one."""
+
 NORMAL = 1.4826
 """Standard deviation of normal values in median deviations."""

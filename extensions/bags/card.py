@@ -12,7 +12,7 @@ from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import clock_words, counted, format_duration
 from dds_trace.tracefile.reading.source import Condition
 
-from .bounds import FEWEST, SECOND_NS
+from .bounds import FEWEST, FEWEST_FOR_P99, P99, SECOND_NS
 from .chains import Link, Stamped, find_links
 from .clocks import (
     DAY_NS,
@@ -40,11 +40,6 @@ from .weighing import Source, weigh
 Row = dict[str, str | int | float | None]
 """Column of `TOPIC_SCHEMA` -> value; others are null."""
 
-GAP_PERIODS = 2.0
-"""Least length of a gap in median intervals."""
-
-_P99, _FEWEST_FOR_P99 = 0.99, 100
-
 TOPIC_SCHEMA = frame_schema(
     "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "
     "rate_hz:f64 period_p50_ns:f64 period_p99_ns:f64 jitter_ns:f64 gaps:u64 gap_max_ns:i64 "
@@ -68,8 +63,8 @@ def timing(log_ns: Int64, recorded_ns: int) -> Row:
         row |= {
             "rate_hz": len(period_ns) / (max(duration_ns, recorded_ns) / SECOND_NS),
             "period_p50_ns": median_ns,
-            "period_p99_ns": quantile(period_ns, _P99) if len(period_ns) >= _FEWEST_FOR_P99 else None,
-            "gaps": int((period_ns > GAP_PERIODS * median_ns).sum()),
+            "period_p99_ns": quantile(period_ns, P99) if len(period_ns) >= FEWEST_FOR_P99 else None,
+            "gaps": int((period_ns > 2 * median_ns).sum()),
             "gap_max_ns": int(period_ns.max()),
         }
     return row
@@ -110,7 +105,7 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, no_age: str | None) 
         "age_negative": int((age_ns < 0).sum()),
         "age_min_ns": int(age_ns.min()),
         "age_p50_ns": median(age_ns),
-        "age_p99_ns": quantile(age_ns, _P99) if len(age_ns) >= _FEWEST_FOR_P99 else None,
+        "age_p99_ns": quantile(age_ns, P99) if len(age_ns) >= FEWEST_FOR_P99 else None,
         "age_max_ns": int(age_ns.max()),
         "age_start_ns": start_ns,
         "age_end_ns": end_ns,

@@ -1,7 +1,7 @@
 """Topics that carry the stamps of another one: how late they come, how many of its messages lead to one, and who stamps again.
 
 Equal stamps are seen. Who made a message of which one is not: a driver that stamps several topics alike looks like a chain, so less
-than `TOGETHER_NS` is none, and stamps in steps (a simulation's) prove nothing.
+than `TOGETHER_NS` is none, and stamps of a simulation or in steps prove nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
 
-from .bounds import FEW, FEWEST, MOST, WINDOW
+from .bounds import FEW, FEWEST, FEWEST_FOR_P99, MOST, P99, WINDOW
+from .clocks import SIMULATED_BEFORE_NS
 from .losses import NONE
 from .periods import Int64
 
@@ -50,7 +51,7 @@ class Link:
     messages: int
     share: float
     p50_ns: float
-    p99_ns: float
+    p99_ns: float | None
     stamps_again: bool = False
 
 
@@ -80,7 +81,7 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
             continue
         first = int(pairs[1][is_own][counts[is_own].argmax()])
         others, began = firsts[first]
-        if np.gcd.reduce(np.diff(others)) > UNIT_NS["us"]:
+        if others[0] < SIMULATED_BEFORE_NS or np.gcd.reduce(others) > UNIT_NS["us"]:
             continue
         _, at, of_first = np.intersect1d(stamps, others, assume_unique=True, return_indices=True)
         waits_ns = logged[at] - began[of_first]
@@ -90,9 +91,9 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
 
 
 def _link(first: Stamped, follower: Stamped, waits_ns: Int64, inputs: int, *, stamps_again: bool = False) -> Link:
-    p50_ns, p99_ns = (float(np.quantile(waits_ns, share)) for share in (0.5, 0.99))
-    share = len(waits_ns) / inputs
-    return Link(first.topic, follower.topic, len(waits_ns), share, p50_ns, p99_ns, stamps_again)
+    p99_ns = float(np.quantile(waits_ns, P99)) if len(waits_ns) >= FEWEST_FOR_P99 else None
+    times_ns = float(np.median(waits_ns)), p99_ns
+    return Link(first.topic, follower.topic, len(waits_ns), len(waits_ns) / inputs, *times_ns, stamps_again)
 
 
 def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
@@ -132,8 +133,9 @@ def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:
         ]
         if len(following) > most:
             steps.append(f"{len(following) - most} more")
-        last = format_duration(following[-1].p99_ns)
-        yield f"chain: the stamps of {begin} come again on {', '.join(steps)}; p99 from the first to the last {last}"
+        last_ns = following[-1].p99_ns
+        last = "" if last_ns is None else f"; p99 from the first to the last {format_duration(last_ns)}"
+        yield f"chain: the stamps of {begin} come again on {', '.join(steps)}{last}"
     again = [link for link in links if link.stamps_again]
     for link in again[:most]:
         yield (

@@ -54,8 +54,7 @@ def apart(time_ns: float) -> str:
 def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
     names = sorted((name for name in backwards_ns if backwards_ns[name]), key=lambda name: -backwards_ns[name])
     if names:
-        are = "is" if len(names) == 1 else "are"
-        size = format_duration(backwards_ns[names[0]])
+        are, size = "is" if len(names) == 1 else "are", format_duration(backwards_ns[names[0]])
         yield f"{and_more(names)} {are} not stored in order of time, up to {size} back: {_WHY_BACK}"
 
 
@@ -240,11 +239,8 @@ def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None
     if is_far and speed is not None and speed > 0 and abs(speed - 1) > FEW:
         return "speed"
     is_constant = len(ages_ns) >= FEWEST and _width_ns(ages_ns) < STEADY * abs(age_ns)
-    if (
-        is_far
-        or (is_constant and abs(age_ns) > WINDOW * SECOND_NS)
-        or (offset_ns and abs(age_ns - offset_ns) < NOTICED_NS)
-    ):
+    is_shared = offset_ns is not None and abs(age_ns - offset_ns) < NOTICED_NS
+    if is_far or is_shared or (is_constant and abs(age_ns) > WINDOW * SECOND_NS):
         return "offset"
     return "ticks" if tick_ns and abs(age_ns) < tick_ns else ""
 
@@ -267,9 +263,12 @@ def _of_speed(names: Sequence[str], topics: Mapping[str, Stamps]) -> str:
 
 
 _WHY_NO_AGE: Mapping[str, Callable[[Sequence[str], Mapping[str, Stamps]], str]] = {
-    "copy": lambda names, _: f"log times of {and_more(names)} are copies of the stamps: there is no age",
+    "copy": lambda names, _: (
+        f"log times of {and_more(names)} are copies of the stamps{', as RealSense writes them (.db3)' if of_realsense(names) else ''}: there is no age"
+    ),
     "zero": lambda names, _: (
-        f"the log times begin at 0 (of the recording, a simulation or a machine), the stamps of {and_more(names)} do not: there is no age"
+        f"the log times begin at 0 (of the recording{', as RealSense writes them (.bag)' if of_realsense(names) else ', a simulation or a machine'}), "
+        f"the stamps of {and_more(names)} do not: there is no age"
     ),
     "loop": lambda names, _: (
         f"stamps of {and_more(names)} come again: a recording that was replayed in a loop, not an age"
@@ -288,6 +287,10 @@ _SHORT = {
     "offset": "other clock",
     "ticks": "below a tick",
 }
+
+
+def of_realsense(names: Sequence[str]) -> bool:
+    return all(name.startswith("/device_") and "/sensor_" in name for name in names)
 
 
 def and_more(names: Sequence[str]) -> str:

@@ -29,7 +29,8 @@ _IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=",
 def are_drives(*sides: Path) -> bool:
     """Return whether all of these are recordings of other tools, and no traces of ours."""
     try:
-        return all(is_of_others(file) for side in sides for file in find_recordings(side))
+        files = [find_recordings(side) for side in sides]
+        return all(files) and all(is_of_others(file) for side in files for file in side)
     except TraceError:
         return False
 

@@ -21,8 +21,8 @@ _SIZES = {
 }
 _TIMES_OF_ROS1 = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 _PAIR_OF_32_BITS = frozenset({"builtin_interfaces/Time", "builtin_interfaces/Duration"})
-_MOST_STEPS = 10_000
-"""Elements that are passed over before the stamp of one message."""
+MOST_STEPS = 10_000
+"""Elements or fields that are passed over before the stamp of one message."""
 
 
 class Field(NamedTuple):
@@ -182,7 +182,7 @@ class _Walk:
     at: int = 0
     order: str = "<"
     widest: int = 1
-    steps: int = field(default=_MOST_STEPS)
+    steps: int = field(default=MOST_STEPS)
 
     def __post_init__(self) -> None:
         if self.is_cdr:

@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from dds_trace.extensions.bags.header_stamps import (
+    MOST_STEPS,
     StampPlace,
     known_definition,
     parse_definition,
@@ -22,9 +23,6 @@ _TEXTS = {"cdr": ("ros2msg", "ros1msg"), "ros1": ("ros1msg",)}
 
 _MOST_SECONDS = 2**33
 """Beyond the year 2242: no clock of today."""
-
-_MOST_STEPS = 10_000
-"""Fields that are passed over before the stamp of one message."""
 
 
 class StampReader(NamedTuple):
@@ -119,7 +117,7 @@ def _protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes], int | N
 
 class _Message:
     def __init__(self, data: bytes, types: _Types) -> None:
-        self._data, self._types, self._steps = data, types, _MOST_STEPS
+        self._data, self._types, self._steps = data, types, MOST_STEPS
 
     def stamp_of(self, kind: str, start: int, stop: int) -> int | None:
         if kind == _TIMESTAMP:

@@ -21,6 +21,7 @@ from dds_trace.tracefile.mcapfile.scan import unaligned
 from dds_trace.tracefile.reading.source import NONE, MessageBatch
 from dds_trace.tracefile.reading.storage import find_storage
 
+from .bounds import FEWEST, NOTICED_NS
 from .clocks import DAY_NS, find_resets, of_one_clock
 from .header_stamps import lost_by_recorder
 from .kinds import RECORDING_KINDS
@@ -37,9 +38,6 @@ Integers: TypeAlias = NDArray[np.integer[Any]]
 
 _LONGEST_FRAME_BYTES = 256
 _LEAST_ASCENDING = 0.9
-_AROUND = 5
-_LEAST_RESET_NS = 100_000_000
-"""As `find_resets` demands."""
 
 _ENDINGS = tuple(ending for kind in RECORDING_KINDS for ending in (kind.suffix, *kind.endings))
 
@@ -97,9 +95,9 @@ class TopicMessages:
     def change_of_age_ns(self, start: int) -> float | None:
         """Return None where stamps do not go on."""
         log_ns, stamp_ns = (
-            self.column(name)[max(start - _AROUND, 0) : start + _AROUND] for name in ("log_ns", "stamp_ns")
+            self.column(name)[max(start - FEWEST, 0) : start + FEWEST] for name in ("log_ns", "stamp_ns")
         )
-        middle = min(start, _AROUND)
+        middle = min(start, FEWEST)
         if (stamp_ns == NONE).any() or not 0 <= stamp_ns[middle] - stamp_ns[middle - 1] < DAY_NS:
             return None
         age_ns = log_ns - stamp_ns
@@ -356,7 +354,7 @@ def _frames(batch: MessageBatch, has_header: NDArray[np.bool_]) -> Int64:
 def run_on_after_resets(columns: Sequence[TopicMessages]) -> Iterator[tuple[int, int, int]]:
     """Let times go on where a clock was reset; yield when, by how much, and the topics with stamps that went on."""
     in_order_ns = _in_stored_order(columns, "log_ns")
-    if len(in_order_ns) < 2 or np.diff(in_order_ns).min() > -_LEAST_RESET_NS:
+    if len(in_order_ns) < 2 or np.diff(in_order_ns).min() > -NOTICED_NS:  # as `find_resets` demands
         return
     log_ns = np.sort(in_order_ns)
     log_ns = log_ns[of_one_clock(log_ns)]

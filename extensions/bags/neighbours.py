@@ -13,7 +13,7 @@ from .bounds import FEW, FEWEST, LONG, NEAR, NOTICED_NS, SECOND_NS
 from .clocks import Note
 from .holes import Holes
 from .losses import Losses, Reading, TopicTimes
-from .periods import Bools, Int64
+from .periods import Bools, Float64, Int64, Regularity
 from .quantiles import median
 
 
@@ -54,13 +54,11 @@ def set_clocks(readings: Sequence[Sequence[Reading]], silent: Holes, start_ns: i
             holes = reading.holes
             if reading.name != "period" or reading.rhythm is None or not len(holes):
                 continue
-            within_ns = max(2 * 2 * reading.rhythm.jitter_ns, FEW * reading.rhythm.period_ns)
+            within_ns, off_ns = _off_multiples(reading.rhythm)
             at = np.minimum(np.searchsorted(holes.end_ns, silent.start_ns, "right"), len(holes) - 1)
             is_met = holes.start_ns[at] < silent.end_ns
             if within_ns < NEAR * reading.rhythm.period_ns:
-                lacking = holes.duration_ns[at] / reading.rhythm.period_ns
-                off_ns = np.abs(lacking - np.rint(lacking)) * reading.rhythm.period_ns
-                moved.append(np.where(is_met, [holes.duration_ns[at], np.full(len(at), within_ns), off_ns], np.nan))
+                moved.append(np.where(is_met, [holes.duration_ns[at], np.full(len(at), within_ns), off_ns[at]], np.nan))
     if len(moved) <= 2:
         return Holes(), []
     by_ns, within_ns, off_ns = np.array(moved).transpose(1, 0, 2)
@@ -82,6 +80,13 @@ def set_clocks(readings: Sequence[Sequence[Reading]], silent: Holes, start_ns: i
     return silent.at(is_set), notes
 
 
+def _off_multiples(rhythm: Regularity) -> tuple[float, Float64]:
+    """Return within what the holes of a timer that lost messages are multiples of its period, and how far each one is from it."""
+    lacking = rhythm.holes.duration_ns / rhythm.period_ns
+    within_ns = max(2 * 2 * rhythm.jitter_ns, FEW * rhythm.period_ns)
+    return within_ns, np.abs(lacking - np.rint(lacking)) * rhythm.period_ns
+
+
 def without_stretches(readings: Sequence[Reading], stretches: Holes) -> list[Reading]:
     """Take the holes of arrival within stretches out in which nothing was sent, or a clock was set."""
     return [
@@ -92,22 +97,34 @@ def without_stretches(readings: Sequence[Reading], stretches: Holes) -> list[Rea
     ]
 
 
-def doubted(readings: Sequence[Sequence[Reading]]) -> list[list[Reading]]:
-    """Lower the counts of silences in which the stamps of another topic show that its publisher stood still: of reading program, or computer."""
+def doubted(readings: Sequence[Sequence[Reading]], silent: Holes) -> list[list[Reading]]:
+    """Lower the counts of silences in which another topic shows that its publisher stood still: of reading program, simulation, or computer.
+
+    Its stamps show it, or a silence of all topics that is no multiple of its steady period: where one is of that kind, all may be.
+    """
+    rhythms = [(reading, reading.rhythm) for topic in readings for reading in topic if reading.rhythm is not None]
     still = [
         reading.holes.at(
             (reading.holes.low == 0)
             & (reading.holes.missing > 0)
-            & (reading.holes.duration_ns > FEWEST * reading.rhythm.period_ns)
+            & (reading.holes.duration_ns > FEWEST * rhythm.period_ns)
         )
-        for topic in readings
-        for reading in topic
-        if reading.rhythm is not None and reading.name == "stamps"
+        for reading, rhythm in rhythms
+        if reading.name == "stamps"
     ]
+    if any(_stood_off(rhythm, silent) for reading, rhythm in rhythms if reading.name == "period"):
+        still.append(silent)
     witness = Holes.of([part for part in still if len(part)]) if any(map(len, still)) else Holes()
     if not len(witness):
         return [list(topic) for topic in readings]
     return [[_doubted(reading, witness) for reading in topic] for topic in readings]
+
+
+def _stood_off(rhythm: Regularity, silent: Holes) -> bool:
+    holes = rhythm.holes
+    within_ns, off_ns = _off_multiples(rhythm)
+    is_long = (holes.duration_ns > FEWEST * rhythm.period_ns) & holes.meet(silent)
+    return within_ns < NEAR * rhythm.period_ns and bool(((off_ns > within_ns) & (holes.low == 0) & is_long).any())
 
 
 def _doubted(reading: Reading, witness: Holes) -> Reading:

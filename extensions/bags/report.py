@@ -35,7 +35,7 @@ from dds_trace.reports.blocks import (
 )
 
 from .analyze import TopicReport
-from .bounds import NOTICED_NS, SECOND_NS
+from .bounds import FEWEST, NOTICED_NS, SECOND_NS
 from .card import RecordingHealth
 from .chains import chain_lines
 from .observations import READ_BY
@@ -55,10 +55,6 @@ HOW_TO_READ = (
 _MOST_SHOWN = 3
 """Holes and pauses that are listed, the longest."""
 
-_LEAST_HOLE = 1.5
-"""Periods of a hole that is worth a line: shorter ones are single messages."""
-
-_MOST_UNITS = 10
 """Ages of fewer units of the stamps are rounded visibly."""
 
 
@@ -129,7 +125,7 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
     is_unsure = row["missing_low"] == 0 < row["missing_high"]
     if is_unsure:
         yield f"none is known to be missing, {row['missing_high']:,} at most"
-    least_s = max(_LEAST_HOLE * period_s, is_unsure)
+    least_s = max((1 + 1 / 2) * period_s, is_unsure)  # shorter ones are single messages
     large = sorted((hole for hole in holes if hole["duration_s"] > least_s), key=lambda hole: -hole["duration_s"])
     shown = sorted(large[:_MOST_SHOWN], key=lambda hole: hole["start_s"])
     for hole in shown:
@@ -212,7 +208,7 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
 
 def _age_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     unit_ns = row["age_resolution_ns"] or 0
-    if row["age_p50_ns"] < _MOST_UNITS * unit_ns:
+    if row["age_p50_ns"] < FEWEST * unit_ns:
         unit = format_duration(unit_ns)
         is_below = row["age_p50_ns"] < unit_ns
         unsure = "an age below that is unknown" if is_below else f"its ages are up to {unit} too long, or too short"
@@ -243,7 +239,6 @@ _OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
 _TONES = {"whole": "decided", "holes": "open", "empty": "lossy", "damaged": "lossy"}
 _LEVELS = "·▁▂▃▄▅▆▇█"
 STRIP_WIDTH = 720
-_THINNEST = 1.0
 _LONGEST_NAME = 28
 
 
@@ -355,9 +350,7 @@ def strip_parts(
     for hole in holes:
         title = f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
         kind = "inside" if hole["inside"] else "hole"
-        drawn.append(
-            (round(hole["start_s"] * scale, 1), round(max(hole["duration_s"] * scale, _THINNEST), 1), kind, title)
-        )
+        drawn.append((round(hole["start_s"] * scale, 1), round(max(hole["duration_s"] * scale, 1.0), 1), kind, title))
     return drawn
 
 

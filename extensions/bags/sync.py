@@ -10,9 +10,9 @@ import numpy as np
 from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
-from dds_trace.base.units import format_duration
+from dds_trace.base.units import UNIT_NS, format_duration
 
-from .bounds import FEWEST, PATTERN
+from .bounds import FEWEST, MOST, PATTERN
 from .losses import NONE, TopicTimes
 from .periods import Float64, Int64
 from .quantiles import spread
@@ -65,7 +65,9 @@ def compare_stamps(names: Sequence[str], topics: dict[str, TopicTimes]) -> Sync:
     rest = offsets - slope * middle_ns - level
     error = np.sqrt((rest**2).sum() / (PATTERN - 2) / ((middle_ns - middle_ns.mean()) ** 2).sum())
     ends = (float(part.mean()) for part in (offsets[:2], offsets[-2:]))
-    drifts_ppm = (float(value * 10**6) for value in (slope, student_quantile(0.975, PATTERN - 2) * error))
+    drifts_ppm = (
+        float(value * UNIT_NS["ms"]) for value in (slope, student_quantile((1 + MOST) / 2, PATTERN - 2) * error)
+    )
     return Sync(
         names[0], names[1], min(len(one[0]), len(other[0])), float(np.median(offsets)), spread(rest), *ends, *drifts_ppm
     )

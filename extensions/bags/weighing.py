@@ -11,7 +11,7 @@ from dds_trace.base.units import UNIT_NS, counted, format_duration
 from dds_trace.tracefile.format.events import TOPIC_PREFIX
 
 from .bounds import FEWEST, MOST
-from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, read_clocks
+from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, of_realsense, read_clocks
 from .losses import NONE, Losses, TopicTimes, agreed
 from .neighbours import doubted, find_silent, moved_on, set_clocks, stood_still, without_stretches
 from .periods import Int64
@@ -54,7 +54,9 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     clocks.notes = earlier_notes + clocks.notes
     evidence.clocks = clocks
     _name_writers(evidence, sources, stamped)
-    if start_ns < SIMULATED_BEFORE_NS and "zero" not in clocks.reasons:
+    copies = clocks.reasons.get("copy", [])
+    is_named = "zero" in clocks.reasons or (copies and of_realsense(copies))
+    if start_ns < SIMULATED_BEFORE_NS and not is_named:
         clocks.notes.append(Note("the log times are of a simulation's clock, or count from the start of a machine"))
     silent = find_silent(logged, len(times))
     by_topic = [
@@ -66,7 +68,7 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     clocks.notes += notes
     for stretches in (clocks.set_over, stood_still(evidence.times, silent), set_over):
         by_topic = [without_stretches(readings, stretches) for readings in by_topic]
-    by_topic = doubted(by_topic)
+    by_topic = doubted(by_topic, silent)
     pairs = [*zip(by_topic, evidence.times, strict=True)]
     evidence.losses = [agreed(readings, start_ns, end_ns, topic.log_ns) for readings, topic in pairs]
     evidence.readable = sum(

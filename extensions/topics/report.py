@@ -69,9 +69,10 @@ def topic_sentences(analysis: Analysis) -> list[str]:
 
 def _links(analysis: Analysis) -> list[Link]:
     types = dict(analysis.topics.select("topic", "message_type").iter_rows())
-    heard = analysis.topic_messages.drop_nulls(["header_ns", "relay_in_ns"]).sort("relay_in_ns")
+    heard = analysis.topic_messages.drop_nulls(["header_ns", "relay_in_ns"]).sort("relay_device", "relay_in_ns")
     links = []
-    for at_tap in heard.partition_by("relay_device", maintain_order=True):
+    by_device = heard.partition_by("relay_device", maintain_order=True, as_dict=True)
+    for (device,), at_tap in by_device.items():
         ages = at_tap.select("data_type", ahead=pl.col("header_ns") + pl.col("age_ns") - pl.col("relay_in_ns"))
         clocks = dict(ages.group_by("data_type").agg(pl.col("ahead").median()).drop_nulls().iter_rows())
         ahead_ns = next(iter(clocks.values()), 0)  # of the clock that stamps, before that of the arrivals
@@ -79,7 +80,8 @@ def _links(analysis: Analysis) -> list[Link]:
         for (topic,), messages in at_tap.partition_by("data_type", as_dict=True).items():
             arrivals_ns = messages["relay_in_ns"].to_numpy() + round(ahead_ns)
             is_one = abs(clocks.get(topic, np.inf) - ahead_ns) < TOGETHER_NS
-            stamped.append(Stamped(topic, types[topic], arrivals_ns, messages["header_ns"].to_numpy(), is_one))
+            name = f"{topic} on {device}" if len(by_device) > 1 else topic
+            stamped.append(Stamped(name, types[topic], arrivals_ns, messages["header_ns"].to_numpy(), is_one))
         links += find_links(stamped)
     return links
 

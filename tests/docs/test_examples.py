@@ -88,7 +88,8 @@ def desk(tmp_path_factory):
         shutil.copytree(folder / "robot-and-laptop", folder / name)
     with tarfile.open(DOCS / "results" / "drive" / "traces.tar.xz") as archive:
         archive.extractall(folder, filter="data")
-    shutil.copytree(folder / "drive", folder / "drive.mcap")
+    for name in ("drive.mcap", "second-drive"):
+        shutil.copytree(folder / "drive", folder / name)
     return folder
 
 

@@ -1,5 +1,7 @@
 """Topics that pass stamps on or stamp again, made with known times and shares; what looks alike and is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from card_bags import MS, START_NS, S, card, write
@@ -69,6 +71,10 @@ def simulated(rng):
     ]
 
 
+def simulated_in_uneven_steps(rng):
+    return [replace(one, stamp_ns=(one.stamp_ns - START_NS) // 3) for one in simulated(rng)]
+
+
 def stamped_together(rng):
     stamps_ns, log_ns = camera(rng)
     return [topic("/left", stamps_ns, log_ns), topic("/right", stamps_ns, log_ns + wait_ns(rng, 0.2, len(log_ns)))]
@@ -95,7 +101,17 @@ def without_stamps(rng):
 
 
 @pytest.mark.parametrize(
-    "make", [simulated, stamped_together, in_any_order, with_its_info, two_timers, without_stamps, lambda _: []]
+    "make",
+    [
+        simulated,
+        simulated_in_uneven_steps,
+        stamped_together,
+        in_any_order,
+        with_its_info,
+        two_timers,
+        without_stamps,
+        lambda _: [],
+    ],
 )
 def test_what_something_else_explains_is_no_chain(make):
     for seed in range(20):

@@ -22,6 +22,7 @@ from tap_traces import (
 )
 
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.extensions.topics.report import topic_sentences
 
 LOST = (100, 101, 500, 1700)
 
@@ -183,6 +184,20 @@ def test_one_tap_is_enough_where_only_one_clock_can_have_made_the_stamps(tmp_pat
     row = row_of(analyze(tmp_path))
     assert (row["ping_device"], row["clock"]) == ("robot", "fit")
     assert row["one_way_p50_ns"] == pytest.approx(FAR_NS * 1.23, abs=MS)
+
+
+def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
+    published = camera(seconds=20)
+    near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
+    found = Published("/detections", LAPTOP, far + 8 * MS, published.headers, guid="03" * 16)
+    there, back = arrivals(found, NEAR_NS, seed=3), arrivals(found, FAR_NS, seed=4)
+    analysis = analyzed(
+        tmp_path, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
+    )
+    lines = [line for line in topic_sentences(analysis) if line.startswith("chain")]
+    assert len(lines) == 2
+    assert "the stamps of /camera/image on laptop come again on /detections on laptop 8." in lines[0]
+    assert "(100 %)" in lines[0]
 
 
 def test_the_hops_of_a_chain(tmp_path):

@@ -1,6 +1,6 @@
-"""Topics that carry the stamps of another one: how late they come, how many of its messages lead to one, and who stamps again.
+"""Topics that carry the stamps of another one: how late they come, how many of its messages lead to one, and topics that stamp again.
 
-Equal stamps are seen. Who made a message of which one is not: a driver that stamps several topics alike looks like a chain, so less
+Equal stamps are seen. Which message was made from another one is not: a driver that stamps several topics alike looks like a chain, so less
 than `TOGETHER_NS` is none, and stamps of a simulation or in steps prove nothing.
 """
 
@@ -19,7 +19,7 @@ from .losses import NONE
 from .periods import Int64
 
 TOGETHER_NS = UNIT_NS["ms"]
-"""Topics whose messages come nearer to each other are published together, by one program."""
+"""Topics with messages nearer to each other are published together, by one program."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,13 +35,13 @@ class Stamped:
     def first_of_stamps(self) -> tuple[Int64, Int64]:
         """Return the stamps, ascending, each once, and when they first came."""
         stamps, first = np.unique(self.stamp_ns, return_index=True)
-        known = stamps != NONE
-        return stamps[known], self.log_ns[first[known]]
+        is_stamp = stamps != NONE
+        return stamps[is_stamp], self.log_ns[first[is_stamp]]
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A topic that follows another one: `messages` of it, by `share` of those of the other one in its time.
+    """A topic that follows another one: `messages` of it, by `share` of the other one's in its time.
 
     `p50_ns` and `p99_ns` are from the log time of the first to its own; where it `stamps_again`, from stamp to stamp.
     """
@@ -57,9 +57,7 @@ class Link:
 
 def find_links(topics: Sequence[Stamped]) -> list[Link]:
     """Return the topics that pass stamps on, by the topic at which these begin and by time, then those that stamp again."""
-    usable = [
-        topic for topic in topics if topic.message_type.rpartition("/")[2] != "CameraInfo"
-    ]  # comes with its image
+    usable = [topic for topic in topics if not topic.message_type.endswith("/CameraInfo")]  # comes with its image
     links = sorted(_passed_on(usable), key=lambda link: (link.topic, link.p50_ns))
     passed = {link.next_topic for link in links}
     return [*links, *_stamped_again([topic for topic in usable if topic.has_age and topic.topic not in passed])]
@@ -75,38 +73,40 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
     stamp_ns, number = stamp_ns[order], number[order]
     begins = np.maximum.accumulate(np.where(np.diff(stamp_ns, prepend=NONE) > 0, np.arange(len(order)), 0))
     pairs, counts = np.unique(np.stack([number, number[begins]]), axis=1, return_counts=True)
+    edges = np.searchsorted(pairs[0], np.arange(len(firsts) + 1))
     for follower, (stamps, logged) in enumerate(firsts):
-        is_own = (pairs[0] == follower) & (pairs[1] != follower)
-        if not is_own.any() or 2 * counts[is_own].max() < max(len(stamps), 2 * FEWEST):
+        sources, shared = (part[edges[follower] : edges[follower + 1]] for part in (pairs[1], counts))
+        shared = np.where(sources == follower, 0, shared)
+        if 2 * shared.max(initial=0) < max(len(stamps), 2 * FEWEST):
             continue
-        first = int(pairs[1][is_own][counts[is_own].argmax()])
+        first = int(sources[shared.argmax()])
         others, began = firsts[first]
         if others[0] < SIMULATED_BEFORE_NS or np.gcd.reduce(others) > UNIT_NS["us"]:
             continue
-        _, at, of_first = np.intersect1d(stamps, others, assume_unique=True, return_indices=True)
-        waits_ns = logged[at] - began[of_first]
+        _, at, began_at = np.intersect1d(stamps, others, assume_unique=True, return_indices=True)
+        waits_ns = logged[at] - began[began_at]
         if (waits_ns > 0).mean() >= MOST and np.median(waits_ns) >= TOGETHER_NS:
-            inputs = int(of_first[-1] - of_first[0]) + 1
+            inputs = int(began_at[-1] - began_at[0]) + 1
             yield _link(topics[first], topics[follower], waits_ns, inputs)
 
 
 def _link(first: Stamped, follower: Stamped, waits_ns: Int64, inputs: int, *, stamps_again: bool = False) -> Link:
-    p99_ns = float(np.quantile(waits_ns, P99)) if len(waits_ns) >= FEWEST_FOR_P99 else None
-    times_ns = float(np.median(waits_ns)), p99_ns
-    return Link(first.topic, follower.topic, len(waits_ns), len(waits_ns) / inputs, *times_ns, stamps_again)
+    count, p50_ns = len(waits_ns), float(np.median(waits_ns))
+    p99_ns = float(np.quantile(waits_ns, P99)) if count >= FEWEST_FOR_P99 else None
+    return Link(first.topic, follower.topic, count, count / inputs, p50_ns, p99_ns, stamps_again)
 
 
 def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
-    """Yield topics whose stamps wander with the arrival of another one, message by message.
+    """Yield topics with stamps that wander with the arrival of another topic, message by message.
 
     Two timers of one computer keep their phase, too, but each wanders by itself.
     """
     ordered = sorted(topics, key=lambda topic: len(topic.log_ns))
-    for number, one in enumerate(ordered):
+    for number, topic in enumerate(ordered):
         for other in ordered[number + 1 : number + 1 + FEWEST]:
-            if len(one.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
+            if len(topic.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
                 break
-            for first, follower in ((one, other), (other, one)):
+            for first, follower in ((topic, other), (other, topic)):
                 yield from _follows(first, follower)
 
 

@@ -96,12 +96,12 @@ class DriveComparison(blocks.Report):
         for path, report in zip(self.paths, self.reports, strict=True):
             (health,), rows = report.recordings, report.topics.rows(named=True)
             facts.append(f"{printable(str(path))}: {verdict_words(health, rows)} {facts_words(health, len(rows))}")
-        said = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
+        summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in _COLUMNS[:2]) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
         heading = Heading(self.title, 1, media=MARKDOWN)
         gates = judged_blocks(self.judged) if self.judged else []
-        return [Section([heading, Sentence(said, "headline"), Points(facts)]), Section([table]), Section(gates)]
+        return [Section([heading, Sentence(summary, "headline"), Points(facts)]), Section([table]), Section(gates)]
 
     def _row(self, name: str, rows: Sequence[TopicRow | None]) -> Row:
         sides = [_cells(row) for row in rows]

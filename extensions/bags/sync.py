@@ -49,28 +49,26 @@ class Sync:
 
 
 def compare_stamps(names: Sequence[str], topics: dict[str, TopicTimes]) -> Sync:
-    """Return how the stamps of the first topic go against those of the second.
+    """Return how the stamps of the first topic go against the second's.
 
     Raises:
         OptionError: a topic is not there, has no stamps, or both have too few messages in a common time.
     """
-    one, other = (_stamped(name, topics) for name in names)
-    first_ns, last_ns = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
+    first, other = (_stamped(name, topics) for name in names)
+    first_ns, last_ns = max(first[0][0], other[0][0]), min(first[0][-1], other[0][-1])
     edges = np.linspace(first_ns, max(last_ns, first_ns), PATTERN + 1)
-    ages = [_by_part(*times, edges) for times in (one, other)]
+    ages = [_by_part(*times, edges) for times in (first, other)]
     offsets, middle_ns = ages[0] - ages[1], (edges[1:] + edges[:-1]) / 2 - first_ns
     if np.isnan(offsets).any():
         raise OptionError(f"--sync {','.join(names)}: fewer than {FEWEST} messages of both in a part of their time")
     slope, level = np.polyfit(middle_ns, offsets, 1)
-    rest = offsets - slope * middle_ns - level
-    error = np.sqrt((rest**2).sum() / (PATTERN - 2) / ((middle_ns - middle_ns.mean()) ** 2).sum())
+    residual = offsets - slope * middle_ns - level
+    error = np.sqrt((residual**2).sum() / (PATTERN - 2) / ((middle_ns - middle_ns.mean()) ** 2).sum())
     ends = (float(part.mean()) for part in (offsets[:2], offsets[-2:]))
-    drifts_ppm = (
-        float(value * UNIT_NS["ms"]) for value in (slope, student_quantile((1 + MOST) / 2, PATTERN - 2) * error)
-    )
-    return Sync(
-        names[0], names[1], min(len(one[0]), len(other[0])), float(np.median(offsets)), spread(rest), *ends, *drifts_ppm
-    )
+    bound = student_quantile((1 + MOST) / 2, PATTERN - 2) * error
+    drifts_ppm = (float(value * UNIT_NS["ms"]) for value in (slope, bound))
+    messages = min(len(first[0]), len(other[0]))
+    return Sync(*names, messages, float(np.median(offsets)), spread(residual), *ends, *drifts_ppm)
 
 
 def _stamped(name: str, topics: dict[str, TopicTimes]) -> tuple[Int64, Int64]:

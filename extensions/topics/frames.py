@@ -174,8 +174,8 @@ def _by_session(deliveries: Sequence[Delivery], name: str) -> list[Int64]:
     return [np.sort(pl.concat(parts).to_numpy()) for parts in sessions.values()]
 
 
-def _reliability(asked: Sequence[JsonObject]) -> str:
-    return ", ".join(sorted({str(qos.get("reliability", "unknown")) for qos in asked}))
+def _reliability(policies: Sequence[JsonObject]) -> str:
+    return ", ".join(sorted({str(qos.get("reliability", "unknown")) for qos in policies}))
 
 
 def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""One publisher's messages at a tap: its description in the trace, counts, rate and silence; and publishers told apart by their numbers."""
+"""One publisher's messages at a tap: its description in the trace, counts, rate and silence; and publishers distinguished by their numbers."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Stream:
 
     @property
     def rate_hz(self) -> float:
-        """The publisher's rate by its numbers, else that of the arrivals; 0 if unknown."""
+        """The publisher's rate by its numbers, else the rate of arrivals; 0 if unknown."""
         period_ns = self.sent_period_ns or (self.last_ns - self.first_ns) / max(self.messages - 1, 1)
         return SECOND_NS / period_ns if period_ns > 0 else 0.0
 
@@ -140,7 +140,7 @@ def lost_words(subscribed: str, offered: str) -> str:
 
 
 def find_by_number(streams: Sequence[Stream], sequence: int, sent_ns: int) -> tuple[Stream | None, bool]:
-    """Return the publisher whose number is due, and whether that is sure.
+    """Return the publisher with the number that is due, and whether that is sure.
 
     A publisher's numbers only rise: one that falls back is another's. The next number of a publisher is its own; one that is
     ahead of what is due by more than half of its step may be of a publisher that was not heard yet.

@@ -74,7 +74,7 @@ TAP = 5
 GRAPH_PERIOD_NS = SECOND_NS // 2
 MOST_STREAMS = 10_000
 MOST_NUMBERED = 16
-"""Publishers of a topic that numbers tell apart at a time."""
+"""Publishers of a topic that numbers distinguish at a time."""
 MOST_ANNOUNCED = 1000
 """Pairs of topic and type that a tap joins or refuses."""
 JOIN_NS = GRAPH_PERIOD_NS
@@ -100,7 +100,7 @@ class _Topic:
     """By `source` of a message; None is the only publisher, or all of several that send no numbers."""
 
     numbered: list[Stream] = field(default_factory=list)
-    """Publishers that only their numbers tell apart."""
+    """Publishers that only their numbers distinguish."""
 
     @property
     def is_unseen(self) -> bool:

@@ -68,7 +68,7 @@ def compare_stamps(names: Sequence[str], topics: dict[str, TopicTimes]) -> Sync:
     bound = student_quantile((1 + MOST) / 2, PATTERN - 2) * error
     drifts_ppm = (float(value * UNIT_NS["ms"]) for value in (slope, bound))
     messages = min(len(first[0]), len(other[0]))
-    return Sync(*names, messages, float(np.median(offsets)), spread(residual), *ends, *drifts_ppm)
+    return Sync(names[0], names[1], messages, float(np.median(offsets)), spread(residual), *ends, *drifts_ppm)
 
 
 def _stamped(name: str, topics: dict[str, TopicTimes]) -> tuple[Int64, Int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,8 +18,6 @@ from dds_trace.cli.program import argument, ask_about_folder, command, make_app,
 from .kinds import SUFFIX_WORDS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from dds_trace.extensions.gates.gate import Gate
 
     from .analyze import StampCorrector

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.backends import load_backend
-from dds_trace.recorder.backends.ros2.fastdds_profile import profile_xml, xml_text
+from dds_trace.recorder.backends.ros2.fastdds_profile import Settings, profile_xml, xml_text
 from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.kernel.counters import read_limits
 
 from .folder import replace_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from dds_trace.recorder.backends.ros2.fastdds_profile import Settings
-
     from .plan.link import Link
 
 PACKET_BYTES = 1400

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -14,15 +15,10 @@ from dds_trace.tracefile.reading.reader import read_trace
 
 from .plan.cells import Cell
 from .plan.link import Link
+from .plan.plan import Plan
 from .run.result import read_responses
 from .sweep import compare_clocks
 from .trials import Trials, open_trials
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from .plan.plan import Plan
 
 SECONDS, PROBE_S = 3.0, 25.0
 """Length of a run, and of all with their starts and the comparison of the clocks."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.pipeline import analyze
@@ -10,11 +12,6 @@ from dds_trace.extensions.gates.compare import CompareOptions, compare
 from dds_trace.extensions.gates.costs import pays, speaks_against
 from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS, match_without
 from dds_trace.reports.book.groups import time_words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
 
 Proof: TypeAlias = "dict[str, Any]"
 """`kept` (is better), `verdict` (better, worse or no difference), `reason`, and the rows of the comparison `proof` and `received`, ns."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -16,17 +17,11 @@ from dds_trace.recorder.backends.ros2 import middleware_of
 
 from .advice import bundles, write_bundles
 from .halving import Candidate, Limits
-from .plan.cells import DEFAULTS
+from .plan.cells import DEFAULTS, Cell
 from .plan.flows import MESSAGE_AXES, is_crowded
+from .plan.link import Link
+from .plan.plan import Plan
 from .plan.plan_file import parse_plan, read_host, read_link
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from .plan.cells import Cell
-    from .plan.link import Link
-    from .plan.plan import Plan
 
 HERE = ("here", "localhost")
 """Names of this machine for `--host`, next to its own."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -17,9 +19,6 @@ from ..host.environment import MiddlewareEnvironment, watched_configuration
 from ..security.keys import LAST_SECURED_DOMAIN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from .node import Node, NodeOptions
 
 

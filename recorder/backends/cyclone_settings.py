@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +21,6 @@ from .qos import duration_extra, requested_durations
 from .sizes import VENDORS_SIZES, Sizes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from .node import NodeOptions
 
 # ROS 2's LOCALHOST range has no multicast: its nodes look for others at the well-known unicast ports of 127.0.0.1.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -13,13 +14,10 @@ from ..applied.vendors import vendor_facts
 from ..backends import load_backend
 from ..choices import Discovery
 from ..domains import domain_port_range
-from ..kernel.sockets import DiagError, dump_sockets, read_sockets
+from ..kernel.sockets import DiagError, Socket, dump_sockets, read_sockets
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from ..backends.node import Node
-    from ..kernel.sockets import Socket
 
 _STUCK_SEGMENTS = 3
 """Segments of a connection that were sent again; a healthy one that just opened has none."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -28,8 +29,6 @@ from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, 
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-
     FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
     AxisValue: TypeAlias = str | int | float | bool | None
     AxisValues: TypeAlias = dict[str, list[AxisValue]]

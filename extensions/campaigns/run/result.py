@@ -4,25 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted, three_digits
-from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.format.descriptions import Run
+from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.reading.trace import Trace
 
 from ..plan.plan import PERCENTILES
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.events import EventColumns
-    from dds_trace.tracefile.reading.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)

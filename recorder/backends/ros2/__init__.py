@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.files import read_regular
 
@@ -12,6 +12,7 @@ from ...applied.vendors import VENDORS, RosMiddleware, ros_middleware
 from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import Backend, Meeting, dds_meeting
+from ..node import Node, NodeOptions
 from .calls import Ros2CallNode
 from .fastdds_profile import applied_transport
 from .installation import (
@@ -31,12 +32,6 @@ from .installation import (
     set_security,
 )
 from .node import Ros2Node, running_rmw
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from ..node import Node, NodeOptions
-
 
 _ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
 

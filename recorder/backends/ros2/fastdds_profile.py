@@ -18,23 +18,20 @@ import ctypes
 import os
 import tempfile
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.vendors import BUFFER_BYTES, ros_middleware
 from ...choices import Discovery, Transport
+from ..node import NodeOptions
 from ..sizes import VENDORS_SIZES, Sizes
 from .installation import NO_TUNING, fast_dds, set_transport
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from ..node import NodeOptions
 
 Settings: TypeAlias = "dict[str, Any]"
 """Names of a configuration as they nest; an XML tag may carry attributes, and a list repeats it."""

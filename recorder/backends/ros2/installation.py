@@ -8,14 +8,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import psutil
 
@@ -29,14 +29,8 @@ from ...choices import Discovery, Transport
 from ...host.child import Child
 from ...security.keys import enclave
 from ..base import has_package
-from ..node import Middleware
+from ..node import Middleware, NodeOptions
 from ..qos import requested_durations
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from ..node import NodeOptions
-
 
 WRONG_RMW_TIMEOUT_S = 30.0
 WHEELS_RMW = "rmw_fastrtps_cpp"

@@ -7,6 +7,7 @@ from __future__ import annotations
 import inspect
 import signal
 import threading
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -26,8 +27,6 @@ from .fastdds_profile import send_unlocked, send_when_free, uses_tcp
 from .installation import describe_middleware, message_class
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-
     from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription, TapReceive, TopicPatterns
 
 GUID_BYTES = 16

@@ -198,7 +198,9 @@ backend = "{backend}"
 size = "1KB"
 rate = "max"
 ping_share = 0.05
+depth = 100
 """
+"""The last 100 messages have 5 pings: of the usual 10, to which a relay without a processor gets, none may be one."""
 
 
 @pytest.mark.parametrize("backend", ["socket", "cyclonedds"])

@@ -10,12 +10,14 @@ messages. The loop is `for _ in make_reader(stream).iter_messages(): pass`. A ra
 - *topics*: 1 kHz, 200 Hz and 100 Hz with stamps on a grid that arrive late by up to half a period.
 - *camera*: the same with images of 300 KB at 30 Hz, not packed.
 - *many*: 4,000 topics of 100 messages.
+- *sqlite*, *ros1*: three tenths of *topics* in a database of rosbag2, and in a ROS 1 bag, against `bag` of the same in MCAP.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import sqlite3
 import statistics
 import struct
 import sys
@@ -27,18 +29,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 from commands import Ran, run_command
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Writer1
+
+from dds_trace.extensions.bags.sqlite_rows import SQLITE_TABLES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 HERE = Path(__file__).parents[1]
 START_NS = 1_790_000_000_000_123_457
 SECONDS, CAMERA_SECONDS, MANY_TOPICS, MANY_SECONDS, FEW_SECONDS = 770.0, 100.0, 4000, 10.0, 0.2
-QUICK_PART = 0.1
+QUICK_PART, OTHERS_PART = 0.1, 0.3
 TOPICS = ((5_000_000, 300), (1_000_000, 120), (10_000_000, 1_000))
 CAMERA = (33_333_333, 300_000)
 MANY = (100_000_000, 100)
-BARS = {"bag topics": 0.2, "bag camera": 0.5, "recover topics": 0.6, "recover cut": 0.6}
+BARS = {
+    "bag topics": 0.2,
+    "bag camera": 0.5,
+    "bag sqlite": 1.5,
+    "bag ros1": 1.5,
+    "recover topics": 0.6,
+    "recover cut": 0.6,
+}
 MOST_BYTES_A_MESSAGE, MOST_BYTES_BESIDES = 100, 150e6
 LOOP = "import sys; from mcap.reader import make_reader; [None for _ in make_reader(open(sys.argv[1], 'rb')).iter_messages()]"
 RULE = "=" * 80
@@ -50,18 +62,17 @@ DEFINITION = (
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording; the loop reads one that is not closed only as a `part` of the `whole`."""
+    """A recording; the loop reads one that is not closed only as a `part` of the `whole`. One `like` another in MCAP is held against it."""
 
     path: Path
     messages: int
     whole: Path | None = None
     part: float = 1.0
+    like: Path | None = None
 
 
-def write_recording(
-    path: Path, seconds: float, topics: Sequence[tuple[int, int]] = TOPICS, *, is_packed: bool = True
-) -> Recording:
-    """Write topics, each with a period (ns) and a payload (bytes)."""
+def messages_of(seconds: float, topics: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int, int, bytes]]:
+    """Yield topic, log time, stamp and payload of messages by log time; each topic has a period (ns) and a payload (bytes)."""
     rng = np.random.default_rng(7)
     blob = rng.integers(0, 64, 400_000, dtype=np.uint8).tobytes()
     times, stamps, of_topic = [], [], []
@@ -70,19 +81,54 @@ def write_recording(
         times.append(stamps[-1] + 2_000_000 + rng.integers(0, period_ns // 2, len(stamps[-1])))
         of_topic.append(np.full(len(stamps[-1]), number))
     time_ns, stamp_ns, topic = (np.concatenate(column) for column in (times, stamps, of_topic))
-    order = np.argsort(time_ns, kind="stable")
+    for number, row in enumerate(np.argsort(time_ns, kind="stable").tolist()):
+        size = topics[topic[row]][1]
+        content = struct.pack("<4sI", b"cam\0", size) + blob[number % 1000 : number % 1000 + size]
+        yield int(topic[row]), int(time_ns[row]), int(stamp_ns[row]), content
+
+
+def write_recording(
+    path: Path, seconds: float, topics: Sequence[tuple[int, int]] = TOPICS, *, is_packed: bool = True
+) -> Recording:
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD if is_packed else CompressionType.NONE)
         writer.start("ros2", "made")
         schema = writer.register_schema("my_msgs/msg/Blob", "ros2msg", DEFINITION.encode())
         channels = [writer.register_channel(f"/t{number}", "cdr", schema) for number in range(len(topics))]
-        for number, row in enumerate(order.tolist()):
-            size, stamp = topics[topic[row]][1], divmod(int(stamp_ns[row]), 10**9)
-            head = b"\0\1\0\0" + struct.pack("<iII4sI", *stamp, 4, b"cam\0", size)
-            data = head + blob[number % 1000 : number % 1000 + size]
-            writer.add_message(channels[topic[row]], int(time_ns[row]), data, int(stamp_ns[row]), number)
+        number = -1
+        for number, (topic, time_ns, stamp_ns, content) in enumerate(messages_of(seconds, topics)):
+            writer.add_message(channels[topic], time_ns, cdr(stamp_ns, content), stamp_ns, number)
         writer.finish()
-    return Recording(path, len(order))
+    return Recording(path, number + 1)
+
+
+def cdr(stamp_ns: int, content: bytes) -> bytes:
+    return b"\0\1\0\0" + struct.pack("<iII", *divmod(stamp_ns, 10**9), 4) + content
+
+
+def write_database(path: Path, seconds: float, like: Recording) -> Recording:
+    with sqlite3.connect(path) as database:
+        database.executescript(SQLITE_TABLES)
+        topics = [(number + 1, f"/t{number}", "my_msgs/msg/Blob", "cdr", "", "") for number in range(len(TOPICS))]
+        database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", topics)
+        definition = (1, "my_msgs/msg/Blob", "ros2msg", DEFINITION, "")
+        database.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)", definition)
+        rows = ((topic + 1, at, cdr(stamp, content)) for topic, at, stamp, content in messages_of(seconds, TOPICS))
+        database.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+    database.close()
+    return Recording(path, like.messages, like=like.path)
+
+
+def write_ros1(path: Path, seconds: float, like: Recording) -> Recording:
+    definition = f"Header header\nuint8[] data\n{RULE}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+    with Writer1(path) as bag:
+        topics = [
+            bag.add_connection(f"/t{number}", "my_msgs/msg/Blob", msgdef=definition, md5sum="0" * 32)
+            for number in range(len(TOPICS))
+        ]
+        for number, (topic, time_ns, stamp_ns, content) in enumerate(messages_of(seconds, TOPICS)):
+            bag.write(topics[topic], time_ns, struct.pack("<IIII", number, *divmod(stamp_ns, 10**9), 4) + content)
+    return Recording(path, like.messages, like=like.path)
 
 
 def run_of(checkout: Path, command: str, recording: Path, out: Path) -> Ran:
@@ -118,6 +164,10 @@ def main() -> int:
             "recover topics": topics,
             "recover cut": cut,
         }
+        seconds = SECONDS * part * OTHERS_PART
+        like = write_recording(folder / "like.mcap", seconds)
+        rows["bag sqlite"] = write_database(folder / "like.db3", seconds, like)
+        rows["bag ros1"] = write_ros1(folder / "like.bag", seconds, like)
         for row, recording in rows.items():
             if options.only in row:
                 missed += measure(row, recording, few, options.rounds, options.against, is_full=options.full)
@@ -130,7 +180,10 @@ def measure(row: str, recording: Recording, few: Recording, rounds: int, against
     over_loop, over_before, ran_last, of_before = [], [], None, ""
     for _ in range(rounds):
         loops = [
-            run_command([sys.executable, "-c", LOOP, os.fspath(one.whole or one.path)], {}) for one in (few, recording)
+            run_of(HERE, command, one, out)
+            if recording.like
+            else run_command([sys.executable, "-c", LOOP, os.fspath(one)], {})
+            for one in (few.path, recording.like or recording.whole or recording.path)
         ]
         runs = [run_of(HERE, command, one.path, out) for one in (few, recording)]
         cpu_s, loop_s = (after.cpu_s - before.cpu_s for before, after in (runs, loops))
@@ -142,11 +195,11 @@ def measure(row: str, recording: Recording, few: Recording, rounds: int, against
             over_before.append(cpu_s / before_s)
             of_before = f"; {statistics.median(over_before):.3f} of the {before_s:.2f} s, {before[1].peak_bytes / 1e6:.0f} MB before"
     assert ran_last is not None
-    ratio, bar = statistics.median(over_loop), BARS.get(row)
+    ratio, bar, peer = statistics.median(over_loop), BARS.get(row), "MCAP" if recording.like else "the loop"
     most_bytes = MOST_BYTES_BESIDES + MOST_BYTES_A_MESSAGE * recording.messages
     print(
         f"{row}: {recording.messages:,} messages, {ran_last.cpu_s:.2f} s of a core with its start, {ran_last.peak_bytes / 1e6:.0f} MB; "
-        f"{ratio:.2f} of the loop{f' (at most {bar})' if bar else ''}{of_before}",
+        f"{ratio:.2f} of {peer}{f' (at most {bar})' if bar else ''}{of_before}",
         flush=True,
     )
     return is_full * ((bar is not None and ratio > bar) + (ran_last.peak_bytes > most_bytes))

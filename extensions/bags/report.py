@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from markupsafe import Markup
 
@@ -222,16 +223,18 @@ def _age_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
         yield f"{counted(row['age_negative'], 'message')} logged before {stamped}: two clocks, or a stamp of the future"
 
 
-def topics_of(report: TopicReport, path: str) -> list[tuple[TopicRow, list[TopicRow], tuple[float, ...]]]:
-    holes: dict[str, list[TopicRow]] = {}
+_Topic: TypeAlias = tuple[TopicRow, Sequence[TopicRow], Sequence[float]]
+"""Row, holes, and strip."""
+
+
+def topics_by_recording(report: TopicReport) -> dict[str, list[_Topic]]:
+    holes: dict[tuple[str, str], list[TopicRow]] = {}
     for hole in report.holes.iter_rows(named=True):
-        if hole["recording"] == path:
-            holes.setdefault(hole["topic"], []).append(hole)
-    return [
-        (row, holes.get(row["topic"], []), strip)
-        for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True)
-        if row["recording"] == path
-    ]
+        holes.setdefault((hole["recording"], hole["topic"]), []).append(hole)
+    topics: dict[str, list[_Topic]] = {health.path: [] for health in report.recordings}
+    for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True):
+        topics[row["recording"]].append((row, holes.get((row["recording"], row["topic"]), []), strip))
+    return topics
 
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
@@ -249,6 +252,10 @@ class BagReport(blocks.Report):
     name = "topics"
     title: str = "Is this bag whole?"
     kicker = "Topics of recordings"
+
+    @cached_property
+    def _topics(self) -> dict[str, list[_Topic]]:
+        return topics_by_recording(self.report)
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -270,7 +277,7 @@ class BagReport(blocks.Report):
                     "strip": [round(share, 4) for share in strip],
                 }
                 for health in report.recordings
-                for row, holes, strip in topics_of(report, health.path)
+                for row, holes, strip in self._topics[health.path]
             ],
             "observations": report.observations.rows(named=True),
             "chains": [{"recording": path} | asdict(link) for path, link in report.links],
@@ -290,7 +297,7 @@ class BagReport(blocks.Report):
         return [title, *parts, limits, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
-        topics = topics_of(self.report, health.path)
+        topics = self._topics[health.path]
         rows = [row for row, _, _ in topics]
         yield Heading(printable(health.path))
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")

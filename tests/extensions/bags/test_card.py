@@ -2,6 +2,7 @@ import re
 import struct
 
 import numpy as np
+import polars as pl
 import pytest
 from card_bags import HEADER, MS, START_NS, S, blob, card, timer, write, write_mcap
 from mcap.writer import Writer
@@ -11,6 +12,7 @@ from wording import numbers
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.cli import trace
+from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.card import qos_words
 from dds_trace.extensions.bags.periods import find_grid, find_regularity
 from dds_trace.extensions.bags.report import COLUMNS, BagReport
@@ -40,6 +42,17 @@ def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
     assert "all topics: nothing for" in shown
     for kind in REPORT_MODULES:
         assert "/imu" in load_reporter(kind).render(BagReport(report))
+
+
+def test_the_rows_of_many_recordings_are_read_once(tmp_path, monkeypatch):
+    for number in range(3):
+        write(tmp_path / f"{number}x.mcap", {"/imu": timer(100, 2, without=[(1, 1.5)]), "/gps": timer(10, 2)})
+    report, read = BagReport(analyze_topics(tmp_path)), []
+    rows_of = pl.DataFrame.iter_rows
+    monkeypatch.setattr(pl.DataFrame, "iter_rows", lambda frame, **how: read.append(frame) or rows_of(frame, **how))
+    assert [len(topic["holes"]) for topic in report.document["topics"]] == [0, 1] * 3
+    assert len(report.sections) == 3 + 4
+    assert len(read) == 2, "topics and holes, once for all"
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,8 @@ def collect_details(
         from .verdicts.recommend import recommend_settings
 
         messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
-        recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values())
+        estimate = load("parts", "estimator")(messages, options.job)
+        recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values(), estimate=estimate)
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Annotated
 
+from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.base.units import spell_size
 
@@ -49,7 +51,10 @@ def choose_command(
     For example:
 
         dds-trace choose runs/ --size 502KB --rate 20 --deadline 50ms
+
+    What was measured is kept in $XDG_STATE_HOME/dds-trace/learned, for other sizes, rates and links.
     """
+    from dds_trace.analyzer.verdicts.cases import MOST_COMPARED_ROWS
     from dds_trace.analyzer.verdicts.job import make_job
 
     job = make_job(
@@ -57,7 +62,14 @@ def choose_command(
     )
     analysis = run_analysis(paths, out, report, {"job": job}, open_it=open_it, shows_all=shows_all)
     recommendation = analysis.details.recommendation
-    if recommendation is not None and not recommendation.candidates:
+    candidates = () if recommendation is None else recommendation.candidates
+    if not any(candidate.measured for candidate in candidates):
         kinds = analysis.summary.select("data_type", "payload_bytes", "rate_hz").unique(maintain_order=True)
         shown = [f"{data} {spell_size(size)} at {rate:g} Hz" for data, size, rate in kinds.head(MOST_KINDS).iter_rows()]
         say(f"measured: {', '.join(shown)}{' ...' if kinds.height > MOST_KINDS else ''}")
+    if not all(candidate.measured for candidate in candidates) and find_spec("sklearn") is None:
+        say(
+            "pip install 'dds-trace[learn]' (in a clone '.[learn]'): then what nobody measured is estimated from what was"
+        )
+    if analysis.summary["published"].sum() <= MOST_COMPARED_ROWS:  # in memory once more
+        say(load("parts", "keep_results")(analysis.load_messages(), job))

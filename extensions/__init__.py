@@ -52,6 +52,7 @@ EXTENSIONS = (
             "advise": "commands.advise:app",
         },
         checks={"links": "station.namespaces:permitted"},
+        parts={"estimator": "learning.model:Estimator", "keep_results": "learning.results:keep_results"},
     ),
     Extension(
         name="gates",

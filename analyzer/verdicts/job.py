@@ -1,14 +1,11 @@
-"""A job, as `dds-trace choose` reads it, and guesses of its time."""
+"""A job, as `dds-trace choose` reads it, and a guess of its time."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
-
-import numpy as np
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, split_quantity
@@ -85,54 +82,12 @@ def make_job(
     )
 
 
-SizeAndRate = tuple[float, float]
-"""Payload in bytes and rate in Hz, both above 0."""
-
-MIN_ERRORS = 3
-"""Held-out measurements below which no guess is made: the largest of so few errors bounds nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """An interpolated time, off by at most `error_factor` at all held-out measurements."""
+    """A learned time with its interval by `held_out` results, or why nothing is known (`reason`)."""
 
-    value_ns: float
-    lower_ns: float
-    upper_ns: float
-    error_factor: float
-    held_out: int
-
-
-def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
-    """Interpolate a time from measured ones; None if these do not surround it, or too few can be held out."""
-    logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
-    log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
-    errors = [
-        abs(predicted - value)
-        for point, value in logs.items()
-        if (predicted := _interpolate({other: v for other, v in logs.items() if other != point}, point)) is not None
-    ]
-    if log_value is None or len(errors) < MIN_ERRORS:
-        return None
-    value_ns, factor = math.exp(log_value), math.exp(max(errors))
-    return Guess(value_ns, value_ns / factor, value_ns * factor, factor, len(errors))
-
-
-def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
-    size, rate = at
-    swapped = {(r, s): value for (s, r), value in logs.items()}
-    values = [v for v in (_two_steps(logs, size, rate), _two_steps(swapped, rate, size)) if v is not None]
-    return sum(values) / len(values) if values else None
-
-
-def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
-    lines: dict[float, dict[float, float]] = {}
-    for (x, y), value in logs.items():
-        lines.setdefault(y, {})[x] = value
-    across = {y: at_first for y, line in lines.items() if (at_first := _between(line, first)) is not None}
-    return _between(across, second)
-
-
-def _between(line: Mapping[float, float], x: float) -> float | None:
-    at, values = zip(*sorted(line.items()), strict=True) if line else ((), ())
-    return float(np.interp(x, at, values)) if at and at[0] <= x <= at[-1] else None
+    reason: str
+    value_ns: float | None = None
+    lower_ns: float | None = None
+    upper_ns: float | None = None
+    held_out: int = 0

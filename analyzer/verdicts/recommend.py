@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from dds_trace.base.units import SECOND_NS, counted, format_number, format_rate, format_size
+from dds_trace.base.units import SECOND_NS, counted, format_rate, format_size
 from dds_trace.tracefile.format.descriptions import Run
 
 from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS, ParameterValue
@@ -21,11 +21,16 @@ from ..statistics.intervals import MIN_RUNS, Basis, Interval, Range, ranges_over
 from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
 from .cases import Setting, partition_groups
-from .job import Job, SizeAndRate, guess_time
+from .job import Guess, Job
 from .matching import SetupRuns
 
 if TYPE_CHECKING:
     import polars as pl
+
+SizeAndRate: TypeAlias = tuple[float, float]
+
+Estimate: TypeAlias = Callable[[Mapping[str, ParameterValue], str], Guess]
+"""Values of `SETTING_COLUMNS` and `CELL_COLUMNS`, and why no number can be given (or empty) -> what is known of that result."""
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""
@@ -58,13 +63,13 @@ class Candidate:
     Attributes:
         setting: value of each of `SETTING_COLUMNS`.
         fit: whether it meets the deadline.
-        measured: whether the job's size and rate were measured; otherwise the numbers are interpolated.
+        measured: whether the job's size and rate were measured; otherwise the numbers are learned from other results.
         value_ns: the `reliability` quantile of `metric`; infinite if too many messages were lost, None if unknown.
-        lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error).
-        upper_ns: upper end of its interval (of a guess: the value times that error).
+        lower_ns: lower end of its interval (of a guess: of 90 %, by left-out results).
+        upper_ns: upper end of its interval.
         margin_ns: deadline less upper end; None if that is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
-        held_out: measurements that a guess's error comes from.
+        held_out: left-out results that a guess's interval is of.
         tied: whether the interval overlaps with the best candidate's on the same device pair and link, under the same
             conditions.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
@@ -151,13 +156,18 @@ class Recommendation:
 
 
 def recommend_settings(
-    roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95, runs: Iterable[Run] = ()
+    roundtrips: pl.DataFrame,
+    job: Job,
+    confidence: float = 0.95,
+    runs: Iterable[Run] = (),
+    estimate: Estimate = lambda _, why: Guess(": ".join(filter(None, ("not measured", why)))),
 ) -> Recommendation:
-    """Rank every setting whose time for a job was measured or can be guessed; a run without a description counts as finished."""
-    request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
+    """Rank every setting for a job, as measured or as `estimate` says of its parameters; a run without a description counts as finished."""
+    unfinished = frozenset(run.run_id for run in runs if run.state != "finished")
+    request = _Request(job, confidence, unfinished, estimate)
     accepted = {"data_type": job.data_type, **({"domain_mode": job.domain_mode} if job.domain_mode else {})}
     parts = partition_groups(roundtrips.filter(**accepted), SETTING_COLUMNS)
-    candidates = [candidate for rows in parts if (candidate := _candidate(rows, request)) is not None]
+    candidates = [_candidate(rows, request) for rows in parts]
     ranked: list[Candidate] = []
     for alternatives in _alternatives(candidates):
         middlewares = [candidate for candidate in alternatives if candidate.setting["backend"] != "socket"]
@@ -188,6 +198,7 @@ class _Request:
     job: Job
     confidence: float
     unfinished: frozenset[int]
+    estimate: Estimate
 
 
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
@@ -197,13 +208,13 @@ def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
     return float((len(times) - 1) * SECOND_NS / (int(times[-1]) - int(times[0])) / rate_hz)
 
 
-def _candidate(rows: pl.DataFrame, request: _Request) -> Candidate | None:
+def _candidate(rows: pl.DataFrame, request: _Request) -> Candidate:
     setting, size_and_rate = rows.select(SETTING_COLUMNS).row(0, named=True), ("payload_bytes", "rate_hz")
     parts = {part.select(size_and_rate).row(0): part for part in partition_groups(rows, size_and_rate)}
     measured = parts.get((request.job.payload_bytes, request.job.rate_hz))
     if measured is not None:
         return _measured(setting, measured, request)[0]
-    return _guessed(setting, {at: _measured(setting, part, request) for at, part in parts.items()}, request.job)
+    return _guessed(setting, {at: _measured(setting, part, request) for at, part in parts.items()}, request)
 
 
 def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[Candidate, str]:
@@ -225,9 +236,8 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
     if is_slow or (unfinished and fit is not Fit.MISSES):
         fit, reason = Fit.MISSES if is_slow else Fit.INCONCLUSIVE, failure
     received_ratio = group.received_share
-    if not failure and interval.value is not None and interval.value > job.deadline_ns:
-        lost = 1 - received_ratio
-        failure = "the deadline is missed" + (f" and {100 * lost:.3g} % are lost" if lost else "")
+    if not failure and interval.value == math.inf:
+        failure = f"{100 * (1 - received_ratio):.3g} % are lost"
     candidate = _candidate_of(
         *(setting, job, fit, interval.value, interval.range),
         measured=True,
@@ -332,47 +342,27 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
     return f"the deadline is within the interval; {advice}"
 
 
-def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, str]], job: Job) -> Candidate | None:
+def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, str]], request: _Request) -> Candidate:
+    job = request.job
     at = (float(job.payload_bytes), float(job.rate_hz))
     sizes, rates = (_next_to({point[axis] for point in measured}, at[axis]) for axis in (0, 1))
     around = [(size, rate) for size, rate in measured if size in sizes and rate in rates]
     words = {point: f"at {format_size(round(point[0]))} and {format_rate(point[1])}" for point in around}
-    failing = [f"{words[point]}, {failure}" for point in around if (failure := measured[point][1])]
-    if failing:
-        reason = f"not measured, and no estimate: {'; '.join(failing)}"
-        return _candidate_of(setting, job, Fit.INCONCLUSIVE, None, (None, None), measured=False, reason=reason)
-    values = {
-        size_and_rate: value
-        for size_and_rate, (candidate, _) in measured.items()
-        if (value := candidate.value_ns) is not None and 0 < value < math.inf
-    }
-    guess = guess_time(values, at)
-    if guess is None:
-        if len(around) < len(sizes) * len(rates) or not around:
-            return None
+    failing = [f"{words[point]} {failure}" for point in around if (failure := measured[point][1])]
+    message: Setting = {"data_type": job.data_type, "payload_bytes": job.payload_bytes, "rate_hz": job.rate_hz}
+    guess = request.estimate({**setting, **message}, "; ".join(failing))
+    fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
+    if guess.value_ns is None and not failing and around and len(around) == len(sizes) * len(rates):
         works = all(measured[point][0].fit in (Fit.MEETS, Fit.LIKELY) for point in around)
         does = "the deadline is met" if works else "it is not decided"
-        return _candidate_of(
-            *(setting, job, Fit.LIKELY if works else Fit.INCONCLUSIVE, None, (None, None)),
-            measured=False,
-            reason=f"not measured, and too little for an estimate: {' and '.join(words.values())} {does}",
-        )
-    fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
-    omitted = counted(guess.held_out, "omitted measurement was", "omitted measurements were")
+        guess = replace(guess, reason=f"{guess.reason}; {' and '.join(words.values())} {does}")
+        fit = Fit.MEETS if works else fit
     return _candidate_of(
-        *(
-            setting,
-            job,
-            Fit.LIKELY if fit is Fit.MEETS else Fit.INCONCLUSIVE,
-            guess.value_ns,
-            (guess.lower_ns, guess.upper_ns),
-        ),
+        *(setting, job, Fit.LIKELY if fit is Fit.MEETS else Fit.INCONCLUSIVE),
+        *(guess.value_ns, (guess.lower_ns, guess.upper_ns)),
         measured=False,
         held_out=guess.held_out,
-        reason=(
-            f"not measured: interpolated between measured sizes and rates; {omitted} off by a factor of up to "
-            f"{format_number(guess.error_factor)}"
-        ),
+        reason=guess.reason,
     )
 
 

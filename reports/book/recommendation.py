@@ -152,9 +152,7 @@ def _pair(candidate: Candidate) -> str:
     return place_label(str(ping_device), relay, str(connectivity), str(conditions))
 
 
-_NOTHING = (
-    "The traces have no such messages: their size and rate were not measured, and no measured ones surround them."
-)
+_NOTHING = "The traces have no messages of this kind."
 
 _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
 
@@ -191,7 +189,7 @@ def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
     ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
     share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), list[str]()
     if candidate.value_ns is not None:
-        kind = "95 %: " if candidate.measured else "by the largest error: "
+        kind = "95 %: " if candidate.measured else "90 %: "
         interval = f"{time} ({kind}{' to '.join(map(time_words, ends))})"
         numbers.append(time if None in ends or {*map(time_words, ends)} == {time} else interval)
         basis = ["a guess"]

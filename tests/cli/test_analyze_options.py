@@ -1,6 +1,8 @@
 import io
 import json
 import shlex
+import shutil
+import sys
 from pathlib import Path
 
 import polars as pl
@@ -70,7 +72,28 @@ def test_a_recommendation(runs, capsys):
     assert run_trace("choose", runs, *JOB) == 0
     assert "likely" in capsys.readouterr().out  # one run shows no more
     assert run_trace("choose", runs, "--size", "145", *JOB[2:]) == 0
-    assert "measured: binary 33KB at 10 Hz" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert "measured: binary 33KB at 10 Hz" in shown.err
+    assert "not known: measure it (1 minute)" in shown.out
+
+
+def test_what_was_chosen_from_is_kept_in_one_folder_and_goes_with_it(runs, capsys, monkeypatch, own_base_folders):
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    folder = own_base_folders / "state" / "dds-trace" / "learned"
+    for _ in range(2):  # the same runs are kept once
+        assert run_trace("choose", runs, "--size", "40KB", *JOB[2:]) == 0
+    shown = capsys.readouterr()
+    assert str(folder) in shown.err
+    assert shown.err.count("dds-trace[learn]") == 2
+    (path,) = folder.iterdir()
+    assert folder.stat().st_mode & 0o77 == 0
+    path.write_text("{")
+    assert run_trace("choose", runs, *JOB) == 0  # what was measured needs none of it
+    shown = capsys.readouterr()
+    assert "dds-trace[learn]" not in shown.err
+    assert [str(path) in line for line in shown.err.splitlines() if "left out" in line] == [True]
+    shutil.rmtree(folder)
+    assert run_trace("choose", runs, *JOB) == 0
 
 
 def test_topics_of_any_recording(runs, capsys):

@@ -9,7 +9,7 @@ from analyses import MS, Measured, make_analysis
 from roundtrip_frames import in_runs, steady
 from wording import numbers
 
-from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.job import Guess, Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.cli import trace
 from dds_trace.cli.record.command import words_of_role
@@ -199,19 +199,11 @@ def test_the_commands_record_as_many_runs_as_are_said_to_decide():
     assert numbers(advice.missing)[0] == runs > 4
 
 
-@pytest.mark.parametrize("slope", [0.2, 1.0, 2.0])
-def test_a_guess_has_no_share_that_few_errors_do_not_give(slope):
-    runs = [
-        in_runs(
-            [round(ns * (1 + 0.2 * (step % 2)) * 2 ** (slope * step)) for ns in MIXED[:400]],
-            payload_bytes=10_000 * 2**step,
-            run_id=10 * step,
-        )
-        for step in range(6)
-    ]
-    job = replace(JOB, payload_bytes=30_000, deadline_ns=2000 * MS, reliability=0.9)
-    (row,) = recommendation_info(recommend_settings(pl.concat(runs), job), VendorLabels(VENDORS)).rows
+def test_a_guess_is_said_to_be_one_with_the_share_of_its_interval():
+    job, guess = replace(JOB, payload_bytes=30_000, deadline_ns=2000 * MS), Guess("learned", 3 * MS, 2 * MS, 6 * MS, 34)
+    ranking = recommend_settings(steady(MIXED), job, estimate=lambda *_: guess)
+    (row,) = recommendation_info(ranking, VendorLabels(VENDORS)).rows
     assert "a guess" in row[2]
-    assert "largest error" in row[2]
+    assert "90 %: 2 ms to 6 ms" in row[2]
     assert "95 %" not in row[2]
     assert row[1] == "likely"

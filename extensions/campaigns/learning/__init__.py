@@ -1,0 +1,1 @@
+"""What earlier campaigns measured, and a model of it that answers for sizes and rates that nobody measured."""

@@ -144,6 +144,11 @@ bench-report *args: setup
     uv pip install --quiet --python {{bin}}/python -e '.[browsers]'
     {{bin}}/python benchmarks/report_page.py {{args}}
 
+# How far what `choose` learned is off at each campaign of docs/results/ by the others: the table of docs/results/learning.md (some minutes)
+bench-learning: setup
+    {{bin}}/python benchmarks/bench_learning.py --csv docs/results/learning.csv
+    {{bin}}/python scripts/quoted.py
+
 # How often what is said is true, by drawing: the tables of docs/results/coverage.md (--quick, names of tables)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}

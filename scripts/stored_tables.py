@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import format_rate, format_size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 TOP = Path(__file__).parents[1]
 RATIOS = TOP / "benchmarks" / "node.csv"
+LEARNING = TOP / "docs" / "results" / "learning.csv"
 STUDY = TOP / "docs" / "results" / "study"
 
 
@@ -50,4 +51,30 @@ def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = Fals
             [ours, against, *(cell(ratios.get((ours, against, *load))) for load in loads), bar]
             for ours, against, bar in contests
         ),
+    )
+
+
+def learning_table(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return what `benchmarks/bench_learning.py` counted: a row for each campaign that has results inside, and one for all."""
+    counts = ("results", "inside", "number", "within", "covered")
+    by_name: dict[str, dict[str, list[int]]] = {}
+    for row in rows:
+        for name in (row["campaign"], "all"):
+            sums = by_name.setdefault(name, {}).setdefault(row["statistic"], [0] * len(counts))
+            sums[:] = [total + int(row[count]) for total, count in zip(sums, counts, strict=True)]
+
+    def cells(name: str) -> Iterator[str]:
+        yield name
+        for number in range(len(counts)):
+            yield " / ".join(str(sums[number]) for sums in by_name[name].values())
+
+    def share(number: int, whole: int) -> str:
+        return " / ".join(f"{100 * sums[number] / max(1, sums[whole]):.0f} %" for sums in by_name["all"].values())
+
+    seen = sorted(
+        name for name, of_name in by_name.items() if name != "all" and any(sums[1] for sums in of_name.values())
+    )
+    head = ["left out", "results", "inside", "with a number", "within 2 times", "in the 90 % range"]
+    return markdown(
+        head, [*map(list, map(cells, [*seen, "all"])), ["share", "", "", share(2, 1), share(3, 2), share(4, 2)]]
     )

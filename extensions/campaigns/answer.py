@@ -52,7 +52,9 @@ FILLED_SHARE = 0.7
 _FRESH = 1000
 """Number of the runs before the fresh ones."""
 
-OpenTrials: TypeAlias = "Callable[[Plan, Path, Callable[[str], None], float], AbstractContextManager[Measurer]]"
+OpenTrials: TypeAlias = (
+    "Callable[[Plan, Path, Callable[[str], None], float, list[float]], AbstractContextManager[Measurer]]"
+)
 
 
 def answer(
@@ -137,6 +139,7 @@ class Search:
     link: Link | None = field(default=None, init=False)
     load: float = field(default=0.0, init=False)
     began_s: float = field(init=False)
+    overheads_s: list[float] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self.began_s = self.clock()
@@ -182,6 +185,9 @@ class Search:
         assert self.link is not None
         return f"the messages need {self.question.load_mbit_s:.3g} Mbit/s each way, the link carries {self._carried_mbit_s(self.link):.3g}"
 
+    def _open(self, plan: Plan, stage: str, folder: Path) -> AbstractContextManager[Measurer]:
+        return self.open(plan, folder, partial(self._note, stage), FIRST_SECONDS, self.overheads_s)
+
     def _note(self, stage: str, text: str) -> None:
         self._say(Event(stage, text))
 
@@ -205,7 +211,7 @@ class Search:
         if self.order is not None:
             candidates = self.order(candidates)
         looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
-        with self.open(looks, self.folder / "looks", partial(self._note, "look"), FIRST_SECONDS) as trials:
+        with self._open(looks, "look", self.folder / "looks") as trials:
             proof_s = 3 * PROOFS * trials.expected_s(candidates[0], self.proof_seconds(trials, candidates[0]))
             until_s = self._until_s - proof_s
             return Race(trials, self.question.limits, until_s, self._say, self.clock).halve(candidates)
@@ -233,15 +239,14 @@ class Search:
             races = []
             for standing in fresh:
                 plan = replace(self.question.plan, name="proof", cells=standing.candidate.cells)
-                opened = self.open(plan, self._side_folder(standing), partial(self._note, "proof"), FIRST_SECONDS)
-                trials = stack.enter_context(opened)
+                trials = stack.enter_context(self._open(plan, "proof", self._side_folder(standing)))
                 races.append(Race(trials, self.question.limits, self._until_s, self._say, self.clock, "proof"))
             best, trials = fresh[0].candidate, races[0].measurer
             seconds = self.proof_seconds(trials, best)
-            turn_s = len(fresh) * trials.expected_s(best, seconds)
-            fitting = int((self._until_s - self.clock()) / turn_s)  # fixed before the first run
-            for number in range(max(LEAST_PROOFS, min(PROOFS, fitting))):
-                turns = list(zip(fresh, races, strict=True))
+            fitting = int((self._until_s - self.clock()) / trials.expected_s(best, seconds))  # fixed before the first
+            fresh = fresh[: max(2, fitting // LEAST_PROOFS)]  # the default precedes the runner-up
+            turns = list(zip(fresh, races, strict=False))
+            for number in range(max(LEAST_PROOFS, min(PROOFS, fitting // len(fresh)))):
                 for standing, race in turns if number % 2 == 0 else reversed(turns):
                     if not standing.dropped:
                         race.run(standing, seconds)
@@ -282,7 +287,7 @@ class Search:
         if requested.size:
             axes["size_bytes"] = ("size", float(requested.size))
         fits: Answer = {}
-        with self.open(plan, self.folder / "fit", partial(self._note, "fit"), FIT_SECONDS) as trials:
+        with self._open(plan, "fit", self.folder / "fit") as trials:
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, "fit")
             for number, (name, (axis, value)) in enumerate(axes.items(), 1):
                 race.until_s = self.clock() + (self._until_s - self.clock()) * number / len(axes)

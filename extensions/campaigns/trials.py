@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 CUTOFF_S, SETTLE_S = 5.0, 0.2
 
+SSH_OVERHEAD_S = 4.0
+"""Start of a relay by ssh, and transfer of its trace."""
+
 
 def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
     """Return the plan with runs of such a length: tried once, without a measurement of the recorder's own cost after the first repeat."""
@@ -47,24 +50,25 @@ def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
 
 @dataclass(slots=True)
 class Durations:
-    """How long runs of a plan take: by the plan's estimate, then as the runs so far."""
+    """How long runs of a plan take: by the plan's estimate, then with the start and end of the runs so far."""
 
     plan: Plan
-    _overheads_s: list[float] = field(default_factory=list)
+    overheads_s: list[float] = field(default_factory=list)
 
     def expected_s(self, candidate: Candidate, seconds: float) -> float:
         """Return the duration of a run with its start and end."""
         plan = plan_of_trials(self.plan, self.plan.name, seconds)
-        if self._overheads_s:
+        if self.overheads_s:
             planned_s = sum(plan.run.planned_seconds(cell.rate) for cell in candidate.cells)
-            return planned_s + sum(self._overheads_s) / len(self._overheads_s)
+            return planned_s + sum(self.overheads_s) / len(self.overheads_s)
         cells = [replace(cell, repeat=2) for cell in candidate.cells]
-        return Estimate(plan).remaining(cells).seconds + RELAY_OVERHEAD_S
+        overhead_s = RELAY_OVERHEAD_S + SSH_OVERHEAD_S * plan.has_two_devices
+        return Estimate(plan).remaining(cells).seconds + overhead_s
 
     def took(self, candidate: Candidate, seconds: float, elapsed_s: float) -> None:
         """Note how long a run took."""
         run = plan_of_trials(self.plan, self.plan.name, seconds).run
-        self._overheads_s.append(elapsed_s - sum(run.planned_seconds(cell.rate) for cell in candidate.cells))
+        self.overheads_s.append(elapsed_s - sum(run.planned_seconds(cell.rate) for cell in candidate.cells))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -121,10 +125,15 @@ class Notes(SweepProgress):
 
 
 @contextmanager
-def open_trials(plan: Plan, folder: Path, note: Callable[[str], None], seconds: float) -> Iterator[Trials]:
-    """Lock the folder and open the station of a plan within the block; `seconds` is the length that its state is for."""
+def open_trials(
+    plan: Plan, folder: Path, note: Callable[[str], None], seconds: float, overheads_s: list[float] | None = None
+) -> Iterator[Trials]:
+    """Lock the folder and open the station of a plan within the block; `seconds` is the length that its state is for.
+
+    `overheads_s` are those of earlier runs, to which these are added.
+    """
     plan = plan_of_trials(plan, plan.name, seconds)
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:
         runner = Runner(plan, folder, station, Notes(note))
         runner.prepare(plan.cells)
-        yield Trials(plan, runner=runner)
+        yield Trials(plan, [] if overheads_s is None else overheads_s, runner=runner)

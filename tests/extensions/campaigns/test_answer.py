@@ -29,7 +29,7 @@ class Desk:
         self.random = np.random.default_rng(0)
 
     @contextmanager
-    def open(self, plan, _folder, _note, _seconds):
+    def open(self, plan, *_):
         self.stage = plan.name
         yield self
 

@@ -62,8 +62,10 @@ def _has_handle(name: str) -> bool:
 
 BRIDGE = Bridge(
     name=PROGRAM,
-    install="build Integration-Service and ROS2-SH with colcon, either -DMIX_ROS_PACKAGES='std_msgs sensor_msgs' or "
-    "-DIS_ROS2_SH_MODE=dynamic (https://integration-service.docs.eprosima.com), then source its install/setup.bash",
+    install=(
+        "build Integration-Service and ROS2-SH with colcon, either -DMIX_ROS_PACKAGES='std_msgs sensor_msgs' or "
+        "-DIS_ROS2_SH_MODE=dynamic (https://integration-service.docs.eprosima.com), then source its install/setup.bash"
+    ),
     tried="3.1.0 with the dynamic handle of ROS 2, November 2026; the static one never",
     suffix=".yaml",
     configuration=_configuration,

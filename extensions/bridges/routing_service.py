@@ -58,8 +58,10 @@ def _find() -> Path | None:
 
 BRIDGE = Bridge(
     name="routing-service",
-    install="it is part of RTI Connext Professional (https://www.rti.com) and needs its licence; "
-    "set NDDSHOME and RTI_LICENSE_FILE",
+    install=(
+        "it is part of RTI Connext Professional (https://www.rti.com) and needs its licence; "
+        "set NDDSHOME and RTI_LICENSE_FILE"
+    ),
     tried="never run: no licence",
     suffix=".xml",
     configuration=_configuration,

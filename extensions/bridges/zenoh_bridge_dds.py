@@ -26,8 +26,10 @@ def _configuration(options: BridgeOptions) -> str:
 
 BRIDGE = Bridge(
     name=PROGRAM,
-    install="build it with `just install-zenoh-bridge` in a clone (needs cargo), or get zenoh-bridge-dds from "
-    "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/",
+    install=(
+        "build it with `just install-zenoh-bridge` in a clone (needs cargo), or get zenoh-bridge-dds from "
+        "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
+    ),
     tried="1.10.2, November 2026",
     suffix=".json5",
     configuration=_configuration,

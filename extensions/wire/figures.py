@@ -64,8 +64,10 @@ def wire_cost_plan(book: Book) -> Plan | None:
 WIRE_COST = FigureMaker(
     name="wire_cost",
     title="What a message costs",
-    how_to_read="A whole bar is the bytes on the wire for each byte of payload, both ways, with all headers; what is above 1 is the price of the "
-    "middleware, by what it was spent on.",
+    how_to_read=(
+        "A whole bar is the bytes on the wire for each byte of payload, both ways, with all headers; what is above 1 is the price of the "
+        "middleware, by what it was spent on."
+    ),
     nothing="no run was recorded with --wire.",
     kind="wire_cost",
     make=wire_cost_plan,
@@ -95,8 +97,10 @@ def sent_again_plan(book: Book) -> Plan | None:
 SENT_AGAIN = FigureMaker(
     name="sent_again",
     title="Sent again",
-    how_to_read="Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "
-    "the price of one loss, and where it is a heartbeat's period, recovery waits for heartbeats.",
+    how_to_read=(
+        "Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "
+        "the price of one loss, and where it is a heartbeat's period, recovery waits for heartbeats."
+    ),
     nothing="no message was sent again, or no run was recorded with --wire.",
     kind="sent_again",
     make=sent_again_plan,

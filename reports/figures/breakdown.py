@@ -43,8 +43,10 @@ def breakdown_plan(book: Book) -> Plan | None:
 FIGURE = FigureMaker(
     name="breakdown",
     title="Where the time goes, on average",
-    how_to_read="A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "
-    "they add up and percentiles do not.",
+    how_to_read=(
+        "A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "
+        "they add up and percentiles do not."
+    ),
     nothing="no message has a schedule and all four time stamps (a relay's trace is missing).",
     kind="breakdown",
     make=breakdown_plan,

@@ -42,8 +42,10 @@ def _times(row: Mapping[str, Any]) -> dict[str, int | None]:
 ONE_WAY = FigureMaker(
     name="one_way",
     title="The way out against the way back",
-    how_to_read="Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
-    "inside it cannot be seen.",
+    how_to_read=(
+        "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
+        "inside it cannot be seen."
+    ),
     nothing="no message has all four time stamps (a relay's trace is missing).",
     kind="one_way",
     make=one_way_plan,
@@ -101,8 +103,10 @@ def clock_plan(book: Book) -> Plan | None:
 CLOCK = FigureMaker(
     name="clock",
     title="Clock offset and drift",
-    how_to_read="Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a "
-    "clock that was set, and one-way times are only as good as the bound.",
+    how_to_read=(
+        "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a "
+        "clock that was set, and one-way times are only as good as the bound."
+    ),
     nothing="ping and relay ran on one device, so there is one clock, or no relay's clock was measured.",
     kind="clock",
     make=clock_plan,

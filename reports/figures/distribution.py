@@ -36,8 +36,10 @@ def run_spread_plan(book: Book) -> Plan | None:
 RUN_SPREAD = FigureMaker(
     name="run_spread",
     title="Spread from run to run",
-    how_to_read="Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two setups "
-    "that is smaller than this needs more runs to be proved.",
+    how_to_read=(
+        "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two setups "
+        "that is smaller than this needs more runs to be proved."
+    ),
     nothing="nothing was measured in three runs of its own.",
     make=run_spread_plan,
     opened=False,
@@ -55,8 +57,10 @@ _NO_CURVE = "no result has two received messages."
 PERCENTILE_CURVE = FigureMaker(
     name="percentile_curve",
     title="Percentile curve",
-    how_to_read="Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the received ones was; a "
-    "curve ends where the sample does.",
+    how_to_read=(
+        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the received ones was; a "
+        "curve ends where the sample does."
+    ),
     nothing=_NO_CURVE,
     kind="percentile_curve",
     make=distribution_plan,
@@ -65,8 +69,10 @@ PERCENTILE_CURVE = FigureMaker(
 ECDF = FigureMaker(
     name="ecdf",
     title="Share of messages in time (ECDF)",
-    how_to_read="Pick a deadline on the horizontal axis: the curve shows which share of the planned messages met it; a lost or unsent message never "
-    "does, so the curve ends at the share received; where that is less than all, a second curve is of the received messages.",
+    how_to_read=(
+        "Pick a deadline on the horizontal axis: the curve shows which share of the planned messages met it; a lost or unsent message never "
+        "does, so the curve ends at the share received; where that is less than all, a second curve is of the received messages."
+    ),
     nothing=_NO_CURVE,
     kind="ecdf",
     make=distribution_plan,

@@ -26,8 +26,10 @@ def first_message_plan(book: Book) -> Plan | None:
 FIRST_MESSAGE = FigureMaker(
     name="first_message",
     title="Time to the first message",
-    how_to_read="Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "
-    "running: how long a node that starts has to wait.",
+    how_to_read=(
+        "Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "
+        "running: how long a node that starts has to wait."
+    ),
     nothing="no DDS run was recorded with --wire.",
     make=first_message_plan,
     opened=False,
@@ -46,8 +48,10 @@ def recovery_plan(book: Book) -> Plan | None:
 RECOVERY = FigureMaker(
     name="recovery",
     title="Coming back",
-    how_to_read="Each mark is the time from the end of an outage, of the kind and length in the setting, to the first reply, median of the runs "
-    "that came back; a setup without a mark never did within the limit.",
+    how_to_read=(
+        "Each mark is the time from the end of an outage, of the kind and length in the setting, to the first reply, median of the runs "
+        "that came back; a setup without a mark never did within the limit."
+    ),
     nothing="no sweep made an outage within a run.",
     make=recovery_plan,
 )
@@ -82,8 +86,10 @@ def fan_out_plan(book: Book) -> Plan | None:
 FAN_OUT = FigureMaker(
     name="fan_out",
     title="One message to several relays",
-    how_to_read="Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last; on "
-    "the right: the time from the start of the ping to the first answer of the last relay, which were all running.",
+    how_to_read=(
+        "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last; on "
+        "the right: the time from the start of the ping to the first answer of the last relay, which were all running."
+    ),
     nothing="no message went to several relays, and no pings sent at the same time.",
     kind="fan_out",
     make=fan_out_plan,

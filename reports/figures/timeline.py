@@ -58,8 +58,10 @@ def timeline_plan(book: Book) -> Plan | None:
 FIGURE = FigureMaker(
     name="timeline",
     title="Latency over time",
-    how_to_read="Each dot is a received message; crosses on the line at the top are lost messages at the time they were due, so a row of crosses is "
-    "an outage, and outages are shaded.",
+    how_to_read=(
+        "Each dot is a received message; crosses on the line at the top are lost messages at the time they were due, so a row of crosses is "
+        "an outage, and outages are shaded."
+    ),
     nothing="no message was published.",
     kind="timeline",
     make=timeline_plan,

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, QOS_DEFAULTS, SETTING_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.extensions.campaigns.commands import advise
+from dds_trace.extensions.campaigns.halving import Candidate
 from dds_trace.extensions.campaigns.learning.model import (
     OUTSIDE,
     Estimator,
@@ -19,7 +22,9 @@ from dds_trace.extensions.campaigns.learning.model import (
     order,
     question_of,
 )
-from dds_trace.extensions.campaigns.learning.results import Campaign, Result
+from dds_trace.extensions.campaigns.learning.results import Campaign, Result, keep
+from dds_trace.extensions.campaigns.plan.cells import Cell
+from dds_trace.extensions.campaigns.question import ask
 
 ROOT = Path(__file__).parents[4]
 MEDIAN = "response 0.5"
@@ -51,7 +56,10 @@ def campaign(seed, *, change=lambda _values, time_ns: time_ns, spread=0.05):
     off = random.normal(0, spread)
     cells = [parameters(vendor, size, rate) for vendor in SLOWNESS for size in SIZES for rate in RATES]
     times = [change(values, law_ns(values) * math.exp(off + random.normal(0, spread))) for values in cells]
-    return Campaign((f"{seed}",), tuple(Result(values, {MEDIAN: ns}) for values, ns in zip(cells, times, strict=True)))
+    return Campaign(
+        (f"{seed}",),
+        tuple(Result(values, {MEDIAN: ns, "response 0.9": ns}) for values, ns in zip(cells, times, strict=True)),
+    )
 
 
 def test_a_link_of_strangers_is_read_as_far_as_it_is_one():
@@ -158,6 +166,17 @@ class TestWithScikitLearn:
         for change, expected in ((lambda _, ns: ns, "cfz"), (losing, "fzc")):
             ranked = order(candidates, [campaign(seed, change=change) for seed in range(2)], MEDIAN)
             assert "".join(values["vendor"][0] for values in ranked) == expected
+
+    def test_advise_tries_first_what_was_quick_before(self):
+        plan = ask("30KB", "5", link="wifi-54")
+        candidates = [
+            Candidate(vendor, vendor, "", (Cell(backend="ros2", size=30_000, rate=5.0),)) for vendor in SLOWNESS
+        ]
+        assert advise._as_learned(plan, candidates) == candidates
+        keep(campaign(1))
+        candidates.append(replace(candidates[1], bundle="buffers"))
+        ranked = [(one.vendor, one.bundle) for one in advise._as_learned(plan, candidates)]
+        assert ranked == [("cyclonedds", ""), ("fastdds", ""), ("zenoh", ""), ("cyclonedds", "buffers")]
 
     @pytest.mark.thorough
     def test_of_kept_campaigns_that_are_left_out_most_are_within_twice(self, monkeypatch):

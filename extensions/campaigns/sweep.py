@@ -31,9 +31,6 @@ MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
 """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
 
-INCOMPLETE_EXIT_CODE = 10
-"""Exit code of `dds-trace sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
-
 TOO_WIDE_EXIT_CODE = 11
 """Exit code of `dds-trace sweep --until`: all is recorded, but some cells are too wide after the last pass."""
 

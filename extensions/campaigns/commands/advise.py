@@ -18,9 +18,8 @@ from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 from dds_trace.cli.program import argument, command, make_app, option
 
-from ..sweep import INCOMPLETE_EXIT_CODE
 from .against import say_missing, startable
-from .common import AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
+from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
 from .dry_run import argument_check
 
 if TYPE_CHECKING:

@@ -16,6 +16,8 @@ from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
+from .common import INCOMPLETE_EXIT_CODE
+
 if TYPE_CHECKING:
     from dds_trace.extensions.gates.gate import Gate
 
@@ -124,7 +126,6 @@ def run_sides(
 ) -> int:
     from ..against import run_against
     from ..run.progress import make_progress
-    from ..sweep import INCOMPLETE_EXIT_CODE
 
     if gates:
         say(shown_sides(base, other)[1][-1])

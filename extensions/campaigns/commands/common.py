@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from ..plan.plan import Plan
     from ..sweep import Until
 
+INCOMPLETE_EXIT_CODE = 10
+"""Exit code of `dds-trace sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
+
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
 

@@ -17,6 +17,7 @@ from dds_trace.base.units import counted
 from dds_trace.recorder.choices import Role
 
 from .against import NewSide, say_missing, shown_sides, side_folders, startable, startable_words
+from .common import INCOMPLETE_EXIT_CODE
 
 if TYPE_CHECKING:
     from ..plan.cells import Cell
@@ -43,7 +44,6 @@ def dry_run(
     searches: bool = False,
 ) -> int:
     from ..rehearsal import check_plan, rehearse_plan
-    from ..sweep import INCOMPLETE_EXIT_CODE
 
     runs = len(plan.cells) * plan.run.repeats
     if runs > MOST_CHECKED and not rehearses:

@@ -14,7 +14,7 @@ import typer
 from dds_trace.base.units import format_duration, format_size
 from dds_trace.cli.program import argument, command, make_app
 
-from .common import AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
+from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
 
 if TYPE_CHECKING:
     from ..explain import ExplainedSetup, Explanation
@@ -67,7 +67,7 @@ def _explain(explanation: Explanation, out: Path, *, dry_run: bool, as_json: boo
 
 def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:
     from ..run.progress import make_progress
-    from ..sweep import INCOMPLETE_EXIT_CODE, run_sweep
+    from ..sweep import run_sweep
     from .against import say_missing
 
     outcome = run_sweep(explanation.plan, out, make_progress())

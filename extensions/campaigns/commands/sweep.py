@@ -20,6 +20,7 @@ from dds_trace.cli.program import command, make_app, option
 from dds_trace.extensions.gates.command import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
 
 from .common import (
+    INCOMPLETE_EXIT_CODE,
     AsJson,
     DryRun,
     Out,
@@ -179,7 +180,7 @@ def capacity_command(plan: PlanPath, out: Out = Path("runs"), dry_run: DryRun = 
 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Sequence[Gate]) -> int:
     from ..run.progress import make_progress
-    from ..sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
+    from ..sweep import TOO_WIDE_EXIT_CODE, run_sweep
     from .against import print_complete, say_missing
     from .dry_run import relay_commands
 
@@ -220,7 +221,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from ..max_rate_report import COLUMNS, max_rate_rows, write_max_rates
     from ..run.progress import make_progress
     from ..search import RateAnswer
-    from ..sweep import INCOMPLETE_EXIT_CODE, run_search
+    from ..sweep import run_search
 
     folder, answers = run_search(plan, out, make_progress())
     written = write_max_rates(folder, answers, plan.search)

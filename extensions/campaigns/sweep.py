@@ -84,11 +84,7 @@ def open_runner(
 def run_sweep(
     plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None, until: Until | None = None
 ) -> SweepOutcome:
-    """Record every incomplete cell of the plan, in a folder below `out`; `until` is the precision up to which passes are added.
-
-    Raises:
-        TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
-    """
+    """Record the incomplete cells of the plan below `out`, adding passes up to `until`; a `TraceError` if none can be."""
     folder = out / plan.name
     groups = schedule(plan)
     with open_runner(plan, folder, progress, progress.note, command) as runner:

@@ -101,7 +101,7 @@ def compare_command(
     ] = "",
     out: Annotated[list[Path] | None, option("--out FILE", "File for the report. Default: stdout")] = None,
 ) -> None:
-    """Compare two sets of traces or bags: what is slower or loses more.
+    """Compare two sets of traces or bags: what is slower or lost.
 
     The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
     whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new

@@ -147,11 +147,7 @@ def parse_gates(texts: Iterable[str]) -> list[Gate]:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read a gate.
-
-    Raises:
-        OptionError: the text is not a gate.
-    """
+    """Read a gate; an `OptionError` for any other text."""
     where = f"--fail-if {text!r}"
     match = _GATE.fullmatch(text)
     if match is None:
@@ -170,11 +166,7 @@ _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
 
 
 def parse_threshold(metric: str, condition: str, results: Patterns = ()) -> Gate:
-    """Read what results have to meet (`latency_p99`, `< 20 ms`) as the gate that fails where it is not met.
-
-    Raises:
-        OptionError: there is no such metric, or the condition is not a limit.
-    """
+    """Read what results have to meet (`latency_p99`, `< 20 ms`) as the gate that fails otherwise, or an `OptionError`."""
     where = f"[thresholds] {shown(metric)} = {condition!r}"
     match = _GATE.fullmatch(f"{metric} {condition}")
     if match is None or match["metric"] != metric:
@@ -235,11 +227,7 @@ def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
 
 
 def parse_topic_gate(text: str, *, of_two: bool = False) -> Gate:
-    """Read a limit on a recorded topic, which may have wildcards; `of_two` recordings also a change.
-
-    Raises:
-        OptionError: the text is not such a limit.
-    """
+    """Read a limit on a recorded topic, which may have wildcards; an `OptionError` for any other text."""
     where = f"--fail-if {text!r}"
     match = _GATE.fullmatch(text)
     if match is None or not match["topic"]:

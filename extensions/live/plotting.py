@@ -94,11 +94,7 @@ PANELS_BY: Mapping[str, str] = {
 def line_figure(book: Book, name: str, panels: str | None, metric: str | None, statistic: str) -> Figure:
     """Draw a figure of lines: a column of panels for each value of `panels`, rows for other differences of groups.
 
-    `name` is one of `NAMES`, `panels` one of `PANELS_BY`; None is as on the page. Figures of times use `metric` and
-    `statistic`.
-
-    Raises:
-        OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
+    None is as on the page; an `OptionError` where a name is not one, or nothing is to draw.
     """
     _check("figure", name, NAMES)
     _check("panels", panels or "size", PANELS_BY)

@@ -251,11 +251,7 @@ class StampClock:
     def corrections(self, topics: Mapping[str, tuple[Int64, Int64]]) -> tuple[dict[str, Instants], list[str]]:
         """Return each topic's stamps on the recorder's clock, and notes; topics of other stamps are left out.
 
-        Args:
-            topics: name -> log times and stamps, both ns since 1970.
-
-        Raises:
-            OptionError: the stamps fit both ways, or none, and the request does not say which.
+        `topics` has log times and stamps, both ns since 1970; those that fit both ways, or none, are an `OptionError`.
         """
         chosen = {
             name: times for name, times in topics.items() if fnmatchcase(name, self._request.topics) and len(times[0])

@@ -13,7 +13,7 @@ import numpy as np
 
 from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
 
-from .bounds import FEW, FEWEST, FEWEST_FOR_P99, MOST, P99, WINDOW
+from .bounds import FEW, FEWEST, FEWEST_FOR_P99, MOST, P99, PHASES, WINDOW
 from .clocks import SIMULATED_BEFORE_NS
 from .losses import NONE
 from .periods import Int64
@@ -34,6 +34,8 @@ class Stamped:
 
     def first_of_stamps(self) -> tuple[Int64, Int64]:
         """Return the stamps, ascending, each once, and when they first came."""
+        if NONE not in self.stamp_ns[:1] and (np.diff(self.stamp_ns) > 0).all():
+            return self.stamp_ns, self.log_ns
         stamps, first = np.unique(self.stamp_ns, return_index=True)
         is_stamp = stamps != NONE
         return stamps[is_stamp], self.log_ns[first[is_stamp]]
@@ -69,13 +71,16 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
     if not len(number):
         return
     stamp_ns, log_ns = (np.concatenate(column) for column in zip(*firsts, strict=True))
-    order = np.lexsort((log_ns, stamp_ns))
+    order = np.argsort(stamp_ns, kind="stable")  # of ascending parts
+    is_again = np.diff(stamp_ns[order]) == 0
+    order = order[np.append(is_again, False) | np.append(False, is_again)]
+    order = order[np.lexsort((log_ns[order], stamp_ns[order]))]
     stamp_ns, number = stamp_ns[order], number[order]
     begins = np.maximum.accumulate(np.where(np.diff(stamp_ns, prepend=NONE) > 0, np.arange(len(order)), 0))
-    pairs, counts = np.unique(np.stack([number, number[begins]]), axis=1, return_counts=True)
-    edges = np.searchsorted(pairs[0], np.arange(len(firsts) + 1))
+    pairs, counts = np.unique(number * len(firsts) + number[begins], return_counts=True)
+    edges = np.searchsorted(pairs, np.arange(len(firsts) + 1) * len(firsts))
     for follower, (stamps, logged) in enumerate(firsts):
-        sources, shared = (part[edges[follower] : edges[follower + 1]] for part in (pairs[1], counts))
+        sources, shared = (part[edges[follower] : edges[follower + 1]] for part in (pairs % len(firsts), counts))
         shared = np.where(sources == follower, 0, shared)
         if 2 * shared.max(initial=0) < max(len(stamps), 2 * FEWEST):
             continue
@@ -111,14 +116,15 @@ def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
 
 
 def _follows(first: Stamped, follower: Stamped) -> Iterator[Link]:
-    at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
-    at, stamps_ns = at[at >= 0], follower.stamp_ns[at >= 0]
-    if len(at) < 2 * WINDOW or (np.diff(at) == 1).mean() < MOST:
+    at = np.searchsorted(first.log_ns, follower.stamp_ns[:PHASES], "right") - 1
+    wander = [np.diff(times_ns[at >= 0], 2) for times_ns in (first.log_ns[at], follower.stamp_ns[:PHASES])]
+    if len(wander[0]) < 2 * WINDOW or (np.diff(at[at >= 0]) == 1).mean() < MOST:
         return
-    wander = [np.diff(times_ns, 2).astype(np.float64) for times_ns in (first.log_ns[at], stamps_ns)]
     ranks = [np.argsort(np.argsort(part, kind="stable"), kind="stable") - len(part) // 2 for part in wander]
     if all(part.any() for part in wander) and 2 * (ranks[0] * ranks[1]).sum() > (ranks[0] ** 2).sum():
-        yield _link(first, follower, stamps_ns - first.stamp_ns[at], int(at[-1] - at[0]) + 1, stamps_again=True)
+        at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
+        waits_ns = (follower.stamp_ns - first.stamp_ns[at])[at >= 0]
+        yield _link(first, follower, waits_ns, int(at[-1]) - int(at[at >= 0][0]) + 1, stamps_again=True)
 
 
 def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:

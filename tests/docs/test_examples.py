@@ -88,8 +88,7 @@ def desk(tmp_path_factory):
         shutil.copytree(folder / "robot-and-laptop", folder / name)
     with tarfile.open(DOCS / "results" / "drive" / "traces.tar.xz") as archive:
         archive.extractall(folder, filter="data")
-    for name in ("drive.mcap", "second-drive"):
-        shutil.copytree(folder / "drive", folder / name)
+    shutil.copytree(folder / "drive", folder / "drive.mcap")
     return folder
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sqlite3
 import struct
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -91,9 +91,7 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             if surplus_bytes < 0:
                 fault = f"{counted(-surplus_bytes, 'byte')} of it {'is' if surplus_bytes == -1 else 'are'} missing"
             tables = _rows_by_page(joined, topics) if joined else _rows_by_sqlite(path, topics)
-            for message in _messages(tables, topics, budget, seen, condition):
-                read_bytes += len(message.data)
-                yield message
+            read_bytes = yield from _messages(tables, topics, budget, seen, condition)
         except (sqlite3.Error, MemoryError, ValueError, IndexError, struct.error) as err:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
@@ -123,18 +121,22 @@ def _messages(
     budget: Budget,
     seen: dict[int, int],
     condition: Condition,
-) -> Iterator[RawMessage]:
+) -> Generator[RawMessage, None, int]:
+    read_bytes = 0
     for row_id, topic_id, time_ns, data in rows:
         budget.take()
-        if topic_id not in topics:
+        topic = topics.get(topic_id)
+        if topic is None:
             continue
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
         if isinstance(data, bytes):
             seen[row_id] = crc32(data)
-        if isinstance(data, bytes) and isinstance(time_ns, int):
-            yield RawMessage(topics[topic_id], time_ns, None, None, data)
-        else:
-            condition.unreadable[topics[topic_id].name] += 1
+            if isinstance(time_ns, int):
+                read_bytes += len(data)
+                yield RawMessage(topic, time_ns, None, None, data)
+                continue
+        condition.unreadable[topic.name] += 1
+    return read_bytes
 
 
 def _rows_by_sqlite(path: Path, topics: dict[int, RecordedTopic]) -> Iterator[Sequence[Any]]:
@@ -167,7 +169,7 @@ def _unreached_rows(
     files: list[Image], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
-    stored = {*seen.items()}
+    stored = {*seen.items()} if files else set()
     for row_id, values in (row for file in files for row in rows_of_pages(file, budget)):
         if [type(value) for value in values] != [type(None), int, int, bytes]:
             _take_description(row_id, values, topics, definitions)

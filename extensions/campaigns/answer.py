@@ -119,11 +119,11 @@ class _Imagined(Durations):
     def open(self, *_: object) -> Iterator[Measurer]:
         yield self
 
-    def look(self, candidate: Candidate, number: int, seconds: float) -> Look:  # noqa: ARG002 - all runs are alike
+    def look(self, candidate: Candidate, _: int, seconds: float) -> Look:
         self.now_s += self.expected_s(candidate, seconds)
         self.recordings += len(candidate.cells)
-        place = self._numbers.setdefault(candidate.name, len(self._numbers))
-        return Look(tuple(np.full(100, 1.01**place) for _ in candidate.cells))
+        number = self._numbers.setdefault(candidate.name, len(self._numbers))
+        return Look(tuple(np.full(100, 1.01**number) for _ in candidate.cells))
 
 
 @dataclass(slots=True)
@@ -221,8 +221,8 @@ class Search:
         shortest_s, longest_s = PROOF_SECONDS
         overhead_s = trials.expected_s(candidate, longest_s) - longest_s * len(candidate.cells)
         allowed_s = PROOF_SHARE * 60 * self.question.minutes / (3 * PROOFS) - overhead_s
-        wanted_s = PROOF_MESSAGES / min(cell.rate for cell in candidate.cells)
-        return max(shortest_s, min(wanted_s, allowed_s / len(candidate.cells), longest_s))
+        enough_s = PROOF_MESSAGES / min(cell.rate for cell in candidate.cells)
+        return max(shortest_s, min(enough_s, allowed_s / len(candidate.cells), longest_s))
 
     @staticmethod
     def sides(ranking: Sequence[Standing]) -> list[Standing]:

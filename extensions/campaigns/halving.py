@@ -193,7 +193,7 @@ class Race:
     stage: str = "look"
 
     def run(self, standing: Standing, seconds: float, number: int = 0) -> None:
-        """Record the next run of a candidate, or that of a number; a candidate that cannot run is dropped."""
+        """Record the next run of a candidate, or the run of this number; a candidate that cannot run is dropped."""
         candidate, number = standing.candidate, number or len(standing.looks) + 1
         self._tell(standing, "running", f"{candidate.name}: run {number}")
         look = self.measurer.look(candidate, number, seconds)
@@ -283,5 +283,5 @@ class Race:
 
 
 def ms_words(value: float | None) -> str:
-    """Write a time to three digits; an infinite one is that of a lost message."""
+    """Write a time to three digits; infinite is a lost message."""
     return "-" if value is None else "lost" if math.isinf(value) else f"{three_digits(value)} ms"

@@ -40,14 +40,14 @@ def proof_of(name: str, base: Path, new: Path) -> Proof:
     """Compare the recordings of two folders, repeat by repeat; `name` is the new side's."""
 
     comparison = compare(analyze(base, details=False), analyze(new, details=False), compared())
-    is_kept = pays(comparison)
+    pays_off = pays(comparison)
     proof = comparison.rows.select(_PROOF).rows(named=True)
     received = comparison.delivery.select(_RECEIVED).rows(named=True)
     is_better = "better" in {row["verdict"] for row in (*proof, *received)}
     is_worse = not is_better and any(speaks_against(proof, received))
-    reason = f"{name} " + ("is proven better" if is_kept else f"looked best, and {why_not(proof, received)}")
-    verdict = "better" if is_kept else "worse" if is_worse else "no difference"
-    return {"kept": is_kept, "verdict": verdict, "reason": reason, "proof": proof, "received": received}
+    reason = f"{name} " + ("is proven better" if pays_off else f"looked best, and {why_not(proof, received)}")
+    verdict = "better" if pays_off else "worse" if is_worse else "no difference"
+    return {"kept": pays_off, "verdict": verdict, "reason": reason, "proof": proof, "received": received}
 
 
 def proof_lines(proof: Sequence[Mapping[str, Any]], received: Sequence[Mapping[str, Any]]) -> list[str]:

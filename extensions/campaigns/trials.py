@@ -130,7 +130,7 @@ def open_trials(
 ) -> Iterator[Trials]:
     """Lock the folder and open the station of a plan within the block; `seconds` is the length that its state is for.
 
-    `overheads_s` are those of earlier runs, to which these are added.
+    `overheads_s` has the overheads of earlier runs, and gets further ones.
     """
     plan = plan_of_trials(plan, plan.name, seconds)
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:

@@ -100,9 +100,9 @@ def advise_command(
         raise typer.Exit(_dry_run(question, out, as_json=as_json))
 
     def run() -> int:
-        found = answer(question, out, _say, order=partial(_as_learned, question.plan))
-        print(json.dumps(to_json(found, not_finite=lambda _: None)) if as_json else "\n".join(shown(found)))
-        return 0 if found["recommended"] else INCOMPLETE_EXIT_CODE
+        result = answer(question, out, _say, order=partial(_as_learned, question.plan))
+        print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
+        return 0 if result["recommended"] else INCOMPLETE_EXIT_CODE
 
     run_until_interrupted(run, out)
 

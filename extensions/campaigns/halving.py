@@ -216,10 +216,12 @@ class Race:
             racing, passes = self._not_slower(racing), PASSES
             if len(racing) < 2:
                 break
-            half = racing[: max(2, math.ceil(len(racing) / 2))]
+            seconds *= 2
+            affordable = self._affordable(racing, seconds, PASSES, self.until_s - self.clock())
+            half = racing[: max(2, min(math.ceil(len(racing) / 2), affordable))]
             for standing in racing[len(half) :]:
-                self.drop(standing, f"{self._times_words(standing, half[0])}, among the slower half")
-            racing, seconds = half, 2 * seconds
+                self.drop(standing, f"{self._times_words(standing, half[0])}, among the slower ones")
+            racing = half
         running = [standing for standing in racing if not standing.dropped]
         for standing in running:  # of an unfinished pass some have more and longer runs
             del standing.looks[min(len(row.looks) for row in running) :]
@@ -228,12 +230,16 @@ class Race:
     def _first(self, standings: list[Standing], seconds: float) -> tuple[list[Standing], int]:
         """Return what there is time to try, and how often."""
         budget_s = FIRST_SHARE * (self.until_s - self.clock())
-        expected_s = [self.measurer.expected_s(standing.candidate, seconds) for standing in standings]
-        passes = PASSES if PASSES * sum(expected_s) <= budget_s else 1
-        fitting = max(2, sum(total_s <= budget_s for total_s in itertools.accumulate(expected_s)))
-        for standing in standings[fitting:]:
+        passes = PASSES if self._affordable(standings, seconds, PASSES, budget_s) == len(standings) else 1
+        affordable = max(2, self._affordable(standings, seconds, passes, budget_s))
+        for standing in standings[affordable:]:
             self.drop(standing, "not tried, there was no time")
-        return standings[:fitting], passes
+        return standings[:affordable], passes
+
+    def _affordable(self, standings: Sequence[Standing], seconds: float, passes: int, budget_s: float) -> int:
+        """Return how many of the first ones can be run so often."""
+        costs_s = (passes * self.measurer.expected_s(standing.candidate, seconds) for standing in standings)
+        return sum(total_s <= budget_s for total_s in itertools.accumulate(costs_s))
 
     def _round(self, racing: Sequence[Standing], seconds: float, passes: int) -> bool:
         """Run all so often; return whether there was time for it."""

@@ -11,7 +11,7 @@ from dds_trace.base import limits
 from dds_trace.base.extension import load
 from dds_trace.base.streams import plain_console, say
 
-from .outputs import expand_paths, show_page
+from .outputs import expand_paths, print_figures, show_page
 from .program import ask_about_folder
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def run_analysis(
     *,
     exports: Sequence[str] | None = None,
     derived_mcap: bool = False,
+    figures: Sequence[str] | None = None,
     open_it: bool = False,
     shows_all: bool = False,
 ) -> Analysis:
@@ -43,7 +44,7 @@ def run_analysis(
     traces = expand_paths(paths)
     target = default_output(traces) if out is None else out
     ask_about_folder(target, "for all files")
-    kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
+    kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it or figures else [])]))
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
@@ -59,6 +60,7 @@ def run_analysis(
         analysis = analyze(traces, out=target, progress=bar.reading, step=bar.step, **more, write_more=write_more)
     write_reports(analysis, [TERMINAL], target, shows_all=shows_all)
     written[:0] = analysis.outputs.values()
+    written += [print_figures(target / f"report.{HTML}", kind) for kind in figures or ()]
     for path in written:
         print(f"Wrote {path}")
     stale = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]

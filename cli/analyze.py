@@ -13,7 +13,7 @@ from dds_trace.base.extension import load
 from dds_trace.base.units import parse_duration
 
 from .analysis import run_analysis
-from .outputs import Opens, Out, Paths, Reports, ShowsAll, kinds_of
+from .outputs import FIGURE_WIDTHS_MM, Opens, Out, Paths, Reports, ShowsAll, kinds_of
 from .program import Version, command, make_app, option
 
 app = make_app(completes=True)
@@ -59,6 +59,9 @@ def analyze_command(
     derived_mcap: Annotated[
         bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
     ] = False,
+    figures: Annotated[
+        list[str] | None, kinds_of(FIGURE_WIDTHS_MM, "--figures KIND", "Figures for a paper, 174 or 84 mm wide")
+    ] = None,
     fail_if: Annotated[
         list[str] | None,
         option(
@@ -87,7 +90,15 @@ def analyze_command(
         "trust_order": trust_order,
     }
     analysis = run_analysis(
-        paths, out, report, more, exports=export, derived_mcap=derived_mcap, open_it=open_it, shows_all=shows_all
+        paths,
+        out,
+        report,
+        more,
+        exports=export,
+        derived_mcap=derived_mcap,
+        figures=figures,
+        open_it=open_it,
+        shows_all=shows_all,
     )
     if gates:
         raise typer.Exit(load("parts", "judge_topics")(analysis, gates))

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import glob
 import os
+import shutil
+import subprocess
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dds_trace.base import limits
-from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.errors import BackendUnavailableError, MissingEventsError
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from .program import argument, option, starting
@@ -33,6 +36,39 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
             raise MissingEventsError(f"{text}: no file or folder matches; give the folder with the traces")
         paths += map(Path, matches)
     return paths
+
+
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+FIGURE_WIDTHS_MM = {"pdf": 174, "pdf-column": 84}
+"""Kind of `--figures` -> the width of a page or a column of a paper."""
+
+
+def print_figures(page: Path, kind: str) -> Path:
+    """Print each figure of a report as a page of a PDF next to it, by a browser without a window; returns the PDF.
+
+    Raises:
+        BackendUnavailableError: no browser is installed, or it wrote nothing within two minutes.
+    """
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        raise BackendUnavailableError(
+            f"--figures {kind} needs Chromium (apt-get install chromium-headless-shell); the page's own buttons save as PDF"
+        )
+    pdf = page.with_name(f"figures{kind.removeprefix('pdf')}.pdf")
+    pdf.unlink(missing_ok=True)
+    address = f"{page.absolute().as_uri()}?figures={FIGURE_WIDTHS_MM[kind]}"
+    options = ["--headless", "--disable-gpu", "--no-pdf-header-footer", "--virtual-time-budget=60000"]
+    options += ["--no-sandbox"] * (os.geteuid() == 0)  # root has none
+    with suppress(subprocess.TimeoutExpired):
+        subprocess.run(
+            [program, *options, f"--print-to-pdf={pdf.absolute()}", address],
+            check=False,
+            capture_output=True,
+            timeout=120,
+        )
+    if not pdf.is_file():
+        raise BackendUnavailableError(f"{program} printed no {pdf.name}; open {page} and use its button PDF")
+    return pdf
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")

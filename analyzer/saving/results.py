@@ -22,6 +22,7 @@ RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
     *("openmetrics.txt", "latency.hlog", "timeline.pftrace", "otava.csv", "otava.yaml", "bencher.json"),
+    *("figures.pdf", "figures-column.pdf"),
     *("github-benchmark-smaller.json", "github-benchmark-bigger.json"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",

@@ -10,16 +10,16 @@ roundtrips, summary = str(folder / "roundtrips.parquet"), str(folder / "summary.
 
 print("The slowest messages, with the time at which to look into other logs:")
 slowest = """
-    SELECT publish_utc AT TIME ZONE 'UTC' AS sent_utc, data_type, sequence, latency_ns / 1e6 AS latency_ms
+    SELECT CAST(publish_utc AS TIMESTAMPTZ) AT TIME ZONE 'UTC' AS sent_utc, vendor, data_type, sequence, latency_ns / 1e6 AS latency_ms
     FROM read_parquet($file) WHERE outcome = 'completed' ORDER BY latency_ns DESC, run_id, sequence LIMIT 5
 """
 for row in duckdb.execute(slowest, {"file": roundtrips}).fetchall():
     print(*row)
 
-print("p99 by data and rate, and the share that came back:")
+print("p99 by middleware, data and rate, and the share that came back:")
 by_data = """
-    SELECT data_type, payload_bytes, rate_hz, latency_p99_ns / 1e6 AS p99_ms, received_ratio
-    FROM read_parquet($file) ORDER BY data_type, payload_bytes, rate_hz
+    SELECT vendor, data_type, payload_bytes, rate_hz, latency_p99_ns / 1e6 AS p99_ms, received_ratio
+    FROM read_parquet($file) ORDER BY data_type, payload_bytes, rate_hz, vendor
 """
 for row in duckdb.execute(by_data, {"file": summary}).fetchall():
     print(*row)

@@ -12,12 +12,12 @@ folder = Path(sys.argv[1])
 tail = (
     pl.scan_parquet(folder / "roundtrips.parquet")
     .filter(pl.col("outcome") == "completed")
-    .group_by("data_type", "payload_bytes")
+    .group_by("vendor", "data_type", "payload_bytes")
     .agg(
         (pl.col("latency_ns").quantile(0.99, "linear") / 1e6).alias("latency_p99_ms"),
         pl.col("publish_utc").min().alias("first_utc"),
     )
-    .sort("data_type", "payload_bytes")
+    .sort("data_type", "payload_bytes", "vendor")
     .collect()
 )
 print(tail)

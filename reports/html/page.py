@@ -140,6 +140,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         island=packed(json_island(_island(book, plans))),
         title=book.title,
         kicker="Latency report",
+        bibtex=_BIBTEX,
         begins="figures" if labels else "answer",
         overview=book.overview,
         formula=LATENCY_MEANING,
@@ -168,6 +169,13 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         recorded=[*recorded_environment(book.analysis, book.groups), *file_table(book.analysis)],
         topic_sections=topic_parts(book.analysis, "topic_sections"),
     )
+
+
+_BIBTEX = f"""@software{{dds_trace,
+  title = {{dds-trace: MCAP trace recorder and offline analyzer for the latency of ROS 2 / DDS communication}},
+  author = {{{{The dds-trace maintainers}}}},
+  version = {{{__version__}}}
+}}"""
 
 
 def _framed(template: str, version: str | None = None, **values: object) -> str:

@@ -1,5 +1,6 @@
 import io
 import json
+import re
 import shlex
 import shutil
 import sys
@@ -12,6 +13,8 @@ from trace_files import evenly, run, write_pair
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, write_file
 from dds_trace.analyzer.model.metrics import METRICS
+from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.cli.outputs import BROWSERS
 from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
@@ -44,6 +47,32 @@ def test_an_export_kind_is_one_row(runs, monkeypatch, capsys):
     monkeypatch.setitem(EXPORT_KINDS, "toy", row)
     assert run_main(runs, "--export", "toy") == 0
     assert pl.read_ndjson(runs / "analysis" / "toy.ndjson").height == 1
+
+
+def test_an_export_that_is_an_option_of_its_own_is_named(runs, capsys):
+    assert run_main(runs, "--export", "foxglove") == 2
+    assert "--derived-mcap" in capsys.readouterr().err
+
+
+def test_figures_without_a_browser_are_one_line(runs, monkeypatch, capsys):
+    monkeypatch.setattr("dds_trace.cli.outputs.BROWSERS", ("no-such-browser",))
+    assert run_main(runs, "--figures", "pdf") == BackendUnavailableError.exit_code
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "--figures" in line]
+    assert "apt-get install chromium" in line
+    assert (runs / "analysis" / "report.html").is_file(), "the page has the figures"
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(
+    ("kind", "name", "mm"), [("pdf", "figures.pdf", 174), ("pdf-column", "figures-column.pdf", 84)]
+)
+def test_figures_are_printed_in_the_width_of_a_page_or_column(runs, kind, name, mm):
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("Chromium is not installed")
+    assert run_main(runs, "--figures", kind) == 0
+    boxes = re.findall(rb"/MediaBox \[0 0 ([0-9.]+) ", (runs / "analysis" / name).read_bytes())
+    assert len(boxes) > 1
+    assert {round(float(width) / 72 * 25.4) for width in boxes} <= {mm - 1, mm, mm + 1}
 
 
 @pytest.mark.parametrize(("is_terminal", "answer", "code"), [(False, "", 0), (True, "y\n", 0), (True, "n\n", 2)])

@@ -87,7 +87,7 @@ function gridOf(
   const named = yTitle ? 20 : 0;
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
   const titles = every.map(({ title }) =>
-    isPicture || isNarrow(width) ? wrapped(title, panelWidth / BOLD) : [shorten(title, panelWidth / BOLD)],
+    isPicture || isNarrow(width) ? wrapped(title, (panelWidth - 10) / BOLD) : [shorten(title, panelWidth / BOLD)],
   );
   const lines = Math.max(1, ...titles.map((own) => own.length));
   const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 11 + 15 * lines;
@@ -163,7 +163,7 @@ function gridOf(
       ...(shares ? { showticklabels: false } : {}),
     };
     if (!grid && column === 0 && yTitle) {
-      const fitting = plain(fitted(yTitle, heights[row] + between / 2));
+      const fitting = plain(fitted(yTitle, heights[row] + 8));
       const from = startsAt ? `${fitting}<br><b>axis starts at ${startsAt}</b>` : fitting;
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }

@@ -277,3 +277,5 @@ readAddress();
 showTheme();
 start();
 addEventListener("theme", () => redraw());
+const printed = new URLSearchParams(location.search).get("figures"); // mm: `analyze --figures` prints the page
+if (printed) saveAll("pdf", { mm: Number(printed), dialog: false });

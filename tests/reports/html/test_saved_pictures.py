@@ -25,6 +25,65 @@ WHISKERS = """() => blocks.filter(block => (block.plan(), block.drawn.data.lengt
 }))"""
 
 
+# [figure, text, px] of each text that reaches beyond its picture, and of each legend above a fifth of its height.
+CUT = """async ({names, mm}) => {
+    const wrong = [];
+    for (const block of blocks.filter(block => names.includes(block.name) && (block.plan(), block.drawn.data.length)))
+        for (const picture of picturesOf(block, "", {mm})) {
+            const place = document.body.appendChild(document.createElement("div"));
+            place.innerHTML = await svgOf(picture);
+            const frame = place.firstElementChild.getBoundingClientRect();
+            for (const text of place.querySelectorAll("text")) {
+                const box = text.getBoundingClientRect();
+                const over = Math.max(frame.left - box.left, box.right - frame.right, frame.top - box.top, box.bottom - frame.bottom);
+                if (box.width && over > 1) wrong.push([block.name, text.textContent, Math.round(over)]);
+            }
+            const legend = place.querySelector(".legend .bg")?.getBoundingClientRect().height || 0;
+            if (legend > 0.2 * frame.height) wrong.push([block.name, "legend", Math.round(100 * legend / frame.height)]);
+            place.remove();
+        }
+    return wrong;
+}"""
+
+# Pairs of headings of panels that lie on one another, and headings beyond the window.
+HEADINGS = """names => blocks.filter(({name}) => names.includes(name)).flatMap(block => {
+    const heads = [...block.article.querySelectorAll(".plot text.annotation-text")].filter(text => text.innerHTML.includes("bold"));
+    const boxes = heads.map(text => [text.textContent, text.getBoundingClientRect()]);
+    const meet = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+    return [
+        ...boxes.filter(([, box]) => box.right > innerWidth || box.left < 0).map(([text]) => text),
+        ...boxes.flatMap(([text, box], at) => boxes.slice(at + 1).filter(([, other]) => meet(box, other)).map(([other]) => text + " on " + other)),
+    ];
+})"""
+
+SHOWN = [
+    "latency_by_rate",
+    "latency_by_size",
+    "domain_difference",
+    "bridge_cost",
+    "breakdown",
+    "vendor_comparison",
+    "ecdf",
+]
+
+
+@pytest.mark.parametrize("name", ["small campaign", "study"])
+def test_no_label_is_cut_and_no_legend_is_above_a_fifth_in_the_widths_of_print(reader, pages, name):
+    tab = reader.open(pages(name))
+    for mm in (84, 174):
+        assert tab.evaluate(CUT, {"names": SHOWN, "mm": mm}) == [], mm
+    assert reader.complaints == []
+
+
+def test_headings_of_panels_fit_a_phone(read_with, pages):
+    one = read_with(viewport={"width": 390, "height": 844})
+    tab = one.open(pages("study"))
+    tab.evaluate("for (const block of blocks) { block.fold.open = true; block.draw(); }")
+    assert tab.locator(".plot text.annotation-text").count() > 0
+    assert tab.evaluate(HEADINGS, SHOWN) == []
+    assert one.complaints == []
+
+
 def labels_of(svg):
     notes = re.findall(r'<text class="annotation-text.*?</text>', svg)
     return ["".join(re.findall(r">([^<]+)<", note)) for note in notes if "bold" in note]

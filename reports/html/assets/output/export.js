@@ -37,6 +37,9 @@ function saveCsv(name, columns, rows) {
 }
 
 const PX_PER_MM = 96 / 25.4;
+const EDGE = 8; // px around the plots, for labels that reach over their axis
+const SYMBOL = 44; // px of a name's symbol in the legend
+const LEGEND_SHARE = 0.19; // of a picture's height: plots grow where the legend has more
 const PNG_SCALE = 600 / 96; // 600 dots an inch where the width is one of print
 
 /** What journals print: one column or two; `null` is the width on the screen. */
@@ -123,31 +126,28 @@ function panelOf({ data, layout, titles }, axis, width) {
 function headOf({ data, layout }, title, width, mm) {
   const size = mm !== null && mm < 100 ? 10 : 11;
   const names = [...new Set(data.filter(({ name, type }) => name && type !== "heatmap").map(({ name }) => name))];
-  const lines = names.reduce((rows, name) => {
-    const taken = 46 + name.length * size * 0.56;
-    if (rows.length && rows[rows.length - 1] + taken <= width) rows[rows.length - 1] += taken;
-    else rows.push(taken);
-    return rows;
-  }, []).length;
+  const longest = SYMBOL + Math.max(0, ...names.map(({ length }) => length)) * size * 0.56;
+  const columns = Math.max(1, Math.floor((width - 4 * EDGE) / longest));
   const text = [title, layout.title?.text].filter(Boolean).join(": ");
-  const head = text ? wrapped(text, (width - 16) / (size * 0.62)) : [];
-  const titled = 10 + head.length * (size + 5);
-  const isNamed = names.length > 1;
-  return { size, head, titled, isNamed, above: titled + (isNamed ? lines * (size + 10) + 6 : 0) };
+  const head = text ? wrapped(text, (width - 20) / (size * 0.68)) : [];
+  const titled = 14 + head.length * (size + 5);
+  const legend = names.length > 1 ? Math.ceil(names.length / columns) * (size + 11) + 6 : 0;
+  return { size, head, legend, entry: Math.floor((width - 4 * EDGE) / columns) - SYMBOL, above: titled + legend };
 }
 
 /** The figure with title and legend of its own on white ground; room for both is made above it. */
 function onWhite(drawn, title, width, mm) {
   const { data, layout } = drawn;
-  const { size, head, titled, isNamed, above } = headOf(drawn, title, width, mm);
+  const { size, head, legend, entry, above } = headOf(drawn, title, width, mm);
   const seen = new Set();
   const traces = data.map((trace) => {
     const named = trace.name && trace.type !== "heatmap" && !seen.has(trace.name);
     if (trace.name) seen.add(trace.name);
-    return { ...trace, showlegend: Boolean(named), legendgroup: trace.name };
+    return { ...trace, showlegend: Boolean(named), legendgroup: undefined };
   });
   for (const [at, tiles] of traces.filter(({ type }) => type === "heatmap").entries()) tiles.showscale = at === 0;
-  const height = Math.round(layout.height + above);
+  const margin = { ...layout.margin, b: layout.margin.b + EDGE, l: layout.margin.l + EDGE, r: layout.margin.r + EDGE };
+  const height = Math.round(Math.max(layout.height + above + EDGE, legend / LEGEND_SHARE));
   return {
     data: traces,
     layout: {
@@ -157,8 +157,8 @@ function onWhite(drawn, title, width, mm) {
       font: { ...layout.font, family: "Helvetica, Arial, sans-serif" },
       paper_bgcolor: "#ffffff",
       plot_bgcolor: "#ffffff",
-      showlegend: isNamed,
-      margin: { ...layout.margin, t: layout.margin.t + above },
+      showlegend: legend > 0,
+      margin: { ...margin, t: layout.margin.t + above },
       title: {
         text: head.map(plain).join("<br>"),
         x: 0,
@@ -166,17 +166,17 @@ function onWhite(drawn, title, width, mm) {
         y: 1,
         yref: "container",
         yanchor: "top",
-        pad: { t: 8, l: 8 },
+        pad: { t: 12, l: 8 },
         font: { size: size + 2, color: layout.font.color },
       },
       legend: {
         orientation: "h",
-        x: -layout.margin.l / (width - layout.margin.l - layout.margin.r),
+        x: -margin.l / (width - margin.l - margin.r),
         xanchor: "left",
-        y: 1 - titled / height,
-        yref: "container",
-        yanchor: "top",
+        y: 1,
+        yanchor: "bottom",
         font: { size },
+        entrywidth: entry,
       },
     },
     mm,
@@ -200,11 +200,11 @@ async function savePicture(name, block, format) {
 }
 
 /** Saves [name, pictures] of figures as one file, a zip where there are several; as PDF each is a page of its size. */
-async function savePictures(name, format, figures) {
+async function savePictures(name, format, figures, options) {
   if (format === "pdf") {
     const pictures = figures.flatMap(([, own]) => own);
     const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height)}px; margin: 0`;
-    return printSheets(name, pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] })));
+    return printSheets(name, pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] })), options);
   }
   const files = figures.flatMap(([own, pictures]) =>
     pictures.map((picture, at) => ({ name: `${own}${pictures.length > 1 ? `-${at + 1}` : ""}.${format}`, picture })),
@@ -216,7 +216,7 @@ async function savePictures(name, format, figures) {
 }
 
 /** Prints pages {picture, size, words} in place of the page: vectors, with their fonts in the file. */
-async function printSheets(name, pages) {
+async function printSheets(name, pages, { dialog = true } = {}) {
   document.getElementById("sheets")?.remove(); // where a browser never said that it has printed
   const sheets = document.body.appendChild(element("div", { id: "sheets" }));
   const title = document.title;
@@ -227,6 +227,7 @@ async function printSheets(name, pages) {
     const sheet = element("div", { class: "sheet", style: `page: sheet-${at}` }, document.adoptNode(svg), ...lines);
     sheets.append(style, sheet);
   }
+  if (!dialog) return;
   const leave = () => {
     document.title = title;
     sheets.remove();
@@ -286,12 +287,12 @@ function zipParts(files) {
   return [...parts, ...directory, end];
 }
 
-/** Every figure of the page in one zip; as PDF one page each. */
-async function saveAll(format) {
+/** Every figure of the page in one zip; as PDF one page each, without a dialog where a program prints the page. */
+async function saveAll(format, options) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
-  const figures = drawn.map((block) => [block.fileName(), picturesOf(block)]);
-  await savePictures("dds-trace-figures", format, figures);
+  const figures = drawn.map((block) => [block.fileName(), picturesOf(block, "", options)]);
+  await savePictures("dds-trace-figures", format, figures, options);
 }
 
 /** What a paper shows, and what is there instead where a campaign varies less. */

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dds_trace.analyzer.model.setting import write_setting
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, spell_size
@@ -17,6 +18,8 @@ from dds_trace.recorder.backends.ros2 import middleware_of
 
 from .advice import bundles, write_bundles
 from .halving import Candidate, Limits
+from .learning.model import order
+from .learning.results import read_campaigns
 from .plan.cells import DEFAULTS, Cell
 from .plan.flows import MESSAGE_AXES, is_crowded
 from .plan.link import Link
@@ -168,3 +171,29 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
             configured = tuple(replace(cell, configuration=str(path)) for cell in cells)
             rows.append((number, Candidate(middleware, vendor, path.stem, configured, path)))
     return [candidate for _, candidate in sorted(rows, key=lambda row: row[0])]
+
+
+def as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates by what earlier campaigns took, defaults before bundles."""
+    rows = []
+    for candidate in candidates:
+        cell, link = candidate.cells[0], plan.link_of(candidate.cells[0])
+        applied = {"link": link and link.setting, "configuration": candidate.bundle}
+        setting = write_setting({key: text for key, text in applied.items() if text})
+        message = {"data_type": cell.data, "payload_bytes": cell.size or 0, "rate_hz": cell.rate}
+        names = {
+            name: getattr(cell, name) for name in ("backend", "bridge", "reliability", "durability", "history", "depth")
+        }
+        devices = dict.fromkeys(("ping_device", "relay_device"), "")
+        connectivity = plan.connectivity_of(cell)
+        row = {
+            **names,
+            **message,
+            **devices,
+            "vendor": candidate.vendor,
+            "connectivity": connectivity,
+            "setting": setting,
+        }
+        rows.append({**row, "serialization": "raw", "candidate": candidate})
+    learned = [row["candidate"] for row in order(rows, read_campaigns(), "response 0.9")]
+    return sorted(learned, key=lambda candidate: bool(candidate.bundle))

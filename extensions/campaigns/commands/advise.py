@@ -23,11 +23,8 @@ from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, plan_of, read_thr
 from .dry_run import argument_check
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from ..answer import Answer
-    from ..halving import Candidate, Event
-    from ..plan.plan import Plan
+    from ..halving import Event
     from ..question import Question
 
 MOST_ROWS = 8
@@ -83,7 +80,7 @@ def advise_command(
     """
     import_module("polars")  # before minutes of recording
     from ..answer import answer
-    from ..question import Question, ask, limits_of
+    from ..question import Question, as_learned, ask, limits_of
 
     limits = limits_of(deadline, in_time, cpu)
     if plan is not None:
@@ -100,42 +97,11 @@ def advise_command(
         raise typer.Exit(_dry_run(question, out, as_json=as_json))
 
     def run() -> int:
-        result = answer(question, out, _say, order=partial(_as_learned, question.plan))
+        result = answer(question, out, _say, order=partial(as_learned, question.plan))
         print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
         return 0 if result["recommended"] else INCOMPLETE_EXIT_CODE
 
     run_until_interrupted(run, out)
-
-
-def _as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates by what earlier campaigns took, defaults before bundles."""
-    from dds_trace.analyzer.model.setting import write_setting
-
-    from ..learning.model import order
-    from ..learning.results import read_campaigns
-
-    rows = []
-    for candidate in candidates:
-        cell, link = candidate.cells[0], plan.link_of(candidate.cells[0])
-        applied = {"link": link and link.setting, "configuration": candidate.bundle}
-        setting = write_setting({key: text for key, text in applied.items() if text})
-        message = {"data_type": cell.data, "payload_bytes": cell.size or 0, "rate_hz": cell.rate}
-        names = {
-            name: getattr(cell, name) for name in ("backend", "bridge", "reliability", "durability", "history", "depth")
-        }
-        devices = dict.fromkeys(("ping_device", "relay_device"), "")
-        connectivity = plan.connectivity_of(cell)
-        row = {
-            **names,
-            **message,
-            **devices,
-            "vendor": candidate.vendor,
-            "connectivity": connectivity,
-            "setting": setting,
-        }
-        rows.append({**row, "serialization": "raw", "candidate": candidate})
-    learned = [row["candidate"] for row in order(rows, read_campaigns(), "response 0.9")]
-    return sorted(learned, key=lambda candidate: bool(candidate.bundle))
 
 
 def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:

@@ -11,7 +11,6 @@ import pytest
 
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, QOS_DEFAULTS, SETTING_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.extensions.campaigns.commands import advise
 from dds_trace.extensions.campaigns.halving import Candidate
 from dds_trace.extensions.campaigns.learning.model import (
     OUTSIDE,
@@ -24,7 +23,7 @@ from dds_trace.extensions.campaigns.learning.model import (
 )
 from dds_trace.extensions.campaigns.learning.results import Campaign, Result, keep
 from dds_trace.extensions.campaigns.plan.cells import Cell
-from dds_trace.extensions.campaigns.question import ask
+from dds_trace.extensions.campaigns.question import as_learned, ask
 
 ROOT = Path(__file__).parents[4]
 MEDIAN = "response 0.5"
@@ -172,10 +171,10 @@ class TestWithScikitLearn:
         candidates = [
             Candidate(vendor, vendor, "", (Cell(backend="ros2", size=30_000, rate=5.0),)) for vendor in SLOWNESS
         ]
-        assert advise._as_learned(plan, candidates) == candidates
+        assert as_learned(plan, candidates) == candidates
         keep(campaign(1))
         candidates.append(replace(candidates[1], bundle="buffers"))
-        ranked = [(one.vendor, one.bundle) for one in advise._as_learned(plan, candidates)]
+        ranked = [(one.vendor, one.bundle) for one in as_learned(plan, candidates)]
         assert ranked == [("cyclonedds", ""), ("fastdds", ""), ("zenoh", ""), ("cyclonedds", "buffers")]
 
     @pytest.mark.thorough

@@ -116,6 +116,10 @@ docs: setup
 screenshots *names: setup
     {{bin}}/python scripts/screenshots.py {{names}}
 
+# Take the picture of the studio again: a browser asks and waits for a real search of four minutes (Chromium)
+studio-picture: setup
+    {{bin}}/python scripts/studio_picture.py
+
 # All benchmarks: ratios measured side by side in one run
 bench: setup
     for script in benchmarks/bench_*.py; do {{bin}}/python $script; done

@@ -59,7 +59,7 @@ def doctor_command(
 
 
 def all_checks(out: Path | None) -> list[Check]:
-    checks = [*_middlewares(), *_security(), *_machine(), *_permissions()]
+    checks = [*middleware_checks(), *_security(), *_machine(), *_permissions()]
     return [*sorted([*checks, *_offered()], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
 
 
@@ -73,7 +73,7 @@ def _installed() -> list[Backend]:
     return [backend for backend in load_backends() if backend.find_installed()]
 
 
-def _middlewares() -> Iterator[Check]:
+def middleware_checks() -> Iterator[Check]:
     from dds_trace.recorder.backends import load_backends
 
     for backend in load_backends():

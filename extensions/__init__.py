@@ -50,6 +50,7 @@ EXTENSIONS = (
             "explain rates": "commands.explain:rates",
             "explain size": "commands.explain:size",
             "advise": "commands.advise:app",
+            "studio": "studio.command:app",
         },
         checks={"links": "station.namespaces:permitted"},
         parts={"estimator": "learning.model:Estimator", "keep_results": "learning.results:keep_results"},

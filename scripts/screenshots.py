@@ -135,10 +135,9 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
         wanted: name -> picture, of `pictures`.
         out: folder of the pictures.
     """
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chromium-headless-shell"))), None)
     missing = []
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])
+        browser = driver.chromium.launch(executable_path=browser_program(), args=["--headless", "--no-sandbox"])
         for name, picture in wanted.items():
             for campaign in dict.fromkeys([picture.campaign, *CAMPAIGNS]):
                 file = Path(folder) / f"{campaign}.html"
@@ -146,10 +145,10 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
                     file.write_text(page_of(campaign), encoding="utf-8")
                 shot = _shot(browser, file.as_uri(), picture)
                 if shot is not None:
-                    taken = out / f"{name}.webp"
-                    taken.parent.mkdir(parents=True, exist_ok=True)
-                    taken.write_bytes(shot)
-                    print(f"{taken} {len(shot) / 1000:.0f} KB, of {campaign}")
+                    path = out / f"{name}.webp"
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    path.write_bytes(shot)
+                    print(f"{path} {len(shot) / 1000:.0f} KB, of {campaign}")
                     break
             else:
                 missing.append(name)
@@ -158,7 +157,7 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
 
 
 def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
-    """Return a picture of a page as WebP, which Playwright itself does not write; None where the page has no such part."""
+    """Return a picture of a page as WebP; None where the page has no such part."""
     # What is in view is drawn: a window as high as any figure.
     height = 2400 if picture.select else 1000
     tab = browser.new_page(viewport={"width": picture.width, "height": height})
@@ -182,13 +181,23 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
                 part.locator("svg").first.wait_for()
             tab.wait_for_timeout(500)  # a figure that is drawn may move the ones below
             clip = tab.evaluate(BOX, picture.select)
-        shot = tab.context.new_cdp_session(tab).send(
-            "Page.captureScreenshot",
-            {"format": "webp", "quality": QUALITY, "captureBeyondViewport": True, "clip": {**clip, "scale": 1}},
-        )
-        return base64.b64decode(shot["data"])
+        return taken(tab, clip)
     finally:
         tab.close()
+
+
+def browser_program() -> str | None:
+    """Return the machine's own Chromium."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chromium-headless-shell"))), None)
+
+
+def taken(tab: Any, clip: Mapping[str, float]) -> bytes:
+    """Return a part of a page as WebP, which Playwright itself does not write."""
+    shot = tab.context.new_cdp_session(tab).send(
+        "Page.captureScreenshot",
+        {"format": "webp", "quality": QUALITY, "captureBeyondViewport": True, "clip": {**clip, "scale": 1}},
+    )
+    return base64.b64decode(shot["data"])
 
 
 IN_PLACE = """() => {

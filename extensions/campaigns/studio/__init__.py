@@ -1,0 +1,1 @@
+"""`dds-trace studio`: one question and its answer, on a local page."""

@@ -1,0 +1,244 @@
+"""What the page of `dds-trace studio` asks and sees; the search runs in the thread that calls `Desk.work`."""
+
+from __future__ import annotations
+
+import json
+import math
+import queue
+import shlex
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from dds_trace.base.errors import UNREADABLE, OptionError, TraceError
+from dds_trace.base.files import asset, open_regular
+from dds_trace.base.records import to_json
+from dds_trace.base.streams import say
+from dds_trace.cli.doctor import middleware_checks
+
+from ..answer import answer
+from ..plan.link import PRESETS
+from ..question import Question, as_learned, ask, limits_of
+
+if TYPE_CHECKING:
+    from dds_trace.extensions.live.local_server import Answer
+
+    from ..halving import Event
+
+FIELDS = ("data", "size", "rate", "deadline", "in_time", "minutes", "host", "link")
+"""Names of the form, and of the options of `dds-trace advise`."""
+
+MOST_EARLIER, MOST_ANSWER_BYTES = 20, 1 << 20
+"""Earlier answers that are shown, the newest ones, and the largest file of one."""
+
+_PAGE, _HTML = __name__.rpartition(".")[0], "text/html"
+_REPORT = "dds_trace.reports.html"
+
+
+class _StoppedError(Exception):
+    """The page's button was pressed."""
+
+
+@dataclass(slots=True)
+class Row:
+    """A candidate as the page shows it; `course` has the median of each of its runs so far, in ms."""
+
+    name: str
+    stage: str = ""
+    state: str = ""
+    runs: int = 0
+    messages: int = 0
+    lost: int = 0
+    late: int = 0
+    p50_ms: float | None = None
+    p99_ms: float | None = None
+    text: str = ""
+    course: list[float | None] = field(default_factory=list)
+
+    def take(self, event: Event) -> None:
+        for name in ("stage", "state", "runs", "messages", "lost", "late", "p50_ms", "p99_ms", "text"):
+            setattr(self, name, getattr(event, name))
+        self.text = self.text.removeprefix(f"{self.name} is out: ")
+        if event.state == "measured":
+            self.course.append(event.p50_ms)
+
+    @property
+    def rank(self) -> tuple[bool, bool, float, float]:
+        """The leaders first: what the proof is of, what arrives in time, what is fast."""
+        slow = math.inf if None in (self.p50_ms, self.p99_ms) else self.p50_ms * self.p99_ms  # type: ignore[operator]
+        return self.state == "dropped", self.stage == "look", max(self.lost, self.late) / max(1, self.messages), slow
+
+
+class Desk:
+    """One question at a time, its progress, and the answers in a folder.
+
+    Args:
+        search: as `dds_trace.extensions.campaigns.answer.answer`.
+    """
+
+    def __init__(self, out: Path, search: Callable[..., dict[str, Any]] = answer) -> None:
+        self._out, self._search = out, search
+        self._questions: queue.Queue[Question] = queue.Queue(1)
+        self._lock, self._is_stopped = threading.Lock(), False
+        self._rows: dict[str, Row] = {}
+        self._shown: dict[str, Any] = {"running": False, "note": "", "error": "", "answer": None}
+        self._earlier = self._read_earlier()
+        self._machine = b""
+        text = partial(asset, _PAGE)
+        self.answers: Mapping[str, Callable[[], Answer]] = {
+            "/": lambda: (_HTML, text("studio.html").encode(), ""),
+            "/studio.css": lambda: ("text/css", (asset(_REPORT, "page.css") + text("studio.css")).encode(), ""),
+            "/studio.js": lambda: ("text/javascript", (asset(_REPORT, "theme.js") + text("studio.js")).encode(), ""),
+            "/machine": self._machine_answer,
+            "/state": self._state,
+            "/settings": self._settings,
+        }
+        self.posts: Mapping[str, Callable[[bytes], Answer]] = {"/ask": self._ask, "/stop": self._stop}
+
+    def work(self) -> NoReturn:
+        """Answer questions until the process is interrupted."""
+        while True:
+            question = self._questions.get()
+            try:
+                found = self._search(question, self._out, self._tell, order=partial(as_learned, question.plan))
+                self._show(running=False, answer=found)
+                say(found["sentence"])
+            except _StoppedError:
+                self._show(
+                    running=False, note="Stopped; what was measured is kept, and the same question goes on from it."
+                )
+            except (TraceError, OSError) as err:
+                self._show(running=False, error=str(err))
+            self._earlier = self._read_earlier()
+
+    def _tell(self, event: Event) -> None:
+        with self._lock:
+            if event.candidate is not None and event.state:
+                self._rows.setdefault(event.candidate.name, Row(event.candidate.name)).take(event)
+            self._shown |= {"left_s": event.left_s, "stage": event.stage, "note": event.text or self._shown["note"]}
+        if self._is_stopped:
+            raise _StoppedError
+
+    def _show(self, **values: object) -> None:
+        with self._lock:
+            self._shown |= values
+
+    def _ask(self, body: bytes) -> Answer:
+        try:
+            form = _form_of(body)
+            question = question_of(form)
+        except OptionError as err:
+            return _json({"error": str(err)})
+        with self._lock:
+            if self._shown["running"]:
+                return _json({"error": "a search is under way; it is shown here"})
+            self._rows, self._is_stopped = {}, False
+            self._shown = {
+                "running": True,
+                "question": form,
+                "command": command_of(form),
+                "deadline_ms": question.limits.deadline_ms,
+                "left_s": 60 * question.minutes,
+                "note": "starting",
+                "error": "",
+                "answer": None,
+            }
+            self._questions.put_nowait(question)
+        return _json({"error": ""})
+
+    def _stop(self, _body: bytes) -> Answer:
+        self._is_stopped = True
+        self._show(note="stopping after this run")
+        return _json({"error": ""})
+
+    def _state(self) -> Answer:
+        with self._lock:
+            rows = sorted(self._rows.values(), key=lambda row: row.rank)
+            return _json({**self._shown, "rows": rows, "earlier": self._earlier})
+
+    def _machine_answer(self) -> Answer:
+        if not self._machine:
+            self._machine = _json({"middlewares": list(middleware_checks()), "links": list(PRESETS)})[1]
+        return "application/json", self._machine, ""
+
+    def _settings(self) -> Answer:
+        """Return the file of settings of this session's answer: the search itself has named it."""
+        with self._lock:
+            found = self._shown["answer"] or {}
+        path = (found.get("recommended") or {}).get("configuration")
+        return "text/plain", b"" if path is None else Path(path).read_bytes(), ""
+
+    def _read_earlier(self) -> list[dict[str, object]]:
+        """Return the newest answers of the folder; what is none is left out."""
+        earlier = list[tuple[float, dict[str, object]]]()
+        for path in self._out.glob("*/answer.json"):
+            with suppress(*UNREADABLE, IndexError), open_regular(path, follow_links=False) as file:
+                found = json.loads(file.read(MOST_ANSWER_BYTES))
+                earlier.append((path.stat().st_mtime, _earlier(path.parent.name, found)))
+        return [one for _, one in sorted(earlier, key=lambda row: row[0], reverse=True)][:MOST_EARLIER]
+
+
+def _earlier(name: str, found: Mapping[str, Any]) -> dict[str, object]:
+    """Return an answer of the folder with the form that asks it again; what is no answer raises one of `UNREADABLE`."""
+    asked, link = found["question"], found["link"] or {}
+    message, deadline_ms = asked["messages"][0], asked["limits"]["deadline_ms"]
+    form = {
+        "data": str(message["data"]),
+        "size": f"{int(message['size'])}B" if message["size"] else "",
+        "rate": f"{float(message['rate_hz']):g}",
+        "deadline": "" if deadline_ms is None else f"{float(deadline_ms):g}ms",
+        "minutes": f"{float(asked['minutes']):g}",
+        "host": str(asked["host"] or ""),
+        "link": link["name"] if link.get("name") in PRESETS else "",
+    }
+    return {"name": name, "sentence": str(found["sentence"]), "form": form}
+
+
+def question_of(form: Mapping[str, str]) -> Question:
+    """Return the question of a form.
+
+    Raises:
+        OptionError: a value is wrong.
+    """
+    if not form["rate"]:
+        raise OptionError("--rate: give the messages a second, such as 20")
+    if "/" in form["host"] or form["host"].endswith(".toml") or form["link"] not in ("", *PRESETS):
+        raise OptionError("--host and --link: the page takes names; files are for dds-trace advise")
+    try:
+        minutes = float(form["minutes"] or 10)
+    except ValueError:
+        minutes = 0.0
+    if not 2 <= minutes <= 1440:
+        raise OptionError("--minutes: give 2 to 1440")
+    hosts = [form["host"]] if form["host"] else []
+    plan = ask(
+        form["size"] or None, form["rate"], data=form["data"] or "binary", link=form["link"] or None, hosts=hosts
+    )
+    return Question(plan, limits_of(form["deadline"] or None, form["in_time"] or "99%"), minutes)
+
+
+def command_of(form: Mapping[str, str]) -> str:
+    """Return the command line that asks the same."""
+    words = [f"--{name.replace('_', '-')} {shlex.quote(form[name])}" for name in FIELDS if form[name]]
+    return " ".join(["dds-trace advise", *words])
+
+
+def _form_of(body: bytes) -> dict[str, str]:
+    try:
+        values = json.loads(body)
+        form = {name: values.get(name, "") for name in FIELDS}
+    except UNREADABLE:
+        form = {}
+    if not form or not all(isinstance(value, str) for value in form.values()):
+        raise OptionError("this is no form of the page")
+    return {name: value.strip() for name, value in form.items()}
+
+
+def _json(value: object) -> Answer:
+    body = json.dumps(to_json(value, not_finite=lambda _: None)).encode()
+    return "application/json", body, sha256(body).hexdigest()[:16]

@@ -226,8 +226,7 @@ def _width_ns(ages_ns: Int64) -> float:
 
 
 def _no_age(stamps: Stamps, start_ns: int, tick_ns: int, offset_ns: float | None) -> str:
-    ages_ns = stamps.age_ns
-    age_ns = median(ages_ns)
+    ages_ns, age_ns = stamps.age_ns, median(stamps.age_ns)
     if (ages_ns == 0).sum() >= MOST * len(ages_ns) and len(ages_ns) >= FEWEST:
         return "copy"
     if start_ns < SIMULATED_BEFORE_NS and -age_ns > DAY_NS:
@@ -342,12 +341,10 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
 
 
 def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
-    log_ns, stamp_ns = stamps.log_ns, stamps.stamp_ns
-    if len(log_ns) < FEWEST:
+    if len(stamps.log_ns) < FEWEST:
         return
-    ages_ns = stamps.age_ns
-    age_ns = median(ages_ns)
-    steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
+    ages_ns, age_ns = stamps.age_ns, median(stamps.age_ns)
+    steps_ns = np.diff(stamps.stamp_ns) - np.diff(stamps.log_ns)
     jumps = steps_ns[np.abs(steps_ns) > SECOND_NS]
     over = {
         unit: int((np.abs(jumps + _WRAP * UNIT_NS[unit]) < FEW / 2 * _WRAP * UNIT_NS[unit]).sum()) for unit in _UNITS

@@ -311,12 +311,12 @@ UNSEEN_BURST = 4.5
 
 
 def _unseen_limit(is_late: Sequence[Bools], confidence: float) -> float:
-    """Return Poisson's upper limit by the bursts that came, and another one."""
+    """Return Poisson's upper limit by the bursts that came, or one, of their mean size and that of another one."""
     sizes = [episode_sizes(np.flatnonzero(late), len(late)) for late in is_late]
     bursts = np.concatenate([*sizes, [UNSEEN_BURST]])
     if len(bursts) > MIN_EPISODES:
         return 0.0
-    most = poisson_limits(len(bursts), (1 + 2 * confidence) / 3)[1]  # one of three upper limits
+    most = poisson_limits(max(len(bursts) - 1, 1), (1 + 2 * confidence) / 3)[1]  # one of three upper limits
     return most * float(bursts.mean()) / sum(map(len, is_late))
 
 

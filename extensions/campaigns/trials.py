@@ -33,14 +33,13 @@ SSH_OVERHEAD_S = 4.0
 
 
 def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
-    """Return the plan with runs of such a length: tried once, without a measurement of the recorder's own cost after the first repeat."""
+    """Return the plan with runs of such a length, without a measurement of the recorder's own cost after the first repeat."""
     run = replace(
         plan.run,
         messages=0,
         seconds=seconds,
         min_messages=12,
         warmup=5,
-        attempts=1,
         settle_seconds=SETTLE_S,
         cutoff_seconds=CUTOFF_S,
         own_cost_passes=1,

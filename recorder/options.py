@@ -127,6 +127,13 @@ class PingOptions:
         10.0, "--call-timeout SECONDS", "Count calls that take longer; they go on.", limit=limits.LENGTH_S
     )
     relays: int = detail(1, "--relays N", "How many relays to wait for.", limit=limits.RELAYS)
+    nodes: int = option(
+        0,
+        "--nodes N",
+        "Have so many nodes in the domain, with this one, and measure their discovery and what they send at rest.",
+        limit=limits.NODES,
+        axis=Axis(for_relay=False),
+    )
     bridge: str = detail(
         "none",
         "--bridge BRIDGE",

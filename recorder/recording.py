@@ -37,6 +37,7 @@ from .payloads import is_live, open_payload, served_data_types
 from .payloads.base import DataType
 from .payloads.binary import BINARY
 from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
+from .roles.further_nodes import further_nodes
 from .roles.own_look import look_at_self
 from .roles.ping import LONGEST_SETTLE_NS, AnyPing, PingThread, open_ping
 from .roles.plan import check_rate, check_serialization, plan_run
@@ -186,6 +187,8 @@ class PingRecording(BaseRecording):
             asked = _check_bridge(self.options, self._ping_options, self._plan.payload.data_type)
             if asked is not None:
                 self.bridge = stack.enter_context(load_part("parts", "open_bridge")(self._ping_options.bridge, asked))
+            if self._ping_options.nodes:
+                self.costs["nodes"] = stack.enter_context(further_nodes(self.node, self._ping_options.nodes))
             if self.rehearses:  # there is no connection to read applied settings from
                 return False
             self._wait_for_echo(read_error)

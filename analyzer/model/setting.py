@@ -16,7 +16,7 @@ LOAD = "load"
 FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows that ran with it (joined by +), and the runs of its machine."""
 
-_CONDITIONS = "link relays hosts pings topics data outage outage_by queue clients response_bytes"
+_CONDITIONS = "link relays nodes hosts pings topics data outage outage_by queue clients response_bytes"
 CONDITIONS = frozenset((*_CONDITIONS.split(), LOAD, FLOW, WITH, FLOWS))
 """Keys that nobody chooses: other values are no alternatives."""
 

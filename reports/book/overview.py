@@ -25,7 +25,7 @@ from .groups import (
     is_of_topics,
     qos_label,
 )
-from .recording import OwnCost, RunTime, cost_words, setting_words, version_words
+from .recording import OwnCost, RunTime, cost_words, discovery_words, setting_words, version_words
 from .verdicts import conditions_label
 
 MOST_LISTED = 12
@@ -74,6 +74,7 @@ def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], 
         Fact("When", _when(analysis, times)),
         Fact("Traces", _traces(analysis)),
         Fact("Quality of service", _listed(dict.fromkeys(qos_label(member) for member in groups.series))),
+        Fact("Discovery", discovery_words(analysis.sessions)),
         Fact("Settings", setting_words(analysis)),
         Fact("Versions", version_words(analysis)),
         Fact("Cost of measuring", cost_words(costs, analysis.sessions)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -17,11 +18,11 @@ from dds_trace.analyzer.model.applied import (
     payload_path,
     udp_receive_buffer_bytes,
 )
-from dds_trace.analyzer.model.environment import versions_of
+from dds_trace.analyzer.model.environment import middleware_version, versions_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_ratio
+from dds_trace.base.units import counted, format_duration, format_ratio, three_digits
 from dds_trace.tracefile.format.descriptions import Session
-from dds_trace.tracefile.format.json_fields import number_of, object_of
+from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of
 
 from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
 from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
@@ -141,6 +142,25 @@ def cost_words(costs: Sequence[OwnCost], sessions: Sequence[Session]) -> str:
     used_ns = zip(*(_numbers(sessions, "own_cost", name) for name in ("cpu_ns", "duration_ns")), strict=False)
     shares = [cpu_ns / max(duration_ns, 1) for cpu_ns, duration_ns in used_ns]
     words += [f"a tap {format_ratio(max(shares))} of one core"] if shares else []
+    return "; ".join(words)
+
+
+def discovery_words(sessions: Sequence[Session]) -> str:
+    by_setup: dict[tuple[str, float], list[JsonObject]] = {}
+    for session in sessions:
+        nodes = object_of(session.extra.get("nodes"))
+        if (number := number_of(nodes.get("number"))) is not None:
+            name = VENDORS.get(session.vendor, session.vendor)
+            by_setup.setdefault((printable(f"{name} {middleware_version(session)}"), number), []).append(nodes)
+    words = []
+    for (name, number), measured in sorted(by_setup.items()):
+        met_s, packets, size_bytes = (
+            statistics.median(number_of(nodes.get(key)) or 0.0 for nodes in measured)
+            for key in ("met_s", "packets_per_second", "bytes_per_second")
+        )
+        rest = f"at rest {packets:.0f} packets and {three_digits(size_bytes / 1000)} KB a second"
+        met = f"all met {met_s:.2g} s after the last one opened, " if number > 1 else ""
+        words.append(f"{name}, {counted(int(number), 'node')}: {met}{rest}")
     return "; ".join(words)
 
 

@@ -8,7 +8,7 @@ from dds_trace import Source, analyze
 from dds_trace.reports.blocks import plain_text
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import groups_info
-from dds_trace.reports.book.recording import MOST_ROWS, file_table, recorded_environment, setting_words
+from dds_trace.reports.book.recording import MOST_ROWS, discovery_words, file_table, recorded_environment, setting_words
 from dds_trace.reports.html import page
 
 
@@ -58,6 +58,17 @@ def test_settings_show_no_xml_and_nothing_empty():
     settings = {"CYCLONEDDS_URI": "<CycloneDDS/>", "connect": ""}
     shown = replace(session, host={**session.host, "middleware": settings})
     assert "configuration in XML; connect none" in setting_words(replace(analysis, sessions=(shown,)))
+
+
+def test_what_nodes_send_at_rest_is_one_part_for_each_number_and_version(analysis, sentences):
+    def session(number, met_s, version):
+        nodes = {"number": number, "met_s": met_s, "packets_per_second": 2 * number, "bytes_per_second": 1500 * number}
+        known = analysis.sessions[0]
+        return replace(known, vendor="fastdds", host={"versions": {"fastdds": version}}, extra={"nodes": nodes})
+
+    measured = [session(10, met_s, "2.14.5") for met_s in (0.1, 0.9, 0.2)] + [session(50, 2.0, "3.2.3")]
+    sentences(discovery_words(measured))
+    assert discovery_words(analysis.sessions) == ""
 
 
 def test_every_run_has_its_beginning_and_what_came_back(tmp_path):

@@ -1,0 +1,71 @@
+"""Nodes that are only there: how long after the last one was opened all are met, and what a domain of them sends at rest."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+
+from ..backends import load_backend
+from ..host.child import ending_with_parent
+from ..kernel.counters import read_interfaces
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from dds_trace.tracefile.format.json_fields import Json
+
+    from ..backends.node import Node
+
+IN_ONE_PROCESS = 10
+REST_S, PATIENCE_S = 3.0, 120.0
+_PROGRAM = """
+import sys
+from contextlib import ExitStack
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery
+backend, domain, discovery, *names = sys.argv[1:]
+with ExitStack() as stack:
+    for name in names:
+        stack.enter_context(open_node(backend, NodeOptions(int(domain), name, Discovery(discovery)))).start()
+    print("open", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def further_nodes(node: Node, number: int) -> Iterator[dict[str, Json]]:
+    """Have so many nodes with this one, ten in a process; yield what the session records of them."""
+    options, backend = node.options, node.middleware.backend
+    if not load_backend(backend).speaks_dds:
+        raise OptionError(f"-o nodes={number}: nodes of the backend {backend} do not discover each other; leave it out")
+    names = [f"dds_trace_node_{index}" for index in range(1, number)]
+    command = [*ending_with_parent(), sys.executable, "-c", _PROGRAM]
+    command += [backend, str(options.domain_id), options.discovery.value]
+    others = node.count_participants() or 1
+    with ExitStack() as stack:
+        programs = [
+            stack.enter_context(
+                subprocess.Popen([*command, *part], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            )
+            for part in (names[start : start + IN_ONE_PROCESS] for start in range(0, len(names), IN_ONE_PROCESS))
+        ]
+        for program in programs:
+            stack.callback(program.terminate)
+            if not program.stdout or program.stdout.readline() != "open\n":
+                raise BackendUnavailableError(f"-o nodes={number}: not all could be opened here; give less")
+        opened_s = time.monotonic()
+        while (node.count_participants() or 0) < others + len(names) and time.monotonic() < opened_s + PATIENCE_S:
+            time.sleep(0.01)
+        met_s = time.monotonic() - opened_s
+        before = read_interfaces()
+        time.sleep(REST_S)
+        sent = [(now.sent_packets - was.sent_packets, now.sent_bytes - was.sent_bytes)
+                for name, now in read_interfaces().items() if (was := before.get(name))]  # fmt: skip
+        packets, size_bytes = (round(sum(column) / REST_S) for column in zip(*sent, strict=True))
+        yield {"number": number, "met_s": met_s, "packets_per_second": packets, "bytes_per_second": size_bytes}

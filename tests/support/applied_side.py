@@ -15,7 +15,7 @@ from dds_trace.base.records import from_json, to_json
 from dds_trace.recorder.applied.applied import Traffic, read_applied, with_path
 from dds_trace.recorder.applied.asked import Asked, asked_settings
 from dds_trace.recorder.applied.differences import differences
-from dds_trace.recorder.backends import open_node, ros2, zenoh
+from dds_trace.recorder.backends import load_backend, open_node, ros2, zenoh
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY
@@ -62,6 +62,7 @@ class Side:
             discovery=given["discovery"],
             environment=users_own,
             settings=self.node.middleware.settings,
+            profile=load_backend(given["backend"]).profile_of(self.node.middleware.rmw, users_own)[0],
         )
         self.asked = from_json(Asked, {**to_json(asked), **given["asked"]})
         self.count = 0

@@ -78,7 +78,8 @@ def kinds_of(table: Collection[str], name: str, help_: str) -> OptionInfo:
     def check(kinds: list[str] | None) -> list[str] | None:
         for kind in kinds or ():
             if kind not in table:
-                raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, table))}.")
+                of_foxglove = " --derived-mcap writes what Foxglove reads." if "foxglove" in kind.lower() else ""
+                raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, table))}.{of_foxglove}")
         return kinds
 
     return option(name, f"{help_}: {', '.join(table)}; repeatable.", callback=check, autocompletion=starting(table))

@@ -28,6 +28,7 @@ def default_domain(*, joins_robot: bool = False) -> int:
         return ROBOTS_DOMAIN if joins_robot else OWN_DOMAIN
     if not text.isdecimal() or len(text) > 9:
         raise OptionError(f"ROS_DOMAIN_ID is {limits.shown(text)}, not a domain id; set a number or unset it")
+    limits.check(limits.DOMAIN_ID, int(text), "ROS_DOMAIN_ID")
     return int(text)
 
 

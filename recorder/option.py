@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import Limit, Real, Whole, shown
-from dds_trace.base.units import parse_rate, parse_size, split_quantity
+from dds_trace.base.units import SECOND_NS, parse_duration, parse_rate, parse_size, split_quantity
 
 from .choices import Call, Role
 
@@ -159,6 +159,15 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
 
 def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.strip() for text in texts for name in text.split(",") if name.strip()))
+
+
+def parse_seconds(text: str) -> float:
+    """Read a duration with a unit, or a number of seconds."""
+    try:
+        return float(text)
+    except ValueError:
+        value, unit = split_quantity(text) or (0.0, "")
+        return value * AGE_UNITS_S[unit] if unit in AGE_UNITS_S else parse_duration(text, "time") / SECOND_NS
 
 
 def parse_rate_or_max(text: str) -> float:

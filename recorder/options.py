@@ -26,6 +26,7 @@ from .option import (
     parse_pairs,
     parse_rate_or_max,
     parse_rates,
+    parse_seconds,
     parse_topics,
 )
 
@@ -101,12 +102,19 @@ class PingOptions:
     )
     warmup: int = detail(DEFAULT_WARMUP, "--warmup N", "Messages before them, which do not count.", limit=limits.WARMUP)
     wait_s: float = detail(
-        DEFAULT_WAIT_S, "--wait SECONDS", "How long to wait for the first echo.", limit=limits.WAIT_S
+        DEFAULT_WAIT_S,
+        "--wait TIME",
+        "How long to wait for the first echo: 20, 20s or 1min.",
+        kind=str,
+        parse=parse_seconds,
+        limit=limits.WAIT_S,
     )
     patience_s: float = detail(
         3.0,
-        "--patience SECONDS",
+        "--patience TIME",
         "How long a relay that is no longer seen may be silent before the run ends.",
+        kind=str,
+        parse=parse_seconds,
         limit=limits.WAIT_S,
     )
     start_at_s: float | None = detail(
@@ -124,7 +132,12 @@ class PingOptions:
         axis=Axis(for_relay=False),
     )
     call_timeout_s: float = detail(
-        10.0, "--call-timeout SECONDS", "Count calls that take longer; they go on.", limit=limits.LENGTH_S
+        10.0,
+        "--call-timeout TIME",
+        "Count calls that take longer; they go on.",
+        kind=str,
+        parse=parse_seconds,
+        limit=limits.LENGTH_S,
     )
     relays: int = detail(1, "--relays N", "How many relays to wait for.", limit=limits.RELAYS)
     nodes: int = option(
@@ -235,8 +248,10 @@ class RecordOptions:
     beacon_rate_hz: float | None = field(default=None, metadata=OUTSIDE_OF_KEY)
     duration_s: float | None = detail(
         None,
-        "--duration SECONDS",
-        "Stop after this many seconds; a relay, tap or beacon without it runs until stopped.",
+        "--duration TIME",
+        "Stop after this time (10, 10s, 5min); a relay, tap or beacon without it runs until stopped.",
+        kind=str,
+        parse=parse_seconds,
         limit=limits.LENGTH_S,
     )
     keep_free: KeepFree = detail(

@@ -132,7 +132,8 @@ def _bars(block: blocks.Bars) -> Drawn:
 
 
 def _bar(value: float, longest: float, cells: int) -> str:
-    return "▇" * max(1, round(cells * value / longest))
+    whole, eighths = divmod(max(1, round(8 * cells * value / longest)), 8)
+    return "█" * whole + " ▏▎▍▌▋▊▉"[eighths].strip()
 
 
 def _command(block: blocks.Command) -> Drawn:

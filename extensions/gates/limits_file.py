@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .gate import Gate
     from .thresholds import Threshold
 
-LEAST_ROOM = 0.1
+LEAST_ROOM, MOST_ROOM = 0.1, 9.0
 LEAST_LOSS = 0.005
 
 
@@ -158,6 +158,9 @@ def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
         return
     # Of n runs the reach of the mean, times sqrt(n + 1), is that of a single further run.
     room = max(LEAST_ROOM, (new.upper / new.value) ** math.sqrt(new.units + 1) - 1)
+    if room > MOST_ROOM:
+        yield f"# {metric}: the runs differ too much for a limit"
+        return
     yield f'{metric} = ["< {_time_above(new.value * (1 + room))}", "< +{5 * math.ceil(20 * room):g} %"]'
 
 

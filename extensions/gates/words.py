@@ -129,10 +129,12 @@ def gate_interval_words(result: GateResult) -> str:
 
 
 def ends_words(low: str, high: str) -> str:
-    _, space, unit = high.rpartition(" ")
-    if low == high == unit:  # lost, unknown
-        return low
-    return f"{low.removesuffix(space + unit)} to {high}"
+    return low if low == high else f"{low.removesuffix(unit_of(high))} to {high}"
+
+
+def unit_of(words: str) -> str:
+    """Return the blank and the unit at the end of a number; nothing of `lost` or `unknown`."""
+    return "".join(words.rpartition(" ")[1:]) if " " in words else ""
 
 
 def why_words(result: GateResult) -> str:
@@ -176,12 +178,11 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     limit_words = [found_from_words(end) if is_ratio else measured_words(worst.result, end) for end in limits]
     words = measured_words(worst.result, worst.result.value)
     interval = gate_interval_words(worst.result)
-    _, space, unit = words.rpartition(" ")
     more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
     return (
         MARKS[worst.result.outcome],
         worst.result.gate.text,
-        words if interval in (words, "unknown") else f"{words} ({interval.removesuffix(space + unit)})",
+        words if interval in (words, "unknown") else f"{words} ({interval.removesuffix(unit_of(words))})",
         ends_words(limit_words[0], limit_words[-1]) if len(set(limit_words)) > 1 else "".join(limit_words[:1]),
         worst.where + more,
     )

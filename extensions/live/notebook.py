@@ -56,7 +56,7 @@ def first_screen(analysis: Analysis) -> str:
         top = f"<p>{escape(top[: MOST_CHARACTERS // 4])} ...</p>"
     if sizes is not None:
         room = MOST_CHARACTERS - len(top) - len(below) - _BELOW
-        pairs = ("more pair of devices and links", "more pairs of devices and links")
+        pairs = ("more link", "more links")
         top += f"{_table(size_block(sizes), room, pairs)}<p style='{_SOFT}'>{escape(HOW_TO_READ)}</p>"
     return f"<div>{top}{below}</div>"
 

@@ -282,8 +282,8 @@ def _ends(times_ns: Sequence[float]) -> str:
 
 def _pairs(pairs: Sequence[str], count: int) -> str:
     if len(pairs) == count > 1:
-        return f"each of {count} pairs of devices and links"
-    return "; ".join(pairs) if len(pairs) <= MOST_NAMED else f"{len(pairs)} of {count} pairs of devices and links"
+        return f"each of {count} links"
+    return "; ".join(pairs) if len(pairs) <= MOST_NAMED else f"{len(pairs)} of {count} links"
 
 
 def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:

@@ -197,7 +197,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
     executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
     ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
-    return f"Measured on {some_of(parts, 'more pairs of devices', 'more pair of devices')}{runs}{ros}.{limits_words(analysis)}"
+    return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{ros}.{limits_words(analysis)}"
 
 
 def limits_words(analysis: Analysis) -> str:
@@ -205,7 +205,7 @@ def limits_words(analysis: Analysis) -> str:
     full, recordings = counts["cpu_saturated"], len(analysis.sessions)
     words = ""
     if full and full >= BUSY_SHARE * recordings:
-        words = f" The machine was busy in {full} of {counted(recordings, 'recording')}: these times include waiting for a processor."
+        words = f" The machine was busy in {full} of {counted(recordings, 'trace')}: these times include waiting for a processor."
     if bound := counts["client_bound"]:
         words += f" The throughput of {counted(bound, 'result')} is that of our ping or relay, not the middleware's."
     return words

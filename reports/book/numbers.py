@@ -14,7 +14,7 @@ from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shar
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.verdicts.judgements import lossy_shares
-from dds_trace.base.units import counted, finite
+from dds_trace.base.units import counted, finite, format_ratio
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS, Groups
 from .verdicts import VERDICTS, few_words, received_words, runs_words
@@ -160,7 +160,7 @@ def curves_info(analysis: Analysis) -> Curves:
 def _loss_text(share: float | None) -> str:
     if share is None:
         return ""
-    return "< 1 %" if 0 < share < 0.01 else f"{math.floor(100 * share)} %"
+    return format_ratio(share)
 
 
 @dataclass(frozen=True, slots=True)

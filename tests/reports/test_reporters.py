@@ -91,13 +91,22 @@ FACTS = ("", "Devices", "Link", "Middleware", "Domains", "Messages", "Sent", "Ra
          "Settings", "Versions", "Cost of measuring", "Conditions")  # fmt: skip
 
 
+@pytest.mark.parametrize("cells", [INLINE_BAR, 30])
+def test_lengths_of_bars_have_the_ratio_of_their_numbers_to_an_eighth_of_a_column(cells):
+    for value in (0.4, 3.42, 37.6, 120.0, 371.0, 448.0):
+        bar = terminal._bar(value, 448.0, cells)
+        eighths = sum(8 if column == "█" else " ▏▎▍▌▋▊▉".index(column) for column in bar)
+        assert eighths == pytest.approx(max(8 * cells * value / 448.0, 1), abs=0.51)
+    assert terminal._bar(3.42, 500.0, cells) != terminal._bar(37.6, 500.0, cells)
+
+
 def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
     lines = terminal.render(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
     binary = lines.index("Fastest in the same domain (Binary)")
-    fact, bars = lines[binary + 1], next(line for line in lines[binary:] if "▇" in line)
+    fact, bars = lines[binary + 1], next(line for line in lines[binary:] if "█" in line)
     assert fact.startswith("✓ at every size: Zenoh (")
-    short, long = (part.count("▇") for part in bars.split("   ")[:2])
-    assert 1 <= short < long == INLINE_BAR
+    short, long = (part.count("█") for part in bars.split("   ")[:2])
+    assert short < long == INLINE_BAR
     assert bars.endswith("1 MB at 10 Hz")
     lossy = next(line for line in lines if line.startswith("✗"))
     assert "were lost" in lossy

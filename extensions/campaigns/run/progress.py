@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.streams import plain_console
+from dds_trace.base.streams import SCREEN_WIDTH, plain_console
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class PlainProgress(SweepProgress):
     def __init__(self, console: Console) -> None:
         self._console = console
         self._cells = self._complete = 0
+        self._reasons: set[str] = set()
 
     def begin(self, cells: int, complete: int) -> None:
         self._cells, self._complete = cells, complete
@@ -54,7 +56,13 @@ class PlainProgress(SweepProgress):
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         self._complete += complete
         total = f"/{self._cells}" if self._cells else ""
-        self.note(f"[{self._complete}{total}] {name}: {outcome}")
+        words = "failed for the same reason" if outcome in self._reasons else outcome
+        self._reasons |= set() if complete else {outcome}
+        line = printable(f"[{self._complete}{total}] {name}: {words}", MAX_FINDING_CHARACTERS)
+        for part in textwrap.wrap(
+            line, SCREEN_WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+        ):
+            self.note(part)
 
     def note(self, text: str) -> None:
         self._console.print(printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True)

@@ -22,7 +22,7 @@ from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
 from dds_trace.recorder.errors import BridgeError, LossesError, StoppedError
-from dds_trace.recorder.option import parse_percentage
+from dds_trace.recorder.option import parse_percentage, parse_seconds
 from dds_trace.recorder.option_table import OPTIONS, help_of
 from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
 from dds_trace.recorder.recording import Recorded
@@ -98,6 +98,17 @@ def test_the_environment_of_ros_counts(parsed, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "ten")
     with pytest.raises(OptionError, match="ROS_DOMAIN_ID is 'ten'"):
         parsed()
+    monkeypatch.setenv("ROS_DOMAIN_ID", "300")
+    with pytest.raises(OptionError, match="ROS_DOMAIN_ID 300"):
+        parsed(role="tap")
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("10", 10), ("10s", 10), ("2.5 min", 150), ("500ms", 0.5), ("1h", 3600)])
+def test_times_take_units_and_a_bare_number_is_seconds(parsed, text, seconds):
+    options = parsed("--duration", text, "--wait", text, "--patience", text)
+    assert (options.duration_s, options.ping.wait_s, options.ping.patience_s) == (seconds,) * 3
+    with pytest.raises(OptionError, match="time '10 parsecs'"):
+        parse_seconds("10 parsecs")
 
 
 def test_everything_given(parsed, tmp_path):

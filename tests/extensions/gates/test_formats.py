@@ -13,7 +13,7 @@ from roundtrip_frames import MS, in_runs, steady
 from visible_text import Page
 from wording import comparison_as, numbers
 
-from dds_trace.extensions.gates import document
+from dds_trace.extensions.gates import document, words
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
 from dds_trace.extensions.gates.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.extensions.gates.gate import parse_gate
@@ -26,6 +26,19 @@ HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 GATES = [
     parse_gate(t) for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
 ]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [
+        ("-5 %", "+3 %", "-5 to +3 %"),
+        ("-100 %", "lost", "-100 % to lost"),
+        ("lost", "lost", "lost"),
+        ("1 ms", "2 s", "1 ms to 2 s"),
+    ],
+)
+def test_ends_share_a_unit_and_a_word_is_none(low, high, said):
+    assert words.ends_words(low, high) == said
 
 
 def compared(**parameters):

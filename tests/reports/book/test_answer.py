@@ -134,7 +134,7 @@ def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences
     for kind in ("html", "md", "terminal"):
         text = " ".join(load_reporter(kind).render(book).split())
         assert all(verdict.place in text for verdict in book.answer.verdicts), kind
-        assert "on each of 3 pairs" in text, kind
+        assert "on each of 3 links" in text, kind
 
 
 def test_different_answers_of_devices_have_a_sentence_each(sentences):

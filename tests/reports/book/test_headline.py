@@ -39,7 +39,7 @@ def test_the_study_is_described_by_size_and_device_pair_and_not_by_one_full_reco
     assert "busy" not in answer.points[-1]
     assert numbers(answer.headline)[1:] == [6_804, 115_200, 1]
     points = "\n".join(answer.points)
-    assert points.count("(3 pairs of devices and links)") == 2
+    assert points.count("(3 links)") == 2
     assert "about 7 repeats" in points
     assert "MB at 40 Hz, pi3-a" in points
     assert points.count("% lost)") == 3

@@ -53,7 +53,7 @@ def test_the_bag_has_it_in_words_and_json(tmp_path):
     assert (row["topic"], row["other"], row["messages"]) == ("/camera", "/imu", 3000)
     assert row["drift_ppm"] == pytest.approx(50, abs=2)
     done = CliRunner().invoke(app, [str(path), "--sync", "/camera,/imu", "--out", str(tmp_path / "out")])
-    assert "stamps of /camera are 42.5 ms older than /imu's" in " ".join(done.output.split())
+    assert "/camera are 42.5 ms older" in " ".join(done.output.split())
     same = analyze_topics(path, sync=("/camera", "/camera")).syncs[0][1]
     assert "no drift above" in same.words
 

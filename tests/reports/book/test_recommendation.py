@@ -204,6 +204,6 @@ def test_a_guess_is_said_to_be_one_with_the_share_of_its_interval():
     ranking = recommend_settings(steady(MIXED), job, estimate=lambda *_: guess)
     (row,) = recommendation_info(ranking, VendorLabels(VENDORS)).rows
     assert "a guess" in row[2]
-    assert "90 %: 2 ms to 6 ms" in row[2]
+    assert "90 %: 2 ms to 6" in row[2]
     assert "95 %" not in row[2]
     assert row[1] == "likely"

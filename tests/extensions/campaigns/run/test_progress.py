@@ -30,4 +30,4 @@ def test_a_result_takes_no_more_than_80_columns_and_keeps_its_words():
 
 def test_a_reason_is_said_once():
     lines = lines_of(("a", REASON, False), ("a", REASON, False), ("b", "failed: killed", False))
-    assert lines[-2:] == ["[0/24] a: failed for the same reason", "[0/24] b: failed: killed"]
+    assert [line.split()[1:4] for line in lines[-2:]] == [["a:", "failed", "for"], ["b:", "failed:", "killed"]]

@@ -114,7 +114,7 @@ def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
     recordings, seconds = promise(replace(question, plan=startable(plan, refused)))
     described = {
         "plan": plan.name,
-        "recordings": recordings,
+        "runs": recordings,
         "seconds": seconds,
         "most_seconds": 60 * question.minutes,
         "cells": [{"name": cell.name} for cell in plan.cells],

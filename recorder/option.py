@@ -161,13 +161,13 @@ def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.strip() for text in texts for name in text.split(",") if name.strip()))
 
 
-def parse_seconds(text: str) -> float:
-    """Read a duration with a unit, or a number of seconds."""
+def parse_seconds(text: str, what: str) -> float:
+    """Read a duration with a unit, or a number of seconds; `what` names the option."""
     try:
         return float(text)
     except ValueError:
         value, unit = split_quantity(text) or (0.0, "")
-        return value * AGE_UNITS_S[unit] if unit in AGE_UNITS_S else parse_duration(text, "time") / SECOND_NS
+        return value * AGE_UNITS_S[unit] if unit in AGE_UNITS_S else parse_duration(text, what) / SECOND_NS
 
 
 def parse_rate_or_max(text: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -106,7 +107,7 @@ class PingOptions:
         "--wait TIME",
         "How long to wait for the first echo: 20, 20s or 1min.",
         kind=str,
-        parse=parse_seconds,
+        parse=partial(parse_seconds, what="-o wait"),
         limit=limits.WAIT_S,
     )
     patience_s: float = detail(
@@ -114,7 +115,7 @@ class PingOptions:
         "--patience TIME",
         "How long a relay that is no longer seen may be silent before the run ends.",
         kind=str,
-        parse=parse_seconds,
+        parse=partial(parse_seconds, what="-o patience"),
         limit=limits.WAIT_S,
     )
     start_at_s: float | None = detail(
@@ -136,7 +137,7 @@ class PingOptions:
         "--call-timeout TIME",
         "Count calls that take longer; they go on.",
         kind=str,
-        parse=parse_seconds,
+        parse=partial(parse_seconds, what="-o call_timeout"),
         limit=limits.LENGTH_S,
     )
     relays: int = detail(1, "--relays N", "How many relays to wait for.", limit=limits.RELAYS)
@@ -251,7 +252,7 @@ class RecordOptions:
         "--duration TIME",
         "Stop after this time (10, 10s, 5min); a relay, tap or beacon without it runs until stopped.",
         kind=str,
-        parse=parse_seconds,
+        parse=partial(parse_seconds, what="--duration"),
         limit=limits.LENGTH_S,
     )
     keep_free: KeepFree = detail(

@@ -75,8 +75,8 @@ def _response(row: Mapping[str, Any]) -> str:
 
     before, after = map(time_words, (row["base_ns"], row["new_ns"]))
     ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
-    is_known = "lost" not in (before, after) and None not in ratios
-    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if is_known else ""
+    has_ratio = "lost" not in (before, after) and None not in ratios
+    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if has_ratio else ""
     return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
 
 

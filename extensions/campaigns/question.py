@@ -26,7 +26,7 @@ from .plan.link import Link
 from .plan.plan import Plan
 from .plan.plan_file import parse_plan, read_host, read_link
 
-HERE = ("here", "localhost")
+THIS_MACHINE = ("here", "localhost")
 """Names of this machine for `--host`, next to its own."""
 
 SIZED = ("binary", "string")
@@ -68,7 +68,7 @@ def ask(
     Raises:
         OptionError: a value is wrong, or no middleware is installed.
     """
-    others = [host for host in hosts if host not in (*HERE, platform.node())]
+    others = [host for host in hosts if host not in (*THIS_MACHINE, platform.node())]
     if link is not None and others:
         raise OptionError("--link emulates a link on this machine; remove it or --host")
     if len(others) > 1:

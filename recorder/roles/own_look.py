@@ -38,13 +38,11 @@ def look_at_self(node: Node) -> Iterator[str]:
 
 
 def _shared_ports(domain_id: int, sockets: Sequence[Socket]) -> Iterator[str]:
-    own, ports = (
-        {read.inode for read in sockets},
-        domain_port_range(domain_id)[2:],
-    )  # all share the first two by intention
+    inodes = {read.inode for read in sockets}
+    ports = domain_port_range(domain_id)[2:]  # all share the first two by intention
     with suppress(DiagError):
         for other in dump_sockets(socket.AF_INET, socket.IPPROTO_UDP):
-            if other.inode not in own and other.local[1] in {read.local_port for read in sockets} & {*ports}:
+            if other.inode not in inodes and other.local[1] in {read.local_port for read in sockets} & {*ports}:
                 yield (
                     f"another process has UDP port {other.local[1]} of this one, too, and the kernel gives each datagram to one of "
                     "them: end it, or give it another --domain"
@@ -74,14 +72,14 @@ def _path_mtu(read: Socket) -> str:
 def _one_of_several_interfaces(vendor: str, sockets: Sequence[Socket]) -> Iterator[str]:
     opened = {read.local_address for read in sockets if read.protocol == "udp"}
     stats = psutil.net_if_stats()
-    named = {
+    names = {
         address.address: name
         for name, addresses in psutil.net_if_addrs().items()
         for address in addresses
         if address.family == socket.AF_INET and not address.address.startswith("127.") and stats[name].isup
     }
-    used = {named[address] for address in opened & named.keys()}
-    others = sorted({*named.values()} - used)
+    used = {names[address] for address in opened & names.keys()}
+    others = sorted({*names.values()} - used)
     if used and others:
         cure = vendor_facts(vendor).name_interface.format(others[0])
         yield (

@@ -222,7 +222,7 @@ SETTING_OPTIONS = {field: _option_of(field) for field in _SIDE_FIELDS.split()}
 
 PING_OPTIONS = {
     field: _option_of(field)
-    for field in ("bridge_running", "bridge_listen", "relays", "ping_share", "wake_ms", "clients")
+    for field in ("bridge_running", "bridge_listen", "relays", "nodes", "ping_share", "wake_ms", "clients")
 }
 
 LISTENS_AT = "0.0.0.0:7447"

@@ -160,10 +160,10 @@ def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, sai
 # Free texts with a grammar of their own: none of them names code, an address, a file or what is sent.
 DESCRIBING_TEXTS = {
     "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
-    "rotate setting size topics expect flow response-size segment buffer rate fragment",
+    "rotate setting size topics expect flow response-size segment buffer rate fragment wait patience call-timeout duration",
     "bridge": "deadline lifespan",
     "sweep": "until fail-if",
-    "analyze": "deadline fail-if margin export report",
+    "analyze": "deadline fail-if margin export report figures",
     "compare": "fail-if ignore",
     "watch": "",
 }

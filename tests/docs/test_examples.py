@@ -108,16 +108,21 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
         exec(compile(block.text, str(page), "exec"), names)
 
 
+def interrupted(_):
+    raise KeyboardInterrupt
+
+
 def run(line, monkeypatch):
     """Run a command in this process as far as its first message; how it ended."""
     monkeypatch.setattr("dds_trace.recorder.recording.rehearse", lambda *_: None)
     monkeypatch.setattr("dds_trace.extensions.campaigns.rehearsal.rehearse_plan", lambda *_, **__: {})
     monkeypatch.setattr("dds_trace.extensions.campaigns.rehearsal.check_plan", lambda *_: {})
+    monkeypatch.setattr("dds_trace.extensions.campaigns.studio.desk.Desk.work", interrupted)
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
     plans = {name: ["--dry-run"] for name in ("sweep", "explain", "advise", "capacity")}
     check = ["-o", "check=true"] if "record tap" in line else ["--check"]
-    more = {"bridge": ["--config"], "record": check, "dds-record": check, **plans}
+    more = {"bridge": ["--config"], "record": check, "dds-record": check, "studio": ["--port", "0"], **plans}
     kind = arguments[0] if program == "dds-trace" else program
     monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(kind, [])])
     with pytest.raises(SystemExit) as ended:
@@ -159,8 +164,8 @@ def test_a_command_of_a_page_runs_as_far_as_its_first_message(line, desk, monkey
     assert "is a setting now" not in err
 
 
-ENDS = {"bag drive/ --report": 20, "bag drive/": 30}
-"""Part of a line -> the exit code that its page names: a limit is broken, the bag has holes."""
+ENDS = {"bag drive/ --report": 20, "bag drive/": 30, "dds-trace studio": 130}
+"""Part of a line -> the exit code that its page names: a limit is broken, the bag has holes, Ctrl-C."""
 
 PART = re.compile(
     r"```sh\n(?P<sh>.*?)```|(?:into )?`(?P<plan>\w+\.toml)`[^`]*?```toml\n(?P<toml>.*?)```|```text\n(?P<answer>.*?)```|(?P<end>[Ee]nd the relay)",

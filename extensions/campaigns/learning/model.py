@@ -250,10 +250,10 @@ def _left_out_errors(process: Process, folds: Iterable[NDArray[np.bool_]]) -> Er
         if np.isfinite(process.times_ns[~is_out]).sum() < LEAST_ERRORS:
             continue
         within, out = (np.flatnonzero(part).tolist() for part in (~is_out, is_out))
-        rest = Process([process.questions[number] for number in within], process.times_ns[within], process.kernel)
-        answered = [number for number in out if not rest.why_unknown(process.questions[number])]
+        others = Process([process.questions[number] for number in within], process.times_ns[within], process.kernel)
+        answered = [number for number in out if not others.why_unknown(process.questions[number])]
         if answered:
-            log_ns, spread = rest.predict([process.questions[number] for number in answered])
+            log_ns, spread = others.predict([process.questions[number] for number in answered])
             errors.append(np.abs(log_ns - np.log(process.times_ns[answered])))
             spreads.append(spread)
     return Errors(np.concatenate([*errors, []]), np.concatenate([*spreads, []]))
@@ -282,8 +282,8 @@ class Estimator:
 
     @cached_property
     def _learned(self) -> Learned:
-        own = campaign_of(self.messages, self.job)
-        return Learned([*read_campaigns(own.runs), own], statistic_name(self.job.metric, self.job.reliability))
+        present = campaign_of(self.messages, self.job)
+        return Learned([*read_campaigns(present.runs), present], statistic_name(self.job.metric, self.job.reliability))
 
 
 def minutes_to_measure(parameters: Parameters, reliability: float) -> int:

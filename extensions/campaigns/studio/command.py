@@ -10,7 +10,6 @@ from typing import Annotated
 from dds_trace.base import limits
 from dds_trace.base.errors import OutputError
 from dds_trace.cli.program import command, make_app, option
-from dds_trace.extensions.live.local_server import LocalServer
 
 from ..commands.common import Out, run_until_interrupted
 
@@ -24,14 +23,16 @@ def studio_command(
         int, option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True)
     ] = 8766,
 ) -> None:
-    """Find the middleware and settings for a load on a page in the browser; Ctrl-C ends.
+    """Find middleware and settings for a load on a local page.
 
-    Open the printed address on this machine. The page does what `dds-trace advise` does, and nothing else. For example:
+    Open the printed address on this machine; Ctrl-C ends. The page does what `dds-trace advise` does, and nothing else. For example:
 
         dds-trace studio
     """
     limits.check(limits.FOLDER, str(out), "--out")
     import_module("polars")  # before minutes of recording
+    from dds_trace.extensions.live.local_server import LocalServer
+
     from .desk import Desk
 
     desk, key = Desk(out), secrets.token_urlsafe()

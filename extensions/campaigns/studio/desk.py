@@ -105,9 +105,9 @@ class Desk:
         while True:
             question = self._questions.get()
             try:
-                found = self._search(question, self._out, self._tell, order=partial(as_learned, question.plan))
-                self._show(running=False, answer=found)
-                say(found["sentence"])
+                result = self._search(question, self._out, self._tell, order=partial(as_learned, question.plan))
+                self._show(running=False, answer=result)
+                say(result["sentence"])
             except _StoppedError:
                 self._show(
                     running=False, note="Stopped; what was measured is kept, and the same question goes on from it."
@@ -169,8 +169,8 @@ class Desk:
     def _settings(self) -> Answer:
         """Return the file of settings of this session's answer: the search itself has named it."""
         with self._lock:
-            found = self._shown["answer"] or {}
-        path = (found.get("recommended") or {}).get("configuration")
+            result = self._shown["answer"] or {}
+        path = (result.get("recommended") or {}).get("configuration")
         return "text/plain", b"" if path is None else Path(path).read_bytes(), ""
 
     def _read_earlier(self) -> list[dict[str, object]]:
@@ -178,25 +178,25 @@ class Desk:
         earlier = list[tuple[float, dict[str, object]]]()
         for path in self._out.glob("*/answer.json"):
             with suppress(*UNREADABLE, IndexError), open_regular(path, follow_links=False) as file:
-                found = json.loads(file.read(MOST_ANSWER_BYTES))
-                earlier.append((path.stat().st_mtime, _earlier(path.parent.name, found)))
-        return [one for _, one in sorted(earlier, key=lambda row: row[0], reverse=True)][:MOST_EARLIER]
+                stored = json.loads(file.read(MOST_ANSWER_BYTES))
+                earlier.append((path.stat().st_mtime, _earlier(path.parent.name, stored)))
+        return [answer for _, answer in sorted(earlier, key=lambda row: row[0], reverse=True)][:MOST_EARLIER]
 
 
-def _earlier(name: str, found: Mapping[str, Any]) -> dict[str, object]:
+def _earlier(name: str, stored: Mapping[str, Any]) -> dict[str, object]:
     """Return an answer of the folder with the form that asks it again; what is no answer raises one of `UNREADABLE`."""
-    asked, link = found["question"], found["link"] or {}
-    message, deadline_ms = asked["messages"][0], asked["limits"]["deadline_ms"]
+    question, link = stored["question"], stored["link"] or {}
+    message, deadline_ms = question["messages"][0], question["limits"]["deadline_ms"]
     form = {
         "data": str(message["data"]),
         "size": f"{int(message['size'])}B" if message["size"] else "",
         "rate": f"{float(message['rate_hz']):g}",
         "deadline": "" if deadline_ms is None else f"{float(deadline_ms):g}ms",
-        "minutes": f"{float(asked['minutes']):g}",
-        "host": str(asked["host"] or ""),
+        "minutes": f"{float(question['minutes']):g}",
+        "host": str(question["host"] or ""),
         "link": link["name"] if link.get("name") in PRESETS else "",
     }
-    return {"name": name, "sentence": str(found["sentence"]), "form": form}
+    return {"name": name, "sentence": str(stored["sentence"]), "form": form}
 
 
 def question_of(form: Mapping[str, str]) -> Question:

@@ -107,8 +107,8 @@ def test_the_environment_of_ros_counts(parsed, monkeypatch):
 def test_times_take_units_and_a_bare_number_is_seconds(parsed, text, seconds):
     options = parsed("--duration", text, "--wait", text, "--patience", text)
     assert (options.duration_s, options.ping.wait_s, options.ping.patience_s) == (seconds,) * 3
-    with pytest.raises(OptionError, match="time '10 parsecs'"):
-        parse_seconds("10 parsecs")
+    with pytest.raises(OptionError, match="--duration '10 parsecs'"):
+        parse_seconds("10 parsecs", "--duration")
 
 
 def test_everything_given(parsed, tmp_path):

@@ -141,7 +141,7 @@ def test_a_chain_is_on_the_first_screen_and_in_the_json(tmp_path):
     assert (row["recording"], row["topic"], row["next_topic"]) == (str(tmp_path / "a.mcap"), "/in", "/out")
     assert row["share"] == pytest.approx(0.8, abs=0.06)
     (line,) = chain_lines([link for _, link in report.links], 3)
-    assert "on /out 39.5 ms later (82 %)" in line
+    assert "/out 39.5 ms later (82 %)" in line
     points = [
         item
         for section in BagReport(report).sections

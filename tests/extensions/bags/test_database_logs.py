@@ -100,7 +100,7 @@ def test_a_database_that_is_written_meanwhile_is_not_called_damaged(tmp_path, ch
         insert(database, draw, 100)
         list(messages)
     (damage,) = condition.damages
-    assert damage.startswith("it was written while it was read")
+    assert damage.startswith("it was written while")
 
 
 @pytest.mark.parametrize("kind", ["WAL", "DELETE"])

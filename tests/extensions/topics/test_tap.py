@@ -249,7 +249,7 @@ def test_what_the_tap_lost_is_its_own_and_has_a_cure_where_there_is_one(offered,
     bench = Bench(graph=[replace(CAMERA, qos=Qos(offered))], asked=asked)
     feed(bench, {"a": [(66 * number, number) for number in (1, 14, 30, 31, 70)]})
     (line,) = summarize(bench.tap.streams)
-    assert numbers(line)[-3:] == [5, 15.2, 65] or numbers(line)[:3] == [5, 15.2, 65], line
+    assert "5 messages, 15.2 Hz, 65 missing:" in line
     assert ("-o reliability=reliable" in line) == has_cure
 
 

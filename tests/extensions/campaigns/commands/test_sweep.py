@@ -96,7 +96,7 @@ def test_paper_plan_as_run_has_what_its_programs_sent():
     assert rates == {(cell.data, cell.rate) for cell in of_text.cells}
 
 
-def test_paper_plan_on_a_link_is_a_part_of_both_in_a_quarter_of_an_hour():
+def test_paper_plan_on_a_link_is_a_part_of_both_in_twenty_minutes():
     plan = read_plan(ROOT / "plans/paper-link.toml")
     sizes = {depth: sorted({cell.size for cell in plan.cells if cell.depth == depth}) for depth in (1, 10)}
     as_run, of_text = (
@@ -105,7 +105,7 @@ def test_paper_plan_on_a_link_is_a_part_of_both_in_a_quarter_of_an_hour():
     assert len(sizes[1]) == len(sizes[10]) == 3
     assert (set(sizes[1]) <= as_run, set(sizes[10]) <= of_text) == (True, True)
     assert plan.link.rate_mbit_s == 100
-    assert plan_seconds(plan).seconds <= 20 * 60
+    assert plan_seconds(plan).seconds <= 22 * 60
 
 
 THREE_REPEATS = {
@@ -123,6 +123,7 @@ THREE_REPEATS = {
     "paper-link",
     "tsc",
     "tsc-wifi",
+    "nodes",
 }
 
 
@@ -134,7 +135,8 @@ def test_every_plan_that_we_ship_can_be_read(path):
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_has_passes_in_alternating_order_five_where_nothing_hurries(path):
     asked = read_plan(path, installed).run
-    assert (asked.repeats, asked.order) == (3 if path.stem in THREE_REPEATS else 5, Order.ALTERNATING)
+    repeats = 30 if path.stem == "stacks" else 3 if path.stem in THREE_REPEATS else 5
+    assert (asked.repeats, asked.order) == (repeats, Order.ALTERNATING)
 
 
 def test_plan_of_the_results_takes_half_an_hour_at_most_with_what_runs_on_one_machine():
@@ -147,7 +149,7 @@ def test_plan_of_the_results_takes_half_an_hour_at_most_with_what_runs_on_one_ma
     assert plan_seconds(asked).seconds <= 30 * 60
 
 
-def test_demo_allows_verdicts_on_all_that_pip_brings_within_three_minutes():
+def test_demo_allows_verdicts_on_all_that_pip_brings_within_four_minutes():
     middlewares = [(name, None) for name in ("ros2", "cyclonedds", "zenoh", "socket")]
     asked = read_plan(ROOT / "plans/demo.toml", lambda: middlewares)
     assert {(cell.backend, cell.bridge) for cell in asked.cells} == {
@@ -157,7 +159,7 @@ def test_demo_allows_verdicts_on_all_that_pip_brings_within_three_minutes():
     assert sorted({cell.size for cell in asked.cells}) == [33_000, 502_000]
     assert (asked.run.repeats, asked.run.order, len(asked.cells)) == (5, Order.ALTERNATING, 12)
     assert asked.run.repeats * asked.run.messages >= 100  # p99 takes 100
-    assert plan_seconds(asked).seconds <= 3 * 60
+    assert plan_seconds(asked).seconds <= 4 * 60
 
 
 def test_quick_plan_stays_a_matter_of_minutes():

@@ -37,8 +37,13 @@ def test_a_remote_device_is_asked_once_for_each_middleware():
     assert all(arguments[:2] == ["--role", "relay"] for arguments in robot.asked)
 
 
-def test_the_software_of_another_environment_is_unknown():
-    plan = parse_plan('[axes]\nenvironment = "/elsewhere"\nrmw = "rmw_of_somebody_cpp"\n', "x", "x", list)
+def test_the_software_of_another_environment_is_unknown(tmp_path):
+    plan = parse_plan(f'[axes]\nenvironment = "{tmp_path}"\nrmw = "rmw_of_somebody_cpp"\n', "x", "x", list)
+    (reason,) = missing_middlewares(plan, Robot()).values()
+    assert reason.startswith(f"{tmp_path} has no bin/dds-record")
+    program = tmp_path / "bin" / "dds-record"
+    program.parent.mkdir()
+    program.touch(0o755)
     assert missing_middlewares(plan, Robot()) == {}
 
 

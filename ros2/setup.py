@@ -50,6 +50,7 @@ setup(
     package_dir={PACKAGE: "../src/dds_trace"},
     package_data={
         PACKAGE: ["py.typed"],
+        f"{PACKAGE}.extensions.campaigns.studio": ["assets/*"],
         f"{PACKAGE}.extensions.topics": ["*.html"],
         f"{PACKAGE}.reports": ["report.schema.json"],
         f"{PACKAGE}.extensions.gates": ["comparison.schema.json"],

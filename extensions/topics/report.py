@@ -64,10 +64,10 @@ def topic_sentences(analysis: Analysis) -> list[str]:
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]
     if more := len(rows) - len(sentences):
         sentences.append(f"{counted(more, 'more topic is', 'more topics are')} in the table.")
-    return [*sentences, *map(printable, chain_lines(_links(analysis), MOST_CHAINS))]
+    return [*sentences, *map(printable, chain_lines(topic_links(analysis), MOST_CHAINS))]
 
 
-def _links(analysis: Analysis) -> list[Link]:
+def topic_links(analysis: Analysis) -> list[Link]:
     types = dict(analysis.topics.select("topic", "message_type").iter_rows())
     heard = analysis.topic_messages.drop_nulls(["header_ns", "relay_in_ns"]).sort("relay_device", "relay_in_ns")
     links = []

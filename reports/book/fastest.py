@@ -183,7 +183,7 @@ def winner_sentences(kinds: Sequence[Fastest]) -> tuple[str, ...]:
         parts = [[clauses.pop(first)], clauses] if not sentences else [clauses]
         sentences += [f"{kind.heading} {'; '.join(part)}." for part in parts if part]
         if kind.left_out:
-            sentences.append(f"For the others see the table ({counted(kind.left_out, 'pair')} of devices and links).")
+            sentences.append(f"For the others see the table ({counted(kind.left_out, 'link')}).")
     return tuple(sentences)
 
 

@@ -15,6 +15,7 @@ BASE = {
     "dds-trace choose": ["runs", "--size", "1KB", "--rate", "1", "--deadline", "1ms"],
     "dds-trace compare": ["runs", "runs"],
     "dds-trace watch": ["runs", "--port", "0"],
+    "dds-trace studio": ["--port", "0"],
     "dds-trace bag": ["runs"],
     "dds-trace recover": ["runs/x.mcap"],
     "dds-trace doctor": [],
@@ -73,6 +74,7 @@ def nothing_recorded(monkeypatch, tmp_path):
     monkeypatch.setattr("dds_trace.analyzer.pipeline.analyze", nothing_analyzed)
     monkeypatch.setattr("dds_trace.extensions.bags.analyze.analyze_topics", nothing_analyzed)
     monkeypatch.setattr("dds_trace.extensions.live.live.Watcher", nothing_analyzed)
+    monkeypatch.setattr("dds_trace.extensions.campaigns.studio.desk.Desk", nothing_analyzed)
     # A rehearsal starts a real relay, which takes as long as a hundred other values.
     monkeypatch.setattr("dds_trace.extensions.campaigns.station.devices.rehearse_program", lambda *_: None)
 

@@ -77,6 +77,7 @@ FINDS: dict[str, list[tuple[list[str], int]]] = {
         (["runs", "--port", "0", "--host", ""], 2),
         (["runs", "--port", "0", "--out", "\udcff"], 2),
     ],
+    "dds-trace studio": [(["--port", LARGE], 2)],
     "dds-trace bag": [(["x" * 5000], 2)],
     "dds-trace recover": [([LARGE], 2)],
     "dds-trace doctor": [(["--out", "\udcff"], 2)],

@@ -180,7 +180,7 @@ LAST_WORDS = {
     "analyze runs/mine": TIME,
     "analyze runs/camera": TIME,
     "analyze robot-and-laptop": TIME,
-    "compare runs/mine": r"slower|faster|lost",
+    "compare runs/mine": r"slower|faster|lost|change",
     "bag drive/ --report": r"health/topics\.html$",
     "bag drive/": r"clocks\.$",
     "--rehearse": r"start",

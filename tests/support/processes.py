@@ -78,6 +78,10 @@ class RunningCommand:
         return self._process.pid
 
     @property
+    def printed(self) -> list[str]:
+        return list(self._lines["stdout"])
+
+    @property
     def is_alive(self) -> bool:
         return self._process.poll() is None
 

@@ -163,7 +163,7 @@ function gridOf(
       ...(shares ? { showticklabels: false } : {}),
     };
     if (!grid && column === 0 && yTitle) {
-      const fitting = plain(fitted(yTitle, heights[row] + 8));
+      const fitting = plain(fitted(yTitle, heights[row] + (isPicture || isNarrow(width) ? 8 : between / 2)));
       const from = startsAt ? `${fitting}<br><b>axis starts at ${startsAt}</b>` : fitting;
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }

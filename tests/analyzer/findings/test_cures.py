@@ -53,6 +53,7 @@ NO_CURE = {
     # what the numbers mean, and to repeat the run
     *(
         "failed_bridges",
+        "shared_cores",
         "ended_by_error",
         "recording_stopped",
         "A run has no end",

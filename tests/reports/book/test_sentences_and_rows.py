@@ -30,6 +30,7 @@ from dds_trace.extensions.gates.gates import judge_gates, options_for
 from dds_trace.extensions.gates.info import comparison_info
 from dds_trace.extensions.gates.report import ComparisonReport
 from dds_trace.extensions.gates.words import change_words, gate_notes
+from dds_trace.extensions.topics.report import topic_links
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
@@ -96,6 +97,8 @@ def check(book):
     groups = report["groups"]
     known = {*named(groups), *judged(report), *frames(report)}
     known |= {*losses(groups)} if groups else set()
+    for link in topic_links(book.analysis):
+        known |= {format_ratio(link.share), *(format_duration(ns) for ns in (link.p50_ns, link.p99_ns) if ns)}
     for kind, sentence in book.answer.sentences:
         cures = {token for finding in report["findings"] for token in TOKEN.findall(finding["cure"] + finding["what"])}
         assert {*TOKEN.findall(sentence.replace("1.01 times", ""))} <= known | cures, (kind, sentence)

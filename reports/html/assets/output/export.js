@@ -67,7 +67,7 @@ function picturesOf(block, panel = "", { mm = chosenWidth().mm, title = block.ti
     const draw = (all) => KINDS[block.figure.kind](block.figure.plan, width, all);
     if (panel) return [onWhite(panelOf(draw(true), panel, width), title, width, mm)];
     const whole = draw(true);
-    const height = PAGE_HEIGHT - below - headOf(whole, title && `${title} (9 of 9)`, width, mm).above;
+    const height = PAGE_HEIGHT - below - headOf(whole, title && `${title} (9 of 9)`, width, mm).above - EDGE;
     const first = draw({ page: 0, height });
     const drawn = [first, ...Array.from({ length: first.pages - 1 }, (_, at) => draw({ page: at + 1, height }))];
     const shown = drawn.filter(({ data }) => data.length);
@@ -204,7 +204,8 @@ async function savePictures(name, format, figures, options) {
   if (format === "pdf") {
     const pictures = figures.flatMap(([, own]) => own);
     const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height)}px; margin: 0`;
-    return printSheets(name, pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] })), options);
+    const sheets = pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] }));
+    return printSheets(name, sheets, options);
   }
   const files = figures.flatMap(([own, pictures]) =>
     pictures.map((picture, at) => ({ name: `${own}${pictures.length > 1 ? `-${at + 1}` : ""}.${format}`, picture })),

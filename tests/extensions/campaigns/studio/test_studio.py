@@ -291,7 +291,7 @@ def test_a_closed_tab_ends_nothing_and_a_second_one_joins(served, search, new_ta
 @pytest.mark.browser
 def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_path, new_tab):
     with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path / "runs") as studio:
-        address = re.search(r"http://\S+", studio.wait_for_line("Open"))[0]
+        address = re.search(r"http://\S+", wait_until(lambda: "".join(studio.printed)))[0]
         new_tab.goto(address)
         for name, text in {"size": "1KB", "rate": "50", "minutes": "2"}.items():
             new_tab.locator(f"[name={name}]").fill(text)

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 import pytest
 from browser import violations
 from processes import RunningCommand
-from waiting import wait_until
+from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.campaigns.answer import answer
@@ -286,7 +286,7 @@ def test_a_closed_tab_ends_nothing_and_a_second_one_joins(served, search, new_ta
     assert len(search.asked) == 1
 
 
-@pytest.mark.thorough
+@pytest.mark.slow  # a search of two minutes
 @pytest.mark.middleware
 @pytest.mark.browser
 def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_path, new_tab):
@@ -296,7 +296,7 @@ def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_
         for name, text in {"size": "1KB", "rate": "50", "minutes": "2"}.items():
             new_tab.locator(f"[name={name}]").fill(text)
         new_tab.locator(".primary").click()
-        new_tab.locator("#sentence").filter(has_text="Use ").wait_for()
+        new_tab.locator("#sentence").filter(has_text="Use ").wait_for(timeout=2 * PATIENCE_S * 1000)
         assert new_tab.locator("#candidates tbody tr").count() >= 2
         assert studio.stop(signal.SIGINT).status == 130
     assert list((tmp_path / "runs").glob("*/answer.json"))

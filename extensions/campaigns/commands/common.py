@@ -57,7 +57,7 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
 def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool = False) -> NoReturn:
     if analyzes:
         import_module("polars")  # before hours of recording
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, signal.default_int_handler)
     try:

@@ -286,11 +286,19 @@ def test_a_closed_tab_ends_nothing_and_a_second_one_joins(served, search, new_ta
     assert len(search.asked) == 1
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_terminal_ends_it(tmp_path, number):
+    """Cold: a library that is imported takes SIGINT for itself."""
+    with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path, environment={"COLD": "1"}) as studio:
+        wait_until(lambda: studio.printed)
+        assert studio.stop(number).status == 130
+
+
 @pytest.mark.slow  # a search of two minutes
 @pytest.mark.middleware
 @pytest.mark.browser
 def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_path, new_tab):
-    with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path / "runs") as studio:
+    with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path / "runs", environment={"COLD": "1"}) as studio:
         address = re.search(r"http://\S+", wait_until(lambda: "".join(studio.printed)))[0]
         new_tab.goto(address)
         for name, text in {"size": "1KB", "rate": "50", "minutes": "2"}.items():
@@ -303,8 +311,8 @@ def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_
 
 
 @contextmanager
-def ended(*arguments):
-    command = RunningCommand(*arguments)
+def ended(*arguments, **more):
+    command = RunningCommand(*arguments, **more)
     try:
         yield command
     finally:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import SEARCH_MINUTES
 from dds_trace.base.records import to_json
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
@@ -65,7 +66,14 @@ def advise_command(
         option("--link LINK", "Emulate a link: a TOML file with [link], or a preset such as wifi-54. Needs root."),
     ] = None,
     minutes: Annotated[
-        float, option("--minutes N", "Time for search and proof.", min=2, max=1440, show_default=True)
+        float,
+        option(
+            "--minutes N",
+            "Time for search and proof.",
+            min=SEARCH_MINUTES.low,
+            max=SEARCH_MINUTES.high,
+            show_default=True,
+        ),
     ] = 10.0,
     out: Out = Path("runs"),
     dry_run: DryRun = False,

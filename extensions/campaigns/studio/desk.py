@@ -15,6 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from dds_trace.base import limits
 from dds_trace.base.errors import UNREADABLE, OptionError, TraceError
 from dds_trace.base.files import asset, open_regular
 from dds_trace.base.records import to_json
@@ -46,32 +47,29 @@ class _StoppedError(Exception):
 
 @dataclass(slots=True)
 class Row:
-    """A candidate as the page shows it; `course` has the median of each of its runs so far, in ms."""
+    """A candidate as the page shows it: its last event, and in `course` the median of each of its runs so far, in ms."""
 
-    name: str
-    stage: str = ""
-    state: str = ""
-    runs: int = 0
-    messages: int = 0
-    lost: int = 0
-    late: int = 0
-    p50_ms: float | None = None
-    p99_ms: float | None = None
-    text: str = ""
+    event: Event
     course: list[float | None] = field(default_factory=list)
 
     def take(self, event: Event) -> None:
-        for name in ("stage", "state", "runs", "messages", "lost", "late", "p50_ms", "p99_ms", "text"):
-            setattr(self, name, getattr(event, name))
-        self.text = self.text.removeprefix(f"{self.name} is out: ")
+        self.event = event
         if event.state == "measured":
             self.course.append(event.p50_ms)
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
         """The leaders first: what the proof is of, what arrives in time, what is fast."""
-        slow = math.inf if None in (self.p50_ms, self.p99_ms) else self.p50_ms * self.p99_ms  # type: ignore[operator]
-        return self.state == "dropped", self.stage == "look", max(self.lost, self.late) / max(1, self.messages), slow
+        event = self.event
+        slow = math.inf if event.p50_ms is None or event.p99_ms is None else event.p50_ms * event.p99_ms
+        late = max(event.lost, event.late) / max(1, event.messages)
+        return event.state == "dropped", event.stage == "look", late, slow
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the event with `name`, `course`, and a `text` that does not repeat the name."""
+        row = self.event.to_dict()
+        name = row.pop("candidate")["name"]
+        return {**row, "name": name, "text": row["text"].removeprefix(f"{name} is out: "), "course": self.course}
 
 
 class Desk:
@@ -119,7 +117,7 @@ class Desk:
     def _tell(self, event: Event) -> None:
         with self._lock:
             if event.candidate is not None and event.state:
-                self._rows.setdefault(event.candidate.name, Row(event.candidate.name)).take(event)
+                self._rows.setdefault(event.candidate.name, Row(event)).take(event)
             self._shown |= {"left_s": event.left_s, "stage": event.stage, "note": event.text or self._shown["note"]}
         if self._is_stopped:
             raise _StoppedError
@@ -159,7 +157,7 @@ class Desk:
     def _state(self) -> Answer:
         with self._lock:
             rows = sorted(self._rows.values(), key=lambda row: row.rank)
-            return _json({**self._shown, "rows": rows, "earlier": self._earlier})
+            return _json({**self._shown, "rows": [row.to_dict() for row in rows], "earlier": self._earlier})
 
     def _machine_answer(self) -> Answer:
         if not self._machine:
@@ -212,9 +210,8 @@ def question_of(form: Mapping[str, str]) -> Question:
     try:
         minutes = float(form["minutes"] or 10)
     except ValueError:
-        minutes = 0.0
-    if not 2 <= minutes <= 1440:
-        raise OptionError("--minutes: give 2 to 1440")
+        minutes = math.nan
+    limits.check(limits.SEARCH_MINUTES, minutes, "--minutes")
     hosts = [form["host"]] if form["host"] else []
     plan = ask(
         form["size"] or None, form["rate"], data=form["data"] or "binary", link=form["link"] or None, hosts=hosts

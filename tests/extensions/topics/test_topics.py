@@ -186,14 +186,19 @@ def test_one_tap_is_enough_where_only_one_clock_can_have_made_the_stamps(tmp_pat
     assert row["one_way_p50_ns"] == pytest.approx(FAR_NS * 1.23, abs=MS)
 
 
-def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
+def analysis_of_a_chain(folder):
+    """Of images that the laptop detects something in, 8 ms after each, and of what it publishes then."""
     published = camera(seconds=20)
     near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
     found = Published("/detections", LAPTOP, far + 8 * MS, published.headers, guid="03" * 16)
     there, back = arrivals(found, NEAR_NS, seed=3), arrivals(found, FAR_NS, seed=4)
-    analysis = analyzed(
-        tmp_path, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
+    return analyzed(
+        folder, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
     )
+
+
+def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
+    analysis = analysis_of_a_chain(tmp_path)
     lines = [line for line in topic_sentences(analysis) if line.startswith("chain")]
     assert len(lines) == 2
     assert "/detections on laptop 8." in lines[0]
@@ -201,13 +206,7 @@ def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
 
 
 def test_the_hops_of_a_chain(tmp_path):
-    published = camera(seconds=20)
-    near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
-    found = Published("/detections", LAPTOP, far + 8 * MS, published.headers, guid="03" * 16)
-    there, back = arrivals(found, NEAR_NS, seed=3), arrivals(found, FAR_NS, seed=4)
-    hops = analyzed(
-        tmp_path, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
-    ).topic_hops
+    hops = analysis_of_a_chain(tmp_path).topic_hops
     chain = hops.filter(chain=hops.filter(topic="/detections", relay_device="robot")["chain"][0])
     events = [tuple(row) for row in chain.select("from_event", "to_event", "topic", "next_topic").rows()]
     assert events == [

@@ -14,19 +14,13 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import spell_size
 
 from .folder import replace_text
+from .plan.cells import Cell
 from .plan.plan import Search
 from .search import MaxRate, RateAnswer
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 
-_ROW_PX, _LABEL_PX, _BAR_PX, _TOP_PX = 22, 330, 420, 64
-_COLOURS = {
-    RateAnswer.FOUND: "#0072b2",
-    RateAnswer.AT_LEAST: "#009e73",
-    RateAnswer.BELOW: "#d55e00",
-    RateAnswer.FAILED: "#999999",
-}
-"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind."""
+_ROW_PX, _BAR_PX, _TOP_PX, _CHARACTER_PX = 22, 420, 58, 7
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
@@ -74,30 +68,62 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
-    height = _TOP_PX + _ROW_PX * len(answers) + 20
-    powers = range(math.ceil(math.log10(search.min_rate)), math.floor(math.log10(search.max_rate)) + 1)
-    lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
+    labels = [_label(highest.cell) for highest in answers]
+    left = 20 + _CHARACTER_PX * max(map(len, labels), default=0)
+    bottom = _TOP_PX + _ROW_PX * len(answers)
+    lines = [_HEAD.format(width=max(left + _BAR_PX + 260, 640), height=bottom + 46, search=search)]
     lines += [
-        _TICK.format(x=_LABEL_PX + _x(rate_hz, search), top=_TOP_PX, bottom=height - 16, rate_hz=rate_hz)
-        for rate_hz in (10.0**power for power in powers)
+        _TICK.format(x=left + _x(rate_hz, search), top=_TOP_PX - 6, bottom=bottom, text_y=bottom + 16, rate_hz=rate_hz)
+        for rate_hz in _ticks(search)
     ]
-    for row, (highest, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
-        rate = f"{cells[4]} Hz" if highest.answer is RateAnswer.FOUND else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
+    lines.append(_AXIS.format(x=left + _BAR_PX / 2, y=bottom + 36))
+    for row, (highest, label) in enumerate(zip(answers, labels, strict=True)):
+        has_rate = highest.answer in (RateAnswer.FOUND, RateAnswer.AT_LEAST)
+        width = _x(highest.cell.rate, search) if has_rate else 2
+        y = _TOP_PX + _ROW_PX * row
+        end = width if highest.failing_hz is None else max(width, _x(highest.failing_hz, search))
         lines.append(
             _BAR.format(
-                label=escape(" ".join(part for part in cells[:4] if part)),
-                said=rate.strip(),
-                label_x=_LABEL_PX - 8,
-                x=_LABEL_PX,
-                y=_TOP_PX + _ROW_PX * row,
-                width=_x(highest.cell.rate, search) if cells[4] else 2,
-                end_x=_LABEL_PX + (_x(highest.cell.rate, search) if cells[4] else 2) + 6,
-                text_y=_TOP_PX + _ROW_PX * row + 12,
+                label=escape(label),
+                said=escape(printable(_rate_words(highest), MAX_FINDING_CHARACTERS)),
+                label_x=left - 8,
+                x=left,
+                y=y,
+                width=width,
+                fails_x=left + end,
+                end_x=left + end + 6,
+                text_y=y + 12,
+                middle_y=y + (_ROW_PX - 7) / 2,
                 height=_ROW_PX - 7,
-                colour=_COLOURS[highest.answer],
             )
         )
     return "".join([*lines, "</svg>\n"])
+
+
+def _label(cell: Cell) -> str:
+    size = "" if cell.size is None else spell_size(cell.size)
+    bridge = f"through {cell.bridge}" if cell.crosses_domains else "same domain"
+    return " ".join(filter(None, (cell.middleware, bridge, cell.data, size, *cell.changed_axes)))
+
+
+def _rate_words(highest: MaxRate) -> str:
+    fails = "" if highest.failing_hz is None else f"{highest.failing_hz:g} Hz fails"
+    if highest.answer is RateAnswer.FAILED:
+        return f"not measured: {highest.reason}"
+    if highest.answer is RateAnswer.BELOW:
+        return f"none: {fails}"
+    at_least = "at least " if highest.answer is RateAnswer.AT_LEAST else ""
+    return ", ".join(filter(None, (f"{at_least}{highest.cell.rate:g} Hz", fails)))
+
+
+def _ticks(search: Search) -> list[float]:
+    """Return round rates within the range, and its ends where it has less than two."""
+    ends = search.min_rate, search.max_rate
+    powers = range(math.floor(math.log10(ends[0])), math.ceil(math.log10(ends[1])) + 1)
+    steps = (1, 2, 5) if len(powers) < 4 else (1,)
+    rates_hz = [step * 10.0**power for power in powers for step in steps]
+    within = [rate_hz for rate_hz in rates_hz if ends[0] <= rate_hz <= ends[1]]
+    return within if len(within) > 1 else [*ends]
 
 
 def _x(rate_hz: float, search: Search) -> float:
@@ -108,18 +134,23 @@ def _x(rate_hz: float, search: Search) -> float:
 _HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">
 <rect width="100%" height="100%" fill="white"/>
-<text x="10" y="20" font-size="15">Highest sustained rate (messages a second, log axis)</text>
+<text x="10" y="20" font-size="15">Highest sustained rate: longer is better; the line ends at the lowest rate that fails</text>
 <text x="10" y="38" fill="#555">sustained: at most {search.loss_percent:g} % lost, response p{search.percentile:g} \
-within {search.deadline_ms:g} ms; longer is better</text>
+within {search.deadline_ms:g} ms</text>
 """
 
 _TICK = """\
 <line x1="{x:.1f}" y1="{top}" x2="{x:.1f}" y2="{bottom}" stroke="#ddd"/>
-<text x="{x:.1f}" y="{top}" dy="-8" text-anchor="middle" fill="#555">{rate_hz:g}</text>
+<text x="{x:.1f}" y="{text_y}" text-anchor="middle" fill="#555">{rate_hz:g}</text>
+"""
+
+_AXIS = """\
+<text x="{x:.1f}" y="{y}" text-anchor="middle" fill="#555">messages a second (Hz, log scale)</text>
 """
 
 _BAR = """\
 <text x="{label_x}" y="{text_y}" text-anchor="end">{label}</text>
-<rect x="{x}" y="{y}" width="{width:.1f}" height="{height}" fill="{colour}"/>
+<rect x="{x}" y="{y}" width="{width:.1f}" height="{height}" fill="#0072b2"/>
+<line x1="{x}" y1="{middle_y}" x2="{fails_x:.1f}" y2="{middle_y}" stroke="#0072b2"/>
 <text x="{end_x:.1f}" y="{text_y}">{said}</text>
 """

@@ -159,6 +159,21 @@ def test_figure_escapes_its_texts_and_takes_an_empty_list():
     ET.fromstring(max_rate_svg([], replace(SEARCH, min_rate=3, max_rate=7)))
 
 
+@pytest.mark.parametrize(("lowest", "highest"), [(1, 1000), (3, 7), (30, 45), (0.5, 2000)])
+def test_figure_has_its_labels_whole_and_ticks_of_its_axis(lowest, highest):
+    long = Cell(backend="ros2", rmw="rmw_fastrtps_dynamic_cpp", bridge="zenoh-bridge-ros2dds", size=4, depth=1, rate=1)
+    answers = [MaxRate(long, RateAnswer.FOUND, 2.0, (3, 3), ""), *ANSWERS]
+    drawn = ET.fromstring(max_rate_svg(answers, replace(SEARCH, min_rate=lowest, max_rate=highest)))
+    texts = {text.text: text for text in drawn if text.tag.endswith("text")}
+    label = max((name for name, text in texts.items() if text.get("text-anchor") == "end"), key=len)
+    assert "depth" in label
+    assert float(texts[label].get("x")) > 6.5 * len(label)  # from the right end
+    ticks = [text for name, text in texts.items() if text.get("text-anchor") == "middle" and name[0].isdigit()]
+    assert len(ticks) >= 2
+    assert any("log scale" in name for name in texts)
+    assert any("1 Hz fails" in name for name in texts)
+
+
 @pytest.mark.parametrize("truth_hz", [100, 1000])
 def test_single_losses_of_half_the_limit_seldom_halve_the_answer(truth_hz):
     """0.05 % of the messages are lost one by one, 0.1 % are allowed; 23 % of answers were below half of 1000 Hz."""

@@ -176,6 +176,21 @@ def test_all_figures_are_saved_as_one_zip(reader, pages):
     assert reader.complaints == []
 
 
+def test_latex_has_a_caption_for_each_page_of_the_pdf_and_its_signs_escaped(reader, pages):
+    tab = reader.open(pages("demo"))
+    signs = {sign: tab.evaluate("latexOf", sign) for sign in "%_&#{}$~^\\→"}
+    assert [signs[sign] for sign in "%_&#{}$"] == [f"\\{sign}" for sign in "%_&#{}$"]
+    assert (signs["\\"], signs["→"]) == (r"\textbackslash{}", r"$\to$")
+    name, path = saved_by(tab, tab.locator("[data-save-all=tex]").click)
+    text = path.read_text(encoding="utf-8")
+    assert name == "dds-trace-figures.tex"
+    assert [*map(int, re.findall(r"page=(\d+)\]", text))] == [*range(1, 1 + tab.locator("[data-figure]").count())]
+    captions = re.findall(r"\\caption\{(.*)\}\n", text)
+    assert len(captions) == len(set(re.findall(r"\\label\{(.+)\}", text)))
+    assert not [caption for caption in captions if re.search(r"(?<!\\)[%_&#]", caption)]
+    assert reader.complaints == []
+
+
 def printed_by(tab, click):
     """Name, size of each page in points, words and bytes of the PDF that the browser makes of what a click prints."""
     tab.evaluate(

@@ -293,7 +293,38 @@ async function saveAll(format, options) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
   const figures = drawn.map((block) => [block.fileName(), picturesOf(block, "", options)]);
-  await savePictures("dds-trace-figures", format, figures, options);
+  if (format !== "tex") return savePictures("dds-trace-figures", format, figures, options);
+  const pages = figures.flatMap(([name, pictures], at) =>
+    pictures.map((_, part) => ({ name: part ? `${name}-${part + 1}` : name, caption: captionOf(drawn[at]) })),
+  );
+  const lines = pages.map(
+    ({ name, caption }, at) => `
+\\begin{figure}
+  \\includegraphics[width=\\linewidth,page=${at + 1}]{dds-trace-figures.pdf}
+  \\caption{${latexOf(caption)}}
+  \\label{fig:${name}}
+\\end{figure}
+`,
+  );
+  const head = `% Pages of the PDF that "Save all: PDF" makes. ${latexOf(measuredWith())}\n`;
+  saveBlob("dds-trace-figures.tex", new Blob([head, ...lines], { type: "application/x-tex" }));
+}
+
+/** What LaTeX would take for commands, escaped; signs that its fonts lack are in its mathematics. */
+const LATEX_SIGNS = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}" };
+const LATEX_MATHS = { "→": "to", "≤": "le", "≥": "ge", "≈": "approx" };
+const latexOf = (text) =>
+  text
+    .replace(/[\\~^%_&#${}]/g, (sign) => LATEX_SIGNS[sign] || `\\${sign}`)
+    .replace(/[→≤≥≈]/g, (sign) => `$\\${LATEX_MATHS[sign]}$`);
+
+const captionOf = (block) => `${block.title()}. ${block.article.querySelector(".how").textContent}`;
+
+function measuredWith() {
+  const facts = [...document.querySelectorAll("dl > div")]
+    .map((fact) => [...fact.children].map((one) => one.textContent))
+    .filter(([label]) => ["When", "Versions"].includes(label));
+  return [DATA.title, ...facts.map(([, text]) => text), DATA.made_by].join("; ");
 }
 
 /** What a paper shows, and what is there instead where a campaign varies less. */
@@ -314,20 +345,15 @@ async function savePaper() {
     for (const name of PRINTED_FIGURES) {
       const block = blocks.find((one) => one.name === name);
       const pictures = block ? picturesOf(block, "", { mm: 174, title: "", below: CAPTION_HEIGHT }) : [];
-      const how = block?.article.querySelector(".how").textContent;
-      if (pictures.length && figures.length < 4) figures.push({ pictures, caption: `${block.title()}. ${how}` });
+      if (pictures.length && figures.length < 4) figures.push({ pictures, caption: captionOf(block) });
     }
   } finally {
     Object.assign(view, before);
   }
-  const facts = [...document.querySelectorAll("dl > div")]
-    .map((fact) => [...fact.children].map((one) => one.textContent))
-    .filter(([label]) => ["When", "Versions"].includes(label));
-  const measured = [DATA.title, ...facts.map(([, text]) => text), DATA.made_by].join("; ");
   const numbered = ({ length }, at, part) => `Figure ${at + 1}${length > 1 ? ` (${part + 1} of ${length})` : ""}.`;
   const pages = figures.flatMap(({ pictures, caption }, at) =>
     pictures.map((picture, part) => {
-      const words = [`${numbered(pictures, at, part)} ${caption}`, measured];
+      const words = [`${numbered(pictures, at, part)} ${caption}`, measuredWith()];
       return { picture, size: A4, words };
     }),
   );
@@ -341,7 +367,7 @@ function buildPictureBar() {
     { id: "save-width" },
     ...PICTURE_WIDTHS.map(({ key, label }) => element("option", { value: key }, label)),
   );
-  const buttons = ["svg", "png", "pdf"].map((format) => {
+  const buttons = ["svg", "png", "pdf", "tex"].map((format) => {
     const button = element(
       "button",
       {
@@ -350,7 +376,7 @@ function buildPictureBar() {
         "data-save-all": format,
         "aria-label": `Save all figures as ${format.toUpperCase()}`,
       },
-      format.toUpperCase(),
+      format === "tex" ? "LaTeX" : format.toUpperCase(),
     );
     button.addEventListener("click", () => saveAll(format));
     return button;

@@ -358,7 +358,7 @@ def comparison_schema() -> Schema:
     alone = {"$ref": "#/$defs/alone"}
     properties: Schema = {
         "format": {"const": comparison_document.FORMAT_VERSION},
-        "said": {**text, "description": words["said"]},
+        "said": {**text, "description": words["answer"]},
         "seen": {**text, "description": words["seen"]},
         "changed": {
             "type": "boolean",

@@ -103,11 +103,10 @@ def compare_command(
 ) -> None:
     """Compare two sets of traces or bags: what is slower or lost.
 
-    The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
-    whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new
-    side. A gate that cannot be decided (too few runs or messages, a run that did not finish) is inconclusive: a warning, or
-    exit code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 nothing to compare
-    (no result in common). Two bags are compared topic by topic; their limits are of topics: 'rate(/imu) < -10%', 'missing(/imu) > 1%'.
+    A verdict needs at least three runs per side. A gate fails only if the whole confidence interval is beyond its limit, or
+    if a result of the base is missing or receives nothing on the new side; one that cannot be decided is a warning, or exit
+    code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 no result in common.
+    Two bags are compared topic by topic; their limits are of topics: 'rate(/imu) < -10%', 'missing(/imu) > 1%'.
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
@@ -229,7 +228,7 @@ def judge_sides(
     info = comparison_info(comparison, results)
     if new is None:
         said = f"{counted(len(info.groups), 'result')} against limits."
-        info = replace(info, said=said, seen="", groups=(), rules=())
+        info = replace(info, answer=(said,), seen="", groups=(), rules=())
     return JudgedSides(comparison, info, outcome)
 
 

@@ -87,7 +87,7 @@ class ComparisonInfo:
     """Contents of the reports of a comparison.
 
     Attributes:
-        said: the answer, for people.
+        answer: the answer, for people.
         seen: which changes would not have been seen, or how sides without a common result differ; for people.
         groups: the results of both sides, worst first.
         only_base: results that the new side does not have.
@@ -101,7 +101,7 @@ class ComparisonInfo:
         rules: how to read the numbers.
     """
 
-    said: str
+    answer: tuple[str, ...]
     seen: str
     groups: tuple[ComparedGroup, ...]
     metric: str
@@ -114,6 +114,10 @@ class ComparisonInfo:
     ignore: tuple[str, ...]
     notes: tuple[str, ...]
     rules: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        return " ".join(self.answer)
 
     @property
     def is_changed(self) -> bool:
@@ -134,11 +138,11 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
-        said="Both sides are the same recordings: nothing can have changed."
+        answer=("Both sides are the same recordings: nothing can have changed.",)
         if comparison.same_recordings
         else _answer(groups, is_whole=is_whole)
         if groups
-        else "The two sides have no result in common: there is nothing to compare.",
+        else ("The two sides have no result in common: there is nothing to compare.",),
         seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
         if groups
         else _unlike_words(unlike, ignore),
@@ -205,35 +209,47 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
     return WORST_FIRST.index(group.verdict), -most
 
 
-def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> str:
-    several, count = len(groups) > 1, counted(len(groups), "result")
-    losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
-    worse, gained = _times_words(groups, "slower", count), _gains(groups, count)
-    if losing:
-        where = f", most in {losing[0].label}" if several else ""
-        worse = [f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})", *worse]
-    is_worse = bool(worse) or any(group.verdict in WORST_FIRST[:3] for group in groups)
-    if is_worse:
-        parts = [*(worse or [f"slower in a result of {count}, as messages were lost"]), *gained]
-        return f"{'; '.join(parts)[0].upper()}{'; '.join(parts)[1:]}."
-    if gained:
-        return f"Better: {'; '.join(gained)}.{' No regression.' if is_whole else ''}"
-    if all(group.verdict == "too few runs" for group in groups):
-        return f"No verdict is possible: it needs {MIN_RUNS} runs a side."
-    return f"No result is proven to be slower or faster, of {len(groups)}." if several else "No change is proven."
+def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> tuple[str, ...]:
+    """Return the headline, and where the largest changes are."""
+    losing, worst = ([group for group in groups if group.verdict in WORST_FIRST[:most]] for most in (2, 3))
+    keeping = [group for group in groups if group.delivery["verdict"] == "better"]
+    keeping.sort(key=lambda group: -(group.delivery["difference"] or 0.0))
+    worse = [*_lost_words(groups, losing, "more is lost"), *_times_words(groups, "slower")]
+    if worst and not worse:
+        worse = [("slower", len(worst), "as messages were lost")]
+    better = [*_lost_words(groups, keeping, "less is lost"), *_times_words(groups, "faster")]
+    best = [group for group in groups if group.verdict == "faster"]
+    if best and not better:
+        better = [("faster", len(best), "as messages of the base were lost")]
+    changes = [*worse, *better]
+    if not changes:
+        if all(group.verdict == "too few runs" for group in groups):
+            return (f"No verdict is possible: it needs {MIN_RUNS} runs a side.",)
+        several = f"No result is proven to be slower or faster, of {len(groups)}."
+        return (several if len(groups) > 1 else "No change is proven.",)
+    several = f" of {counted(len(groups), 'result')}"
+    words = ", ".join(
+        f"{word} in {count}{'' if number else several}" if len(groups) > 1 else f"{word} ({most})"
+        for number, (word, count, most) in enumerate(changes)
+    )
+    headline = f"{words[0].upper()}{words[1:]}.{' No regression.' if is_whole and not worse else ''}"
+    return headline, *([f"Most: {'; '.join(most for *_, most in changes)}."] if len(groups) > 1 else [])
 
 
-def _gains(groups: Sequence[ComparedGroup], count: str) -> list[str]:
-    keeps_more = [group for group in groups if group.delivery["verdict"] == "better"]
-    most = max(keeps_more, key=lambda group: group.delivery["difference"] or 0.0, default=None)
-    parts = []
-    if most is not None:
-        where = f" in {most.label}, more in {len(keeps_more)} of {count}" if len(groups) > 1 else ""
-        parts.append(f"received {received_words(most.delivery)}{where}")
-    return [*parts, *_times_words(groups, "faster", count)]
+def _place(words: str, group: ComparedGroup, groups: Sequence[ComparedGroup]) -> str:
+    return f"{words} in {group.label}" if len(groups) > 1 else words
 
 
-def _times_words(groups: Sequence[ComparedGroup], word: str, count: str) -> list[str]:
+def _lost_words(
+    groups: Sequence[ComparedGroup], changed: Sequence[ComparedGroup], word: str
+) -> list[tuple[str, int, str]]:
+    rows = [
+        (word, len(changed), _place(f"received {received_words(group.delivery)}", group, groups)) for group in changed
+    ]
+    return rows[:1]
+
+
+def _times_words(groups: Sequence[ComparedGroup], word: str) -> list[tuple[str, int, str]]:
     # A percentile that was lost is part of the losses.
     verdict, sign = ("worse", 1) if word == "slower" else ("better", -1)
     changed = [
@@ -246,11 +262,9 @@ def _times_words(groups: Sequence[ComparedGroup], word: str, count: str) -> list
         return []
     shown = [pair for pair in changed if pair[0] in pair[1].times(shown=True)]
     row, most = max(shown or changed, key=lambda pair: sign * (pair[0].value or 0.0))
-    where = f" in {most.label}" if len(groups) > 1 else ""
     metric, statistic = METRIC_AND_STATISTIC[row.statistic]
-    what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()}"
-    results = len({group.label for _, group in changed})
-    return [f"{word} in {results} of {count}, most the {what}{where}: {change_words(row.value)}"]
+    what = f"{statistic_words(statistic)} of the {metric_words(metric).lower()} {change_words(row.value)}"
+    return [(word, len({group.label for _, group in changed}), _place(what, most, groups))]
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], labels: Sequence[str]) -> str:
@@ -340,5 +354,5 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
         "Lost messages count as later than any deadline.",
         f"A verdict needs at least {MIN_RUNS} runs per side.",
         f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
-        "A smaller change than the one that a result finds in 80 of 100 comparisons may be found, too, less often.",
+        "A change below the smallest that is seen in 8 of 10 comparisons is seen less often.",
     )

@@ -47,7 +47,7 @@ HOW_TO_READ_STRIPS = (
 )
 HOW_TO_READ_STATISTICS = (
     "'New is below base': how often a message of the new side takes less than one of the base; 50 % is no difference. "
-    "'Found from': the change that this result by itself would have shown with a probability of 80 %."
+    "'Seen from': the smallest change that this result by itself shows in 8 of 10 comparisons."
 )
 
 _TONES = {GateOutcome.REGRESSED: "bad", GateOutcome.PASSED: "good"}
@@ -87,9 +87,11 @@ class ComparisonReport(blocks.Report):
         yield Sentence([Span(SIGNATURE, "raw")], media=MARKDOWN)
         yield Heading(self.kicker, 1, media=MARKDOWN)
         yield Heading("The answer", media=PAGE)
-        yield Sentence(info.said, "headline", media=TERMINAL | PAGE)
+        headline, *others = info.answer
+        yield Sentence(headline, "headline", media=TERMINAL | PAGE)
         sign = f"{_SIGNS.get(outcome, '❔')} {outcome.value.capitalize()}: " if outcome else ""
-        yield Sentence([Span(sign, "raw"), Span(info.said, "")], "headline", media=MARKDOWN)
+        yield Sentence([Span(sign, "raw"), Span(headline, "")], "headline", media=MARKDOWN)
+        yield from (Sentence(sentence) for sentence in others)
         if info.seen:
             yield Sentence(info.seen, "seen", media=PAGE if info.gates else PAGE | TERMINAL | MARKDOWN)
         if outcome:
@@ -125,10 +127,12 @@ class ComparisonReport(blocks.Report):
 
     def _notes(self) -> Iterator[Block]:
         info, most = self.info, self.most
-        if info.notes:
-            yield Heading("What makes the sides unlike", media=PAGE)
-            yield Points(info.notes, bullet="", media=TERMINAL | PAGE)
-            yield Points(info.notes[:most], media=MARKDOWN)
+        reasons = " ".join(gated.result.reason for gated in info.gates)
+        notes = [note for note in info.notes if note.partition(": ")[2] not in reasons]
+        if notes:
+            yield Heading("Differences between the sides", media=PAGE)
+            yield Points(notes, bullet="", media=TERMINAL | PAGE)
+            yield Points(notes[:most], media=MARKDOWN)
         if info.groups:
             yield Sentence(" ".join(info.rules), "soft", media=TERMINAL)
         if most:
@@ -204,7 +208,7 @@ def _details(group: ComparedGroup) -> list[Block]:
 def _statistics(groups: Sequence[ComparedGroup], label: str) -> Table:
     numbers = ("Base", "New", "Change", "Interval", "New is below base")
     columns = [Column("Result", media=MARKDOWN), Column("Time"), *(Column(name, right=True) for name in numbers)]
-    columns += [Column("Runs"), Column("Found from", right=True), Column("Verdict")]
+    columns += [Column("Runs"), Column("Seen from", right=True), Column("Verdict")]
     rows = [
         Row(
             [

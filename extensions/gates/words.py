@@ -93,7 +93,7 @@ def interval_words(row: Mapping[str, Any]) -> str:
     low, high = map(change_words, ends)
     if MISSING in (low, high) or low == high == LOST:
         return MISSING
-    return WIDE if _is_wide(*ends) else f"{low.removesuffix(' %')} to {high}"
+    return WIDE if _is_wide(*ends) else ends_words(low, high)
 
 
 def _is_wide(low: float, high: float) -> bool:
@@ -102,8 +102,8 @@ def _is_wide(low: float, high: float) -> bool:
 
 def change_with_interval(row: Mapping[str, Any]) -> str:
     interval = interval_words(row)
-    short = interval.replace("+", "").removesuffix(" %")
-    return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
+    change = change_words(row["ratio"])
+    return change if interval in (MISSING, change) else f"{change} ({interval})"
 
 
 def measured_words(result: GateResult, value: float | None) -> str:
@@ -140,11 +140,11 @@ def unit_of(words: str) -> str:
 def why_words(result: GateResult) -> str:
     smallest = ""
     if result.smallest_ratio is not None:
-        smallest = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
+        smallest = f"the smallest change seen in 8 of 10 comparisons is {change_words(result.smallest_ratio)}"
         if result.smallest_ratio > MOST_RATIO:
             smallest = unjudged_words([result.gate.statistic])[0]
     elif result.smallest_drop is not None:
-        smallest = f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
+        smallest = f"the smallest drop seen in 8 of 10 comparisons is {100 * result.smallest_drop:.3g} points"
     return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)
 
 
@@ -155,7 +155,7 @@ class Gated:
 
 
 MARKS = {GateOutcome.PASSED: "✓", GateOutcome.REGRESSED: "✗", GateOutcome.INCONCLUSIVE: "?"}
-GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Found (80 %) from", "Result")
+GATE_COLUMNS = ("", "Gate", "Measured (interval)", "Smallest change seen in 8 of 10 comparisons", "Result")
 MOST_ROWS = 10
 
 GateCells = tuple[str, str, str, str, str]

@@ -99,7 +99,7 @@ def test_the_output_names_how_verdicts_and_gates_are_adjusted(folders, capsys, r
     shown = printed(capsys)
     assert "Benjamini-Hochberg over groups" in shown
     assert "Holm over groups" in shown
-    assert "(80 %) from" in shown.lower()
+    assert "smallest" in shown.lower()
 
 
 def test_the_same_recordings_pass_every_change_and_fail_a_limit(folders, capsys):

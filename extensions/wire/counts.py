@@ -1,15 +1,29 @@
-"""Counts of one run on the wire."""
+"""Counts of one run on the wire, and of its TCP connections as the kernel reports them."""
 
 from __future__ import annotations
 
+import socket
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from dds_trace.base.errors import OptionError
 from dds_trace.base.records import to_json
-from dds_trace.recorder.kernel.sockets import TcpConnection
+from dds_trace.recorder.kernel.sockets import (
+    FAMILIES,
+    INFO,
+    NETLINK_SOCK_DIAG,
+    RECEIVE_BYTES,
+    DiagError,
+    DiagSocket,
+    dump_sockets,
+    netlink_messages,
+    parse_socket,
+    tcp_info_fields,
+)
 
 from .classes import WireClass
 from .format import AGAIN_CLASSES, DISCOVERY_CLASSES, Direction
@@ -92,6 +106,82 @@ _IP_NAMES = {
 
 def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
     return {name: totals.get(kernels, 0) - before.get(kernels, 0) for name, kernels in _IP_NAMES.items()}
+
+
+_TCP_DESTROYED_GROUP = 1 << 0  # SKNLGRP_INET_TCP_DESTROY as a bit of the address
+_CONNECTED_STATES = 0xFFF & ~(1 << 10) & ~(1 << 6)  # neither TCP_LISTEN nor TCP_TIME_WAIT
+
+
+@dataclass(frozen=True, slots=True)
+class TcpConnection:
+    """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run."""
+
+    local_port: int
+    remote_port: int
+    retransmitted_segments: int = 0
+    bytes_retransmitted: int = 0
+    bytes_sent: int = 0
+    segments_out: int = 0
+    segments_in: int = 0
+    segment_bytes: int = 0
+    rtt_us: int = 0
+    rtt_variance_us: int = 0
+    rtt_min_us: int = 0
+    congestion_window: int = 0
+
+
+TCP_COUNTERS = ("retransmitted_segments", "segments_out", "segments_in", "bytes_sent", "bytes_retransmitted")
+"""Fields of a `TcpConnection` that only grow."""
+
+
+def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnection:
+    return TcpConnection(local_port, remote_port, **tcp_info_fields(info, TcpConnection))
+
+
+def read_connections(ports: Sequence[tuple[int, int]]) -> dict[int, TcpConnection]:
+    """Return, by the kernel's socket cookie, this network namespace's connections with a port in a range (both ends count)."""
+    sockets: list[DiagSocket] = []
+    for family in FAMILIES.values():
+        with suppress(DiagError):  # a kernel without this family
+            sockets += dump_sockets(family, socket.IPPROTO_TCP, _CONNECTED_STATES)
+    return _with_ports(sockets, ports)
+
+
+class ClosedConnections:
+    """Listener for connections that end: one that is read once a second has sent more when it ends. An `OptionError` without sock_diag."""
+
+    def __init__(self, ports: Sequence[tuple[int, int]]) -> None:
+        self._ports = ports
+        try:
+            self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, NETLINK_SOCK_DIAG)
+        except OSError as err:
+            raise OptionError(f"--wire: this kernel does not report TCP connections: {err.strerror}") from err
+        self._link.setblocking(False)
+        self._link.bind((0, _TCP_DESTROYED_GROUP))
+
+    def read(self) -> dict[int, TcpConnection]:
+        ended: dict[int, TcpConnection] = {}
+        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are missing; their last reading counts.
+        with suppress(OSError):
+            while True:
+                messages = netlink_messages(self._link.recv(RECEIVE_BYTES))
+                ended |= _with_ports([parse_socket(body) for _, body in messages], self._ports)
+        return ended
+
+    def fileno(self) -> int:
+        return self._link.fileno()
+
+    def close(self) -> None:
+        self._link.close()
+
+
+def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[tuple[int, int]]) -> dict[int, TcpConnection]:
+    return {
+        opened.cookie: parse_tcp_info(opened.attributes.get(INFO, b""), opened.local[1], opened.remote[1])
+        for opened in sockets
+        if opened.remote[1]  # a listening socket has none
+        and any(first <= end[1] <= last for first, last in ports for end in (opened.local, opened.remote))
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,17 @@ from dds_trace.base.errors import TraceError
 from dds_trace.base.records import from_json
 from dds_trace.recorder.host.clock import read_together
 from dds_trace.recorder.kernel.counters import InterfaceCounters, read_interfaces, read_kernel_counters, since
-from dds_trace.recorder.kernel.sockets import TCP_COUNTERS, ClosedConnections, TcpConnection, read_connections
 
 from .capture import WireOptions
-from .counts import InterfaceCount, WireCounts, ip_counts
+from .counts import (
+    TCP_COUNTERS,
+    ClosedConnections,
+    InterfaceCount,
+    TcpConnection,
+    WireCounts,
+    ip_counts,
+    read_connections,
+)
 from .format import MessageRows
 from .messages import count_repeats
 from .packet_filter import wire_program

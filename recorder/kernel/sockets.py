@@ -11,28 +11,24 @@ import os
 import re
 import socket
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
-from dds_trace.base.errors import OptionError
-
-_NETLINK_SOCK_DIAG = 4
-_RECEIVE_BYTES = 1 << 16
+NETLINK_SOCK_DIAG = 4
+RECEIVE_BYTES = 1 << 16
 _SOCK_DIAG_BY_FAMILY = 20
 _NLM_F_REQUEST, _NLM_F_DUMP = 0x1, 0x300
 _NLMSG_ERROR, _NLMSG_DONE = 2, 3
-_TCP_DESTROYED_GROUP = 1 << 0  # SKNLGRP_INET_TCP_DESTROY as a bit of the address
-_LISTEN, _TIME_WAIT = 10, 6
+_LISTEN = 10
 _ALL_STATES = 0xFFFFFFFF
-_CONNECTED_STATES = 0xFFF & ~(1 << _LISTEN) & ~(1 << _TIME_WAIT)
 _TIMEOUT_S = 2.0
 """For a kernel that does not answer; an answer takes less than a millisecond."""
 
-_INFO, _CONGESTION, _MEMORY = 2, 4, 7
+INFO, _CONGESTION, _MEMORY = 2, 4, 7
 """INET_DIAG_INFO, INET_DIAG_CONG and INET_DIAG_SKMEMINFO."""
 _RECEIVE_BUFFER, _SEND_BUFFER, _DROPS = 1, 3, 8
 """Of enum sk_meminfo_vars in <linux/sock_diag.h>, 32-bit numbers."""
@@ -47,7 +43,7 @@ _INODE_OFFSET = 68
 _MESSAGE_BYTES = 72  # struct inet_diag_msg
 _ERROR_BYTES = 4  # of the number at the start of the body
 _ATTRIBUTE = struct.Struct("=HH")  # struct nlattr: length, type
-_FAMILIES = {"ipv4": socket.AF_INET, "ipv6": socket.AF_INET6}
+FAMILIES = {"ipv4": socket.AF_INET, "ipv6": socket.AF_INET6}
 _ADDRESS_BYTES = {socket.AF_INET: 4, socket.AF_INET6: 16}
 _PROTOCOLS = {"udp": socket.IPPROTO_UDP, "tcp": socket.IPPROTO_TCP}
 
@@ -129,38 +125,12 @@ class Socket:
         return self.remote_port > 0 and ip_address(self.remote_address).is_loopback
 
 
-@dataclass(frozen=True, slots=True)
-class TcpConnection:
-    """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run."""
-
-    local_port: int
-    remote_port: int
-    retransmitted_segments: int = 0
-    bytes_retransmitted: int = 0
-    bytes_sent: int = 0
-    segments_out: int = 0
-    segments_in: int = 0
-    segment_bytes: int = 0
-    rtt_us: int = 0
-    rtt_variance_us: int = 0
-    rtt_min_us: int = 0
-    congestion_window: int = 0
-
-
-TCP_COUNTERS = ("retransmitted_segments", "segments_out", "segments_in", "bytes_sent", "bytes_retransmitted")
-"""Fields of a `TcpConnection` that only grow."""
-
-
-def tcp_info_fields(info: bytes, record: type[TcpState | TcpConnection]) -> dict[str, Any]:
+def tcp_info_fields(info: bytes, record: type[Any]) -> dict[str, Any]:
     """Return the fields of a record that are in a struct tcp_info; 0 for those that an older kernel lacks."""
     padded = info.ljust(_INFO_BYTES, b"\0")
     layout = {name: _INFO_FIELDS[name] for name in record.__dataclass_fields__ if name in _INFO_FIELDS}
     values = {name: struct.unpack_from(form, padded, offset)[0] for name, (form, offset) in layout.items()}
     return {name: 0 if name == "rtt_min_us" and value == _NOT_MEASURED else value for name, value in values.items()}
-
-
-def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnection:
-    return TcpConnection(local_port, remote_port, **tcp_info_fields(info, TcpConnection))
 
 
 def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
@@ -170,7 +140,7 @@ def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
         names = (str(target) for _, target in open_files(os.getpid() if pid is None else pid))
         inodes = {int(match[1]) for name in names if (match := re.fullmatch(r"socket:\[(\d+)\]", name))}
         for protocol, protocol_number in _PROTOCOLS.items():
-            for family, family_number in _FAMILIES.items():
+            for family, family_number in FAMILIES.items():
                 dumped = dump_sockets(family_number, protocol_number)
                 sockets += [_socket(protocol, family, entry) for entry in dumped if entry.inode in inodes]
     except OSError:  # a DiagError is one
@@ -193,7 +163,7 @@ def _socket(protocol: str, family: str, dumped: DiagSocket) -> Socket:
     tcp = None
     if protocol == "tcp" and not is_listening:
         congestion_control = dumped.attributes.get(_CONGESTION, b"").rstrip(b"\0").decode("ascii", "replace")
-        tcp = TcpState(congestion_control, **tcp_info_fields(dumped.attributes.get(_INFO, b""), TcpState))
+        tcp = TcpState(congestion_control, **tcp_info_fields(dumped.attributes.get(INFO, b""), TcpState))
     return Socket(
         protocol,
         family,
@@ -208,62 +178,16 @@ def _socket(protocol: str, family: str, dumped: DiagSocket) -> Socket:
     )
 
 
-def read_connections(ports: Sequence[tuple[int, int]]) -> dict[int, TcpConnection]:
-    """Return, by the kernel's socket cookie, this network namespace's connections with a port in a range (both ends count)."""
-    sockets: list[DiagSocket] = []
-    for family in _FAMILIES.values():
-        with suppress(DiagError):  # a kernel without this family
-            sockets += dump_sockets(family, socket.IPPROTO_TCP, _CONNECTED_STATES)
-    return _with_ports(sockets, ports)
-
-
-class ClosedConnections:
-    """Listener for connections that end: one that is read once a second has sent more when it ends. An `OptionError` without sock_diag."""
-
-    def __init__(self, ports: Sequence[tuple[int, int]]) -> None:
-        self._ports = ports
-        try:
-            self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
-        except OSError as err:
-            raise OptionError(f"--wire: this kernel does not report TCP connections: {err.strerror}") from err
-        self._link.setblocking(False)
-        self._link.bind((0, _TCP_DESTROYED_GROUP))
-
-    def read(self) -> dict[int, TcpConnection]:
-        ended: dict[int, TcpConnection] = {}
-        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are missing; their last reading counts.
-        with suppress(OSError):
-            while True:
-                messages = _netlink_messages(self._link.recv(_RECEIVE_BYTES))
-                ended |= _with_ports([_parse_socket(body) for _, body in messages], self._ports)
-        return ended
-
-    def fileno(self) -> int:
-        return self._link.fileno()
-
-    def close(self) -> None:
-        self._link.close()
-
-
-def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[tuple[int, int]]) -> dict[int, TcpConnection]:
-    return {
-        opened.cookie: parse_tcp_info(opened.attributes.get(_INFO, b""), opened.local[1], opened.remote[1])
-        for opened in sockets
-        if opened.remote[1]  # a listening socket has none
-        and any(first <= end[1] <= last for first, last in ports for end in (opened.local, opened.remote))
-    }
-
-
 def dump_sockets(family: int, protocol: int, states: int = _ALL_STATES) -> list[DiagSocket]:
     """Return the sockets of a family and protocol in this network namespace; `states` has a bit for each state. A `DiagError` if the kernel refuses."""
-    attributes = sum(1 << (attribute - 1) for attribute in (_INFO, _CONGESTION, _MEMORY))
+    attributes = sum(1 << (attribute - 1) for attribute in (INFO, _CONGESTION, _MEMORY))
     request = _REQUEST.pack(family, protocol, attributes, states)
     header = _HEADER.pack(_HEADER.size + len(request), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST | _NLM_F_DUMP, 1, 0)
     try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG) as link:
+        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, NETLINK_SOCK_DIAG) as link:
             link.settimeout(_TIMEOUT_S)
             link.sendto(header + request, (0, 0))
-            return [_parse_socket(body) for body in _bodies(link)]
+            return [parse_socket(body) for body in _bodies(link)]
     except DiagError:
         raise
     except OSError as err:
@@ -272,7 +196,7 @@ def dump_sockets(family: int, protocol: int, states: int = _ALL_STATES) -> list[
 
 def _bodies(link: socket.socket) -> Iterator[bytes]:
     while True:
-        for kind, body in _netlink_messages(link.recv(_RECEIVE_BYTES)):
+        for kind, body in netlink_messages(link.recv(RECEIVE_BYTES)):
             if kind in (_NLMSG_DONE, _NLMSG_ERROR):
                 # ENOENT at the end: the protocol has no module here.
                 number = struct.unpack_from("=i", body)[0] if len(body) >= _ERROR_BYTES else 0
@@ -282,14 +206,14 @@ def _bodies(link: socket.socket) -> Iterator[bytes]:
             yield body
 
 
-def _netlink_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
+def netlink_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
     while data:
         length, kind, *_ = _HEADER.unpack_from(data)
         yield kind, data[_HEADER.size : length]
         data = data[_aligned(length) :]
 
 
-def _parse_socket(body: bytes) -> DiagSocket:
+def parse_socket(body: bytes) -> DiagSocket:
     family, state = socket.AddressFamily(body[0]), body[1]
     local_port, remote_port, local, remote = _ADDRESSES.unpack_from(body, _ADDRESSES_OFFSET)
     size = _ADDRESS_BYTES[family]

@@ -1,7 +1,7 @@
 import json
 
 from dds_trace.base.records import from_json
-from dds_trace.extensions.wire.counts import ClassCount, InterfaceCount, WireCounts, ip_counts
+from dds_trace.extensions.wire.counts import ClassCount, InterfaceCount, TcpConnection, WireCounts, ip_counts
 from dds_trace.extensions.wire.format import Direction
 from dds_trace.extensions.wire.messages import (
     RepeatCount,
@@ -11,7 +11,6 @@ from dds_trace.extensions.wire.messages import (
     message_rows,
     pack_rows,
 )
-from dds_trace.recorder.kernel.sockets import TcpConnection
 from dds_trace.recorder.payloads.stamp import Stamp
 
 COUNTS = WireCounts(

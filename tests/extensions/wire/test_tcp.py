@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.extensions.wire.classes import TcpFlows, WireClass
-from dds_trace.extensions.wire.packet_filter import PortRange
-from dds_trace.recorder.kernel.counters import since
-from dds_trace.recorder.kernel.sockets import (
+from dds_trace.extensions.wire.counts import (
     TCP_COUNTERS,
     ClosedConnections,
     TcpConnection,
     parse_tcp_info,
     read_connections,
 )
+from dds_trace.extensions.wire.packet_filter import PortRange
+from dds_trace.recorder.kernel.counters import since
 
 ACK, SYN = 0x10, 0x02
 

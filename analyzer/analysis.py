@@ -14,6 +14,7 @@ import polars as pl
 from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.extension import load
 from dds_trace.base.printable import printable
 from dds_trace.base.records import to_json
 from dds_trace.base.units import counted
@@ -23,7 +24,6 @@ from .model.columns import SUMMARY_COLUMNS
 from .model.detail_frames import HOP_SCHEMA, TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .model.finding import UNUSABLE, Finding, Source
 from .model.metrics import schema_of
-from .model.presenter import presenter
 from .model.runs import with_unsent
 from .pairing.rows import RowStore
 from .verdicts.answers import CaseAnswer
@@ -53,9 +53,9 @@ class Details:
         bridge_costs: different domains against the same domain (`bridge_cost.bridge_cost`).
         interference: flows with others, and results under a load, against each without (`interference.INTERFERENCE_SCHEMA`).
         head_of_line: whether messages of a flow wait for another's (`interference.HEAD_OF_LINE_SCHEMA`).
-        recoveries: runs with an outage that the sweep made (`recovery.RECOVERY_SCHEMA`).
-        fan_out: one message to several relays, and several pings (`fan_out.FAN_OUT_SCHEMA`).
-        fan_out_positions: the same by relay (`fan_out.FAN_OUT_POSITION_SCHEMA`).
+        recoveries: runs with an outage that the sweep made (`detail_frames.RECOVERY_SCHEMA`).
+        fan_out: one message to several relays, and several pings (`detail_frames.FAN_OUT_SCHEMA`).
+        fan_out_positions: the same by relay (`detail_frames.FAN_OUT_POSITION_SCHEMA`).
         wire: cost on the wire by group recorded with `--wire` (`groups.wire`).
         wire_classes: the same by class of traffic.
         wire_repeats: the same by number of repeats.
@@ -218,7 +218,8 @@ class Analysis:
 
     def _repr_html_(self) -> str:
         """Return the first screen of the report."""
-        return presenter().first_screen(self)
+        screen: str = load("parts", "presenter").first_screen(self)
+        return screen
 
     def plot(
         self, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
@@ -235,7 +236,7 @@ class Analysis:
         Raises:
             OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
         """
-        return presenter().plot(self, name, panels=panels, metric=metric, statistic=statistic)
+        return load("parts", "presenter").plot(self, name, panels=panels, metric=metric, statistic=statistic)
 
     def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
         """Write the HTML report, open it in a browser and return its path.
@@ -245,7 +246,8 @@ class Analysis:
         Raises:
             OutputError: the report cannot be written.
         """
-        return presenter().show(self, None if folder is None else Path(folder))
+        path: Path = load("parts", "presenter").show(self, None if folder is None else Path(folder))
+        return path
 
 
 _MOST_TITLE = 200

@@ -17,15 +17,14 @@ from dds_trace.base.extension import load
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
-from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, one_way_rows, rows_of_groups
-from .groups.recovery import RECOVERY_SCHEMA, outage_spans, recovery_frame
 from .loading.campaign import Campaign
-from .model.detail_frames import COST_FRAMES, WIRE_FRAMES
+from .model.detail_frames import COST_FRAMES, FAN_OUT_FRAMES, RECOVERY_SCHEMA, WIRE_FRAMES
 from .model.runs import pass_numbers
 from .model.setting import FLOW, LOAD, parse_setting
+from .pairing.exchanges import Exchange
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
@@ -59,34 +58,38 @@ def collect_details(
         "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
     }
-    recoveries = recovery_frame(campaign.traces, grouping, rows)
+    recoveries = pl.DataFrame(schema=RECOVERY_SCHEMA)
+    if any("outage" in sample for trace in campaign.traces for sample in trace.host_samples):
+        recoveries = load("details", "recoveries")(campaign.traces, grouping, rows)
     recommendation = None
     if options.job is not None:
-        from .verdicts.recommend import recommend_settings
-
         messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
         estimate = load("parts", "estimator")(messages, options.job)
-        recommendation = recommend_settings(messages, options.job, runs=campaign.runs.values(), estimate=estimate)
+        recommendation = load("parts", "recommend")(
+            messages, options.job, runs=campaign.runs.values(), estimate=estimate
+        )
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(
             judged,
             passes=passes,
             wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
-            outages_ns=outage_spans(recoveries),
+            outages_ns=_outage_spans(recoveries),
             options=options.ranking,
         )
     was_captured = any(run.extra.get("wire") for run in campaign.runs.values())
-    more = _empty_frames(COST_FRAMES, WIRE_FRAMES)
+    more = _empty_frames(FAN_OUT_FRAMES, COST_FRAMES, WIRE_FRAMES)
     if _has_costs(judged.groups):
         more |= load("details", "costs")(judged, passes)
+    exchange_of_run = {exchange.run.run_id: exchange for exchange in reversed(grouping.exchanges)}
+    if rows.has_rows and any(map(_is_crowded, exchange_of_run.values())):
+        more |= load("details", "fan_out")(grouping, rows, host_samples)
     if was_captured:
         more |= load("details", "wire")(campaign.traces, campaign.runs, grouping, rows)
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),
         host_samples=host_samples,
-        **fan_out_frames(grouping, rows, host_samples),
         recoveries=recoveries,
         **more,
         answers=answers,
@@ -123,8 +126,20 @@ def _has_costs(groups: pl.DataFrame) -> bool:
     )
 
 
+def _is_crowded(exchange: Exchange) -> bool:
+    """Return whether a run had several relays or pings, or was one of several topics."""
+    return exchange.relays > 1 or not {"pings", "topics"}.isdisjoint(parse_setting(exchange.parameters().setting))
+
+
 def _empty_frames(*tables: Mapping[str, Any]) -> Frames:
     return {name: pl.DataFrame(schema=schema) for table in tables for name, schema in table.items()}
+
+
+def _outage_spans(recoveries: pl.DataFrame) -> dict[int, tuple[int, int | None]]:
+    """Return run_id -> when its outage began, and when the first reply after it came, ns; None where none came."""
+    back_ns = pl.col("ended_ns") + pl.col("back_ns")
+    rows = recoveries.select("run_id", "began_ns", back_ns.alias("back_ns")).iter_rows()
+    return {run_id: (began_ns, ended_ns) for run_id, began_ns, ended_ns in rows}
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:

@@ -17,9 +17,10 @@ from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.judgements import PROVEN
-from dds_trace.analyzer.verdicts.matching import SetupRuns
 from dds_trace.analyzer.verdicts.ranking import Kind, judge_losers, rank_setups
-from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
+from dds_trace.analyzer.verdicts.recommend import Fit
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.extensions.campaigns.verdicts.false_alarms import until_confidence
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ import polars as pl
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.extensions.gates.compare import CompareOptions, compare_groups
 from dds_trace.extensions.gates.gate import GateOutcome, parse_gates
 from dds_trace.extensions.gates.gates import judge_gates

@@ -29,8 +29,6 @@ _COMMANDS = {
     "record tap": "record.command:tap",
     "record beacon": "record.command:beacon",
     "analyze": "analyze:app",
-    "choose": "choose:app",
-    "recover": "recover:app",
     "doctor": "doctor:app",
 }
 

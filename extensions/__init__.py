@@ -5,12 +5,10 @@ from dds_trace.base.extension import Extension
 EXTENSIONS = (
     Extension(
         name="bags",
-        commands={"bag": "command:app"},
+        commands={"bag": "command:app", "recover": "recover_command:app"},
         payloads={"bag": "payload:BAG"},
         storages={".db3": "sqlite_rows:SqliteSource"},
         parts={
-            "is_recording": "recover:is_of_others",
-            "recover": "recover:recover_recording",
             "judge_tap": "limits:judge_tap",
             "are_drives": "drives:are_drives",
             "compare_drives": "drives:compare_drives",
@@ -50,10 +48,17 @@ EXTENSIONS = (
             "explain rates": "commands.explain:rates",
             "explain size": "commands.explain:size",
             "advise": "commands.advise:app",
+            "choose": "commands.choose:app",
             "studio": "studio.command:app",
         },
         checks={"links": "station.namespaces:permitted"},
-        parts={"estimator": "learning.model:Estimator", "keep_results": "learning.results:keep_results"},
+        details={"recoveries": "recovery:recovery_frame", "fan_out": "fan_out:fan_out_frames"},
+        parts={
+            "recommend": "recommend:recommend_settings",
+            "advice": "recommendation:recommendation_info",
+            "estimator": "learning.model:Estimator",
+            "load": "load:loaded",
+        },
     ),
     Extension(
         name="gates",

@@ -31,7 +31,6 @@ from .errors import NotAppliedError, NothingHeardError, StoppedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
 from .host.environment import join_environments
 from .host.fingerprint import host_fingerprint, read_boot_id
-from .host.load import MachineLoad
 from .host.process import SPIN_S, StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
 from .kernel.counters import LOOPBACK, read_interfaces
@@ -110,7 +109,7 @@ class BaseRecording(ABC):
         watch: Watch,
         *,
         rehearses: bool,
-        load: MachineLoad | None = None,
+        load: Any,
         leave: Leave = nullcontext,
     ) -> None:
         self.options = options
@@ -128,7 +127,7 @@ class BaseRecording(ABC):
         self.environment = dict(os.environ)  # before a node adds what it needs
         self.end_ns: int | None = None
         self._noted_disk = False
-        self.load = load or MachineLoad()
+        self.load = load  # what `loaded` of the extension gives, if there is a load
         self._leave = leave
 
     def record(self) -> Recorded:
@@ -306,7 +305,7 @@ class BaseRecording(ABC):
             **self.read_back.fields(),
             **({"strangers": dict(sorted(strangers.items()))} if strangers else {}),
             "clock": {**self.clock_fields, "end": read_adjtimex()},
-            **self.load(),
+            **(self.load() if self.load else {}),
             **realtime_threads(),
             **({"security": security} if security else {}),
         }

@@ -9,10 +9,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from dds_trace.base import limits
 from dds_trace.base.extension import load as load_part
@@ -29,7 +30,6 @@ from .choices import Call, Discovery, Load
 from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
 from .host.environment import kept_output
-from .host.load import loaded
 from .host.process import parse_cpus
 from .option import ACTION_GOAL_BYTES
 from .options import PingOptions, RecordOptions
@@ -76,13 +76,13 @@ def record(
     options.check()
     for warning in check_domain(options.node.domain_id):
         watch.note(warning)
-    load = Load.NONE if rehearses else options.load
     # Only a ping, which knows where the messages go, sends a load of the network.
     to = options.load_to or next(iter(options.node.peers), "127.0.0.1").partition(":")[0] if options.ping else None
-    with (
-        opened_keys(options.node.security, options.node.keys) as keys,
-        loaded(load.value, to, is_relay=not (options.ping or options.tap or options.beacon_rate_hz)) as machine_load,
-    ):
+    load: AbstractContextManager[Any] = nullcontext()
+    if options.load is not Load.NONE and not rehearses:
+        is_relay = not (options.ping or options.tap or options.beacon_rate_hz)
+        load = load_part("parts", "load")(options.load.value, to, is_relay=is_relay)
+    with opened_keys(options.node.security, options.node.keys) as keys, load as machine_load:
         options = replace(options, node=replace(options.node, keys=keys))
         if options.ping is not None and options.ping.rate_hz == math.inf:
             options = replace(options, destination=replace(options.destination, ring_slots=MAX_RATE_RING_SLOTS))
@@ -127,7 +127,8 @@ class RelayRecording(BaseRecording):
             self.watch.note(f"relay {self.relay_id:08x} {SERVING} {node.domain_id}{where} until it is stopped")
 
     def _on_probe(self) -> None:
-        self.load.begin()
+        if self.load:
+            self.load.begin()
         self.read_back.read_begin()
 
     def look(self) -> None:

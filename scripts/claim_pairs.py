@@ -13,7 +13,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import LOAD, parse_setting
 from dds_trace.analyzer.run_statistics.received import late_share
-from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.units import format_duration, format_rate, format_size
 
 if TYPE_CHECKING:

@@ -43,10 +43,11 @@ from stored_tables import STUDY, markdown
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.job import make_job
-from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
+from dds_trace.analyzer.verdicts.recommend import Fit
 from dds_trace.base.limits import DOMAIN_ID
 from dds_trace.extensions.campaigns.plan.cells import AXES
 from dds_trace.extensions.campaigns.plan.link import PRESETS
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.recorder.domains import participants_that_fit
 
 if TYPE_CHECKING:

@@ -25,16 +25,16 @@ from dds_trace.analyzer.model.detail_frames import COMPARISON_SCHEMA, HOP_SCHEMA
 from dds_trace.analyzer.model.finding import Finding, Source
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
-from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Claim, Judgement, judgement_frame
+from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, judgement_frame
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.extensions.gates import document as comparison_document
 from dds_trace.extensions.gates.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.extensions.gates.comparison_rows import DELIVERY_SCHEMA, MEANINGS
+from dds_trace.extensions.gates.comparison_rows import DELIVERY_SCHEMA, MEANINGS, WORST_FIRST
+from dds_trace.extensions.gates.detectable import DetectableChange
 from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.extensions.gates.gates import GateResult
 from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS

@@ -37,16 +37,7 @@ def test_a_name_is_imported_from_the_module_that_defines_it():
     assert {room: graph.find_modules_directly_imported_by(room) for room in rooms} == {room: set() for room in rooms}
 
 
-WORDS = {
-    "Basis",
-    "MIN_RUNS",
-    "PERCENTILES",
-    "POWER",
-    "STATISTICS",
-    "DetectableChange",
-    "messages_to_end",
-    "planned_messages",
-}
+WORDS = {"Basis", "MIN_RUNS", "PERCENTILES", "POWER", "STATISTICS", "messages_to_end", "planned_messages"}
 DECISION = re.compile(
     "judge|rank_|test|alpha|margin|exceeds|limit|speaks_against|pays|interval_of|change_of|LOSSY_SHARE"
 )

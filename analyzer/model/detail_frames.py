@@ -36,6 +36,11 @@ WIRE_REPEAT_SCHEMA = frame_schema(
 
 WIRE_FRAMES = {"wire": WIRE_SCHEMA, "wire_classes": WIRE_CLASS_SCHEMA, "wire_repeats": WIRE_REPEAT_SCHEMA}
 
+RECOVERY_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 by:str began_ns:i64 ended_ns:i64 outage_ns:i64 limit_ns:i64 never:bool out_ns:i64 back_ns:i64 "
+    "lost_within:u64 replayed:u64 lost_after:u64 reordered:u64 duplicates:u64"
+)
+
 COMPARISON_SCHEMA = frame_schema(
     "metric:str statistic:str base_messages:u64 new_messages:u64 base_ns:f64 new_ns:f64 new_low_ns:f64 new_high_ns:f64 "
     "difference_ns:f64 difference_low_ns:f64 difference_high_ns:f64 ratio:f64 ratio_low:f64 ratio_high:f64 superiority:f64 "
@@ -71,6 +76,29 @@ COST_FRAMES = {
     "interference": INTERFERENCE_SCHEMA,
     "head_of_line": HEAD_OF_LINE_SCHEMA,
 }
+
+
+FAN_OUT_TIMES = ("first_receiver", "last_receiver", "spread", "first_reply", "last_reply")
+FAN_OUT_SCHEMA = frame_schema(
+    "group:u32 groups:str runs:u32 receivers:u32 senders:u32 messages:u64 complete:u64 "
+    + " ".join(f"{name}_p50_ns:f64 {name}_p99_ns:f64" for name in FAN_OUT_TIMES)
+    + " bound_ns:i64 position_step_ns:f64 ping_cpu_percent:f64 relay_cpu_percent:f64 wire_bytes_per_receiver:f64 "
+    "matched_p50_ns:f64 matched_max_ns:f64 missed_p50:f64 discovery_bytes_p50:f64 recorders:u32 processors:u32"
+)
+"""A row per set of runs with the same receivers, in a campaign with several receivers or senders; `group` is the first of `groups`.
+
+`complete` messages reached all receivers and came back. `*_receiver` from T1 to T3 of the first and of the last relay on the ping's
+clock, wrong by at most `bound_ns`; `spread` between the two; `*_reply` from T1 to T2. `position_step_ns`: how much later the median is
+from one relay's number to the next. `relay_cpu_percent` of one relay, mean; `wire_bytes_per_receiver` sent by the ping (on loopback
+both ways) per message; `matched_*` from the ping's endpoints to the first echo of the last relay, `missed` messages times receivers
+lost until then. `recorders` of a run on the ping's machine."""
+
+FAN_OUT_POSITION_SCHEMA = frame_schema(
+    "group:u32 relay_id:u32 device:str messages:u64 received:u64 outbound_p50_ns:f64 after_first_p50_ns:f64 first_share:f64 last_share:f64"
+)
+"""A row per relay of a row of `FAN_OUT_SCHEMA` with several: shares are of the complete messages that it got first, and last."""
+
+FAN_OUT_FRAMES = {"fan_out": FAN_OUT_SCHEMA, "fan_out_positions": FAN_OUT_POSITION_SCHEMA}
 
 
 class Overtaking(Enum):

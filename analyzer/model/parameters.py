@@ -178,6 +178,8 @@ SETTING_COLUMNS = names_of(
 )
 """A recommendation: the setup, and for which domains, link and devices it holds."""
 
+DEVICE_COLUMNS = ("ping_device", "relay_device")
+
 SITE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
 """Where something was measured; setups elsewhere are no alternatives."""
 

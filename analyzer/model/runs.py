@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
-from ..run_statistics.change import Passes
 from ..run_statistics.runs import Run
 
 MOST_MESSAGES = 1 << 53
@@ -106,20 +105,6 @@ class RunRows:
         return not self.received.any()
 
 
-MOST_BLOCKS, LEAST_OF_A_BLOCK = 10, 200
-"""Of a recording of a topic; messages."""
-
-
-def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
-    """Cut recordings of topics into blocks with run ids of their own: a limit of one recording rests on its parts."""
-    blocks = (pl.len() // LEAST_OF_A_BLOCK).clip(1, MOST_BLOCKS).cast(pl.UInt64)
-    number = pl.col("publish_ns").rank("ordinal").cast(pl.UInt64) - 1
-    block = (number * blocks // pl.len().cast(pl.UInt64)).over("run_id")
-    return rows.with_columns(
-        run_id=pl.when(pl.col("data_type").str.starts_with("/")).then(pl.col("run_id") ^ block).otherwise("run_id")
-    )
-
-
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
     parts = rows.partition_by("run_id", maintain_order=True)
     # Rows of several relays are not in the order of T1.
@@ -144,12 +129,3 @@ def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
     return {
         run.run_id: int(text) for run in runs if (text := run.labels.get(PASS_LABEL, "")).isascii() and text.isdigit()
     }
-
-
-def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
-    """Return both sides' passes; None unless every run has one of its own on its side."""
-    sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
-    if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
-        return None
-    before, after = ([number for number in side if number is not None] for side in sides)
-    return before, after

@@ -18,8 +18,8 @@ from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis, Range
 from .cases import CONDITIONS, Contender, GroupRows, contender_names, is_too_large, partition_groups, with_conditions
 from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, Reason, exceeds_lossy_share, is_replacing, judged_losses
-from .matching import SetupRuns
 from .ranking import Kind, Ranking, RankingOptions, judge_losers, rank_setups
+from .setup_runs import SetupRuns
 
 _WORDS = (
     "data_type",

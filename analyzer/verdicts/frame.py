@@ -13,11 +13,10 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
 from ..model.names import device_pair, group_words, varying_parameters
-from ..model.parameters import BRIDGE_MATCH_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
+from ..model.parameters import BRIDGE_MATCH_COLUMNS, DEVICE_COLUMNS, PARAMETER_NAMES, SETTING_COLUMNS, ParameterValue
 from ..statistics.intervals import Basis, ranges_overlap
 from .answers import CaseAnswer
 from .judgements import OPEN, PROVEN, Claim, Judgement, Row, judged_change
-from .matching import DEVICE_COLUMNS
 
 if TYPE_CHECKING:
     from .recommend import Recommendation

@@ -28,7 +28,7 @@ from ..run_statistics.setups import (
 from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
 from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
-from .matching import SetupRuns
+from .setup_runs import SetupRuns
 
 TAIL_ONLY = 0.05
 """Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""

@@ -14,9 +14,9 @@ from dds_trace.base.units import parse_size
 from dds_trace.recorder.applied.vendors import ros_middleware
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.choices import Load, Transport
-from dds_trace.recorder.host.load import DMA_LATENCY
 from dds_trace.recorder.kernel.counters import read_limits
 
+from .load import DMA_LATENCY
 from .plan.cells import DEFAULTS, Cell
 from .plan.plan import Order, Plan
 

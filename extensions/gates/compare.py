@@ -5,58 +5,57 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.detail_frames import COMPARISON_SCHEMA
-from dds_trace.analyzer.model.finding import Finding
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.analyzer.model.names import group_words, varying_parameters
 from dds_trace.analyzer.model.parameters import MATCH_COLUMNS, ParameterValue
-from dds_trace.analyzer.model.presenter import presenter
-from dds_trace.analyzer.model.runs import pass_numbers, passes_of, topics_in_blocks
+from dds_trace.analyzer.model.runs import pass_numbers
 from dds_trace.analyzer.run_statistics.between_runs import Estimate
 from dds_trace.analyzer.run_statistics.change import (
     Change,
-    DetectableChange,
     LeastVariances,
     Passes,
     change_of_estimates,
-    detectable_changes,
     least_variances,
-    probability_of_superiority,
 )
 from dds_trace.analyzer.run_statistics.received import DeliveryChange, change_of_received
 from dds_trace.analyzer.run_statistics.runs import MEAN, Statistic
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
-from dds_trace.analyzer.verdicts.judgements import (
-    Claim,
-    Judgement,
-    judged_change,
-    judgement_frame,
+from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, judged_change, judgement_frame
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
+from dds_trace.base.extension import load
+from dds_trace.base.units import counted
+
+from .comparison_rows import (
+    DELIVERY_SCHEMA,
+    DISTRIBUTION_SCHEMA,
+    at_levels,
     verdict_of_result,
     with_adjusted_verdicts,
+    with_clock_bounds,
 )
-from dds_trace.analyzer.verdicts.matching import (
+from .detectable import DetectableChange, detectable_changes, probability_of_superiority
+from .ignoring import check_match, ignored_sentences
+from .matching import (
     Key,
-    SetupRuns,
     completed_key,
     interleaved_keys,
     match_groups,
     pair_keys,
     partner_differences,
     partner_groups,
+    passes_of,
     replaced_devices,
+    topics_in_blocks,
     unmatched,
     with_devices,
     with_partners,
 )
-from dds_trace.base.units import counted
-from dds_trace.tracefile.format.descriptions import Run, Session
-
-from .comparison_rows import DELIVERY_SCHEMA, DISTRIBUTION_SCHEMA, at_levels, with_clock_bounds
-from .ignoring import check_match, ignored_sentences
 from .sides import (
     UNKNOWN,
     BusierRepeat,
@@ -143,7 +142,8 @@ class Comparison:
         return f"<Comparison: {results}, {len(self.only_base)} only in the base, {len(self.only_new)} only in the new side>"
 
     def _repr_html_(self) -> str:
-        return presenter().comparison_screen(self)
+        screen: str = load("parts", "presenter").comparison_screen(self)
+        return screen
 
     @cached_property
     def judgements(self) -> tuple[Judgement, ...]:
@@ -187,42 +187,7 @@ class Comparison:
         return detectable_changes(changes, self.options.confidence, self.options.same_within)
 
 
-class ComparedSide(Protocol):
-    """An analysis, as far as a comparison reads it."""
-
-    @property
-    def sessions(self) -> Sequence[Session]:
-        """The recording processes."""
-
-    @property
-    def runs(self) -> Sequence[Run]:
-        """The descriptions of the runs."""
-
-    @property
-    def findings(self) -> Sequence[Finding]:
-        """What is doubtful."""
-
-    @property
-    def details(self) -> Any:
-        """Has the samples of the host."""
-
-    @property
-    def summary(self) -> pl.DataFrame:
-        """One row per group."""
-
-    @property
-    def topic_messages(self) -> pl.DataFrame:
-        """The messages of the topics that taps heard."""
-
-    @property
-    def barred_groups(self) -> pl.DataFrame:
-        """The parameter columns of the groups in which a setting was not applied."""
-
-    def load_messages(self) -> pl.DataFrame:
-        """Read the round trips, with a row for each message that never left."""
-
-
-def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | None = None) -> Comparison:
+def compare(base: Analysis, new: Analysis, options: CompareOptions | None = None) -> Comparison:
     """Compare every group that two analyses measured (`details=False` is enough); interleaved sides repeat by repeat.
 
     Raises:
@@ -293,7 +258,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     )
 
 
-def _groups_of(side: ComparedSide) -> pl.DataFrame:
+def _groups_of(side: Analysis) -> pl.DataFrame:
     topics = side.topic_messages.select(MATCH_COLUMNS).unique(maintain_order=True)
     return pl.concat([side.summary.select(MATCH_COLUMNS), topics]) if len(topics) else side.summary
 

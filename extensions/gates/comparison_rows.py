@@ -1,8 +1,9 @@
-"""The columns of a comparison's frames."""
+"""The columns of a comparison's frames, and the verdict on each result of both sides."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ import polars as pl
 from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.analyzer.run_statistics.change import Verdict
 from dds_trace.analyzer.run_statistics.runs import Values
+from dds_trace.analyzer.statistics.intervals import Basis
+from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted
+from dds_trace.analyzer.verdicts.judgements import Row
 
 DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
 
@@ -88,3 +92,51 @@ def at_levels(ordered: Values) -> tuple[float, ...]:
     levels = levels[levels <= 1 - 1 / len(ordered)]
     ranks = np.maximum(1, np.ceil(levels * len(ordered) - 1e-9)).astype(np.int64)
     return tuple(float(value) for value in ordered[ranks - 1])
+
+
+def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
+    """Adjust the p values of all rows by Benjamini and Hochberg; what is better or worse by chance is inconclusive."""
+    tested = rows["p_value"].drop_nulls()
+    adjusted = iter(benjamini_hochberg_adjusted(tested.to_list()).tolist())
+    p_adjusted = [None if p is None else next(adjusted) for p in rows["p_value"]]
+    is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
+        pl.col("p_adjusted").fill_null(0.0) > 1 - confidence
+    )
+    verdict = pl.when(is_unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict")
+    return rows.with_columns(pl.Series("p_adjusted", p_adjusted, pl.Float64)).with_columns(verdict.alias("verdict"))
+
+
+SHOWN_STATISTICS = ("p50", "p99")
+
+WORST_FIRST = (
+    "no reply came back",
+    "loses more",
+    "slower",
+    "no clear change",
+    "undecided",
+    "too few runs",
+    "the same",
+    "loses less",
+    "faster",
+)
+"""Verdicts on one result of both sides."""
+
+
+def shown_changes(changes: Sequence[Row]) -> tuple[Row, ...]:
+    of_first = [row for row in changes if row["metric"] == changes[0]["metric"]]
+    return tuple(row for row in of_first if row["statistic"] in SHOWN_STATISTICS) or tuple(of_first[:1])
+
+
+def verdict_of_result(delivery: Row, changes: Sequence[Row], *, is_busier: bool) -> str:
+    verdicts = {row["verdict"] for row in changes}
+    rules = (
+        (delivery["is_dead"], "no reply came back"),
+        (is_busier, "undecided"),
+        (delivery["verdict"] == Verdict.WORSE.value, "loses more"),
+        (Verdict.WORSE.value in verdicts, "slower"),
+        (all(row["basis"] == Basis.WITHIN_RUN.value for row in changes), "too few runs"),
+        (delivery["verdict"] == Verdict.BETTER.value, "loses less"),
+        (Verdict.BETTER.value in verdicts, "faster"),
+        ({row["verdict"] for row in shown_changes(changes)} == {Verdict.SAME.value}, "the same"),
+    )
+    return next((words for applies, words in rules if applies), "no clear change")

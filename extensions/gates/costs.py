@@ -16,10 +16,11 @@ from dds_trace.analyzer.model.setting import FLOW, FLOWS, LOAD, WITH, flows_of, 
 from dds_trace.analyzer.run_statistics.received import received_interval
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.cases import GroupRows, is_too_large, partition_groups
-from dds_trace.analyzer.verdicts.judgements import Row, with_adjusted_verdicts
-from dds_trace.analyzer.verdicts.matching import match_groups
+from dds_trace.analyzer.verdicts.judgements import Row
 
 from .compare import CompareOptions, Comparison, compare_groups
+from .comparison_rows import with_adjusted_verdicts
+from .matching import match_groups
 
 Float64 = NDArray[np.float64]
 

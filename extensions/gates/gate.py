@@ -17,10 +17,9 @@ from dds_trace.analyzer.model.names import is_topic
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.base.units import UNIT_NS, split_quantity
-from dds_trace.extensions.gates.sections import Patterns
 
 from .compare import COMPARED_STATISTICS, RECEIVED_RATIO
-from .sections import TOPIC, Sections
+from .sections import TOPIC, Patterns, Sections
 
 METRIC_AND_STATISTIC = {
     f"{metric}_{statistic}": (metric, statistic)

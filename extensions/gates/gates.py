@@ -9,18 +9,19 @@ from typing import Any, NamedTuple
 
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import group_words, is_topic, varying_parameters
-from dds_trace.analyzer.run_statistics.change import Change, among_tests
+from dds_trace.analyzer.run_statistics.change import Change
 from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from dds_trace.analyzer.statistics.distributions import student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
 from dds_trace.analyzer.statistics.power import MOST_RUNS, holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
-from dds_trace.analyzer.verdicts.matching import Key
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration, format_number
 
 from .compare import RECEIVED_RATIO, STATISTIC_BY_NAME, CompareOptions, Comparison
+from .detectable import among_tests
 from .gate import Against, Gate, GateOutcome, rows_of_gates
+from .matching import Key
 from .sections import fits_any
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.names import group_words, value_word, varying_parameters
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, MATCH_COLUMNS, ParameterValue
-from dds_trace.analyzer.verdicts.matching import RELAY_COLUMNS, Key
 from dds_trace.base.errors import OptionError
+
+from .matching import RELAY_COLUMNS, Key
 
 if TYPE_CHECKING:
     import polars as pl

@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
-from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
-from dds_trace.analyzer.verdicts.judgements import WORST_FIRST, Judgement, shown_changes
+from dds_trace.analyzer.verdicts.judgements import Judgement
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted, format_ratio
 from dds_trace.reports.book.groups import VENDORS, Cell, VendorLabels, group_labels, groups_of
 from dds_trace.reports.book.verdicts import received_words
 
 from .compare import FAMILY, Comparison
+from .comparison_rows import WORST_FIRST, shown_changes
+from .detectable import DetectableChange
 from .gate import METRIC_AND_STATISTIC, GateOutcome
 from .gates import FAMILY as GATE_FAMILY
 from .gates import GateResult, overall_outcome

@@ -6,11 +6,13 @@ import glob
 import json
 import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.limits import CONDITION, check, nearest, shown
 from dds_trace.base.streams import say
+from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import format_duration, three_digits
 
 if TYPE_CHECKING:
@@ -20,23 +22,45 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval
-    from dds_trace.extensions.gates.sections import Patterns
 
     from .compare import Comparison
     from .gate import Gate
-    from .thresholds import Threshold
+    from .sections import Patterns
 
 LEAST_ROOM, MOST_ROOM = 0.1, 9.0
 LEAST_LOSS = 0.005
 
 
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """Conditions such as `< 20 ms` on a metric of the results that fit a pattern, all if it is empty."""
+
+    metric: str
+    conditions: tuple[str, ...]
+    result: str = ""
+    accepted: str = ""
+
+
+def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
+    """Yield the conditions of a table for all results, then of its tables, which have the name of a result."""
+    for metric, value in table.values.items():
+        if not isinstance(value, dict):
+            listed = value if isinstance(value, list) else [value]
+            for text in listed:
+                check(CONDITION, text, f"{table.where}: {shown(metric)} =")
+            yield Threshold(metric, tuple(map(str, listed)), result)
+    for name, value in table.values.items():
+        if isinstance(value, dict):
+            if result:
+                raise OptionError(f"{table.where}: {shown(name)} is a table within that of a result")
+            yield from read_thresholds(table.table(name), name)
+
+
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
     from dds_trace.base.files import read_settings
-    from dds_trace.base.toml_table import TomlTable
 
     from .compare import RECEIVED_RATIO
     from .gate import VALUES_OF_TOPICS
-    from .thresholds import read_thresholds
 
     root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
     root.allow("thresholds", "accepted")
@@ -80,7 +104,6 @@ def _is_topic(result: str) -> bool:
 
 def _patterns(result: str, where: str) -> Patterns:
     from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
-    from dds_trace.base.limits import nearest, shown
 
     from .sections import TOPIC
 

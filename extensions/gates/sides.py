@@ -15,10 +15,11 @@ from dds_trace.analyzer.model.environment import lasting_parts
 from dds_trace.analyzer.model.finding import Finding, Severity
 from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.runs import pass_numbers
-from dds_trace.analyzer.verdicts.matching import AGAINST_LABEL, CELL_LABEL, Key
 from dds_trace.base.units import SECOND_NS, counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.json_fields import number_of
+
+from .matching import AGAINST_LABEL, CELL_LABEL, Key
 
 SAME, UNKNOWN = "same", "unknown"
 _MACHINE_COLUMNS = ("cpu_percent", "cpu_mhz", "temperature_c")

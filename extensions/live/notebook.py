@@ -1,4 +1,4 @@
-"""An analysis in a notebook; `analyzer.model.presenter` loads this module by its name."""
+"""An analysis in a notebook, as the part `presenter`."""
 
 from __future__ import annotations
 

@@ -13,7 +13,6 @@ from ..blocks import MARKDOWN, Block, Facts, Heading, Points, Report, Section, S
 from .contents import Contents
 from .findings import finding_block
 from .groups import LATENCY_MEANING, group_labels, topic_parts
-from .recommendation import advice_blocks
 from .results import clocks, costs, results, wire
 from .screen import screen
 from .sizes import HOW_TO_READ, size_block
@@ -58,7 +57,7 @@ class Book(Contents, Report):
         findings: list[Block] = [finding_block(kind, group_labels(self.groups)) for kind in self.findings]
         return [
             Section([Heading(f"Latency report: {self.title}", 1)]),
-            Section([*advice_blocks(self.advice)], media=MARKDOWN),
+            Section(self.advice_blocks(), media=MARKDOWN),
             Section([Sentence(answer.headline, "headline"), Points(answer.points)]),
             *([Section([size_block(self.sizes), Sentence(HOW_TO_READ, "soft")])] if self.sizes else []),
             Section([Points(answer.remarks), *([Sentence(answer.rule, "soft")] if answer.rule else [])]),

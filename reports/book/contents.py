@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
+from dds_trace.base.extension import load
 from dds_trace.base.printable import printable
 
+from ..blocks import Block
 from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
 from .fastest import Fastest, fastest_setups
@@ -16,7 +19,6 @@ from .findings import FindingKind, findings_info
 from .groups import Groups, groups_info, is_of_topics
 from .numbers import BridgedCell, Curves, Intervals, Values, bridge_costs, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
-from .recommendation import Advice, recommendation_info
 from .recording import OwnCost, RunTime, own_costs, run_times
 from .sizes import Glance, SizeTable, glance_info, size_table
 
@@ -86,8 +88,15 @@ class Contents:
         return glance_info(self.sizes, self.intervals, self.facets)
 
     @cached_property
-    def advice(self) -> Advice | None:
-        return recommendation_info(self.analysis.details.recommendation, self.groups.vendors, self.analysis.summary)
+    def advice(self) -> Any:
+        """The recommendation in words; None without a job."""
+        recommendation = self.analysis.details.recommendation
+        if recommendation is None:
+            return None
+        return load("parts", "advice")(recommendation, self.groups.vendors, self.analysis.summary)
+
+    def advice_blocks(self, most: int | None = None) -> list[Block]:
+        return [*self.advice.blocks(most)] if self.advice else []
 
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:

@@ -14,7 +14,6 @@ from .contents import Contents
 from .fastest import Fastest
 from .findings import severity_counts
 from .headline import COMPARED, bridge_facts
-from .recommendation import advice_blocks
 from .sizes import SizeTable
 from .verdicts import contender_labels
 
@@ -30,7 +29,7 @@ FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
 
 
 def screen(book: Contents) -> list[Section]:
-    advice = [*advice_blocks(book.advice, None if book.shows_all else MOST_ADVICE)]
+    advice = book.advice_blocks(None if book.shows_all else MOST_ADVICE)
     return [Section(advice or [_brief(book)], media=TERMINAL)]
 
 

@@ -37,7 +37,6 @@ from ..book.groups import (
     group_labels,
     topic_parts,
 )
-from ..book.recommendation import advice_blocks
 from ..book.recording import file_table, recorded_environment
 from ..book.sizes import HOW_TO_READ, TINTS, size_block
 from ..figures.figure import ATOMS, AXIS_TITLES, MOST_LINES, Figure, Plan, Scope
@@ -156,7 +155,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         glance=book.glance,
         styles=line_styles(book.facets)["choice"],
         how_to_read_sizes=HOW_TO_READ,
-        advice=[*advice_blocks(book.advice)],
+        advice=book.advice_blocks(),
         findings=book.findings,
         finding_blocks=[finding_block(kind, labels) for kind in book.findings],
         severities=severity_counts(book.findings),

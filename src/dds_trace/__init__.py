@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .base.errors import MissingEventsError, OptionError, OutputError, TraceError, TraceFormatError
     from .base.version import __version__
     from .extensions.bags.analyze import analyze_topics
+    from .extensions.bags.recover_trace import recover
     from .extensions.exports.foxglove import write_derived
     from .extensions.gates.compare import CompareOptions, Comparison, compare
     from .extensions.gates.gate import Gate, GateOutcome, parse_gate
@@ -77,7 +78,6 @@ if TYPE_CHECKING:
     from .tracefile.reading.reader import iter_event_batches, read_trace
     from .tracefile.reading.storage import find_traces
     from .tracefile.reading.trace import Trace
-    from .tracefile.recovery.recover import recover
 else:
 
     @cache

@@ -7,9 +7,9 @@ from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 from trace_files import Message, ping_events, ping_session, run, write_trace
 
 from dds_trace.base.errors import TraceError
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 
 
 class Target:

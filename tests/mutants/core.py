@@ -19,7 +19,7 @@ CORE = {
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(
-        ("analyzer/statistics", "analyzer/run_statistics"),
+        ("analyzer/statistics", "analyzer/run_statistics", "extensions/gates/detectable.py"),
         ("tests/analyzer/statistics", "tests/analyzer/run_statistics"),
     ),
     "intervals": Part(("analyzer/groups/intervals.py",), ("tests/analyzer/groups",)),

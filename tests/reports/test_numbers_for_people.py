@@ -14,8 +14,9 @@ from wording import comparison_as
 
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.units import format_duration
+from dds_trace.extensions.campaigns.recommend import recommend_settings
+from dds_trace.extensions.campaigns.recommendation import recommendation_info
 from dds_trace.extensions.gates import document
 from dds_trace.extensions.gates.compare import compare, compare_roundtrips
 from dds_trace.extensions.gates.gate import parse_gate
@@ -26,7 +27,6 @@ from dds_trace.extensions.live.notebook import MOST_CHARACTERS
 from dds_trace.reports.blocks import plain_text
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
-from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.book.sizes import size_block
 from dds_trace.reports.reporters import load_reporter
 

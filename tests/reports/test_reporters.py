@@ -21,10 +21,10 @@ from wording import numbers, report_as
 from dds_trace import Details, make_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_ratio
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.reports import document, terminal
 from dds_trace.reports.blocks import Column, Row, Section, Span, Table
 from dds_trace.reports.book.book import Book

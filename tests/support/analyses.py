@@ -17,14 +17,12 @@ from roundtrip_frames import PLAIN
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
-from dds_trace.analyzer.groups.fan_out import FAN_OUT_FRAMES
 from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, ONE_WAY_STATISTICS, sample_columns
-from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
-from dds_trace.analyzer.model.detail_frames import WIRE_FRAMES
+from dds_trace.analyzer.model.detail_frames import FAN_OUT_FRAMES, RECOVERY_SCHEMA, WIRE_FRAMES
 from dds_trace.analyzer.model.metrics import schema_of
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore

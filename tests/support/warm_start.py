@@ -42,7 +42,7 @@ RECORDING = (
     *("dds_trace.cli.record.run", "dds_trace.cli.record.command", "dds_trace.recorder.backends.node"),
     *("dds_trace.recorder.backends.ros2.node", "sensor_msgs.msg", "std_msgs.msg", "rosidl_generator_py"),
     *("dds_trace.recorder.backends.socket", "dds_trace.recorder.recording"),
-    *("dds_trace.extensions.bridges.base", "dds_trace.tracefile.recovery", "dds_trace.tracefile.mcapfile.scan"),
+    *("dds_trace.extensions.bridges.base", "dds_trace.tracefile.mcapfile.scan"),
     *("rich.progress", "rich.console", "psutil"),
 )
 """What is imported before `dds-record`: nothing of it opens a node, starts a thread or reads the environment of a test.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, SETTING_COLUMNS
 from dds_trace.analyzer.run_statistics.runs import Statistic
 from dds_trace.analyzer.verdicts.cases import partition_groups
-from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.errors import UNREADABLE, OptionError
 from dds_trace.base.files import output_errors, read_regular, write_whole
 from dds_trace.base.records import RecordReader, to_json

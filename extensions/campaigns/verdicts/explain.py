@@ -16,11 +16,11 @@ import polars as pl
 from dds_trace.analyzer.model.runs import pass_numbers
 from dds_trace.analyzer.run_statistics.between_runs import student_ends
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
-from dds_trace.analyzer.verdicts.matching import CELL_LABEL
+from dds_trace.extensions.gates.matching import CELL_LABEL
 from dds_trace.tracefile.format.json_fields import object_of
 
 if TYPE_CHECKING:
-    from dds_trace.extensions.gates.compare import ComparedSide
+    from dds_trace.analyzer.analysis import Analysis
 
     Pairs = Mapping[str, tuple[str, str]]
     """Key -> the names of the cells between which the latency rises."""
@@ -58,7 +58,7 @@ class Answer:
     cause: str
 
 
-def medians_by_cell(side: ComparedSide) -> dict[str, dict[int, float]]:
+def medians_by_cell(side: Analysis) -> dict[str, dict[int, float]]:
     received = pl.when(pl.col("outcome") == "completed").then(pl.coalesce("latency_ns", pl.col("rtt_ns") / 2))
     messages = side.load_messages().select("run_id", received.fill_null(LOST_NS).alias("ns"))
     values = dict(messages.group_by("run_id").agg(pl.col("ns").median()).iter_rows())
@@ -76,7 +76,7 @@ def client_median(breakdown: pl.DataFrame) -> float | None:
     return float(waits.sum()) / 2 if len(waits) == 2 and not waits.null_count() else None
 
 
-def refusals(side: ComparedSide) -> dict[str, str]:
+def refusals(side: Analysis) -> dict[str, str]:
     reasons = {"awake": "the program that keeps processors awake used none of them"}
     for session in side.sessions:
         listed, load = session.extra.get("not_applied"), object_of(session.extra.get("load"))

@@ -10,10 +10,11 @@ from trace_files import ping_session, relay_session, run
 
 from dds_trace.analyzer.model.environment import environment_differences, environment_of
 from dds_trace.analyzer.model.parameters import parameters_of
-from dds_trace.analyzer.model.runs import delivered_runs, pass_numbers, passes_of, split_runs, with_unsent
+from dds_trace.analyzer.model.runs import delivered_runs, pass_numbers, split_runs, with_unsent
 from dds_trace.analyzer.model.setting import choice_of, condition_of, parse_setting, setting_of, write_setting
-from dds_trace.analyzer.verdicts.matching import SetupRuns
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
+from dds_trace.extensions.gates.matching import passes_of
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 LINK = "wifi-54(delay_ms=1,rate_mbit_s=54)"

@@ -6,11 +6,12 @@ import pytest
 from drawn_series import change_of_runs, log_normal_groups
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
-from dds_trace.analyzer.run_statistics.change import Verdict, _error_of, detectable_changes, smallest_detectable_ratio
+from dds_trace.analyzer.run_statistics.change import Verdict
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
 from dds_trace.analyzer.run_statistics.spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import inflations_of
 from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted, runs_to_decide
+from dds_trace.extensions.gates.detectable import _error_of, detectable_changes, smallest_detectable_ratio
 
 
 @pytest.mark.parametrize("statistic", [Statistic(0.5), Statistic(0.9), MEAN])

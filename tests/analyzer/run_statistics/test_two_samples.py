@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.change import probability_of_superiority
 from dds_trace.analyzer.run_statistics.two_samples import (
     fieller_ends,
     mover_ends,
@@ -13,6 +12,7 @@ from dds_trace.analyzer.run_statistics.two_samples import (
     permutation_p_value,
     welch_test,
 )
+from dds_trace.extensions.gates.detectable import probability_of_superiority
 
 numbers = st.lists(st.floats(-100, 100), min_size=3, max_size=8)
 

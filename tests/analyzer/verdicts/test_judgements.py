@@ -8,7 +8,7 @@ from dds_trace.analyzer.run_statistics.received import loss_excesses
 from dds_trace.analyzer.run_statistics.setups import RunLogarithms, campaign_variance, passes_depend, setup_means
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.judgements import Claim
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 
 CHANCE = np.random.default_rng(2).standard_normal((24, 5))
 

@@ -7,8 +7,8 @@ import pytest
 from dds_trace.analyzer.run_statistics.between_runs import Estimate, Units
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.judgements import OPEN, PROVEN
-from dds_trace.analyzer.verdicts.matching import SetupRuns
 from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, judge_losers, rank_setups
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 
 INTERVAL = Interval(None, None, None, 0.95, 180, 180, Basis.BETWEEN_RUNS, 3, 3, None)
 NO_MARGIN = RankingOptions(margin=0.0)

@@ -20,9 +20,9 @@ from waiting import wait_until
 
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.campaigns.folder import PARTS as PARTS_FOLDER
+from dds_trace.extensions.campaigns.load import loaded
 from dds_trace.extensions.campaigns.plan.cells import OutageBy
 from dds_trace.extensions.campaigns.station.namespaces import NamespacePair, Side
-from dds_trace.recorder.host.load import loaded
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace

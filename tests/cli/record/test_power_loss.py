@@ -17,10 +17,10 @@ import pytest
 from forgetful_disk import missing_for_a_disk
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 
 SECOND_NS = 1_000_000_000
 STAGES = {"ping": (Stage.T1, Stage.T2), "relay": (Stage.T3, Stage.T4)}

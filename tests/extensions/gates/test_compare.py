@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roundtrip_frames import MS, in_runs, of_sizes, steady
 
-from dds_trace.analyzer.run_statistics.change import probability_of_superiority
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
 from dds_trace.extensions.gates.costs import bridge_cost
+from dds_trace.extensions.gates.detectable import probability_of_superiority
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))
 

@@ -8,10 +8,10 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from trace_files import ping_session
 
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage, TapColumns, hash_content
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.event_chunks import MOST_WAITING_BYTES
 from dds_trace.tracefile.writing.sink import TraceSink

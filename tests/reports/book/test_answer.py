@@ -10,7 +10,7 @@ from wording import numbers
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import markdown

@@ -10,7 +10,7 @@ from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
 from wording import numbers
 
 from dds_trace import Finding, Severity
-from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
+from dds_trace.analyzer.model.detail_frames import RECOVERY_SCHEMA
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity

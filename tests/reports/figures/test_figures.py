@@ -7,7 +7,7 @@ import pytest
 from analyses import BRIDGED, EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer.details import details_not_requested
-from dds_trace.analyzer.groups.fan_out import FAN_OUT_SCHEMA
+from dds_trace.analyzer.model.detail_frames import FAN_OUT_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_plan

@@ -21,11 +21,11 @@ from roundtrip_frames import in_runs
 from wording import comparison_as
 
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration, format_quantity, format_rate, format_ratio
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.report import BagReport
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.extensions.gates.compare import compare_roundtrips
 from dds_trace.extensions.gates.info import comparison_info
 from dds_trace.extensions.live.live import Watcher, WatchOptions

@@ -12,9 +12,9 @@ from forgetful_disk import missing_for_a_disk
 from trace_files import ping_session
 
 from dds_trace.base.files import create_file
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 

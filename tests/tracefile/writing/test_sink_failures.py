@@ -12,9 +12,9 @@ from limited_sinks import open_sink, sequences, stamp
 from trace_files import run
 
 from dds_trace.base.errors import OutputError, OutputExistsError
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 
 
 @pytest.mark.parametrize("scenario", limited_sinks.SCENARIOS)

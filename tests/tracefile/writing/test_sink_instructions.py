@@ -12,10 +12,10 @@ from instruction_kills import BEFORE, STAMPED_NS
 from trace_files import ping_session, run
 
 from dds_trace.base.errors import TraceError
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import SLOT_WORDS, ring_path
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 

@@ -13,10 +13,10 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 
 LONGEST_S = 0.25
 CLOSING_EVENTS = 20_000

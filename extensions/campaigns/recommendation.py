@@ -19,10 +19,9 @@ from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import LONG_BURST, Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_ratio, joined, spell_duration, spell_size
-
-from ..blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
-from .groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, time_words
-from .verdicts import few_words, place_label
+from dds_trace.reports.blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
+from dds_trace.reports.book.groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, time_words
+from dds_trace.reports.book.verdicts import few_words, place_label
 
 if TYPE_CHECKING:
     import polars as pl
@@ -38,29 +37,24 @@ class Advice:
     missing: str = ""
     commands: tuple[tuple[str, str], ...] = ()
 
-
-def advice_blocks(advice: Advice | None, most: int | None = None) -> Iterator[Block]:
-    if advice is None:
-        return
-    yield Sentence(advice.sentence, "headline")
-    yield Sentence(f"Job: {advice.job}", "soft")
-    items = [
-        [MARKS.get(fit, OPEN), Span(" ", ""), Span(f"{setting}: {fit}"), Span(f"; {numbers}", "soft")]
-        for setting, fit, numbers in advice.rows[:most]
-    ]
-    yield Points(items, bullet="1.")
-    if most and len(advice.rows) > most:
-        yield Sentence(f"and {counted(len(advice.rows) - most, 'more setup')}: --all", "soft")
-    if advice.missing:
-        yield Sentence(advice.missing)
-    yield from (Command(*command) for command in advice.commands)
+    def blocks(self, most: int | None = None) -> Iterator[Block]:
+        yield Sentence(self.sentence, "headline")
+        yield Sentence(f"Job: {self.job}", "soft")
+        items = [
+            [MARKS.get(fit, OPEN), Span(" ", ""), Span(f"{setting}: {fit}"), Span(f"; {numbers}", "soft")]
+            for setting, fit, numbers in self.rows[:most]
+        ]
+        yield Points(items, bullet="1.")
+        if most and len(self.rows) > most:
+            yield Sentence(f"and {counted(len(self.rows) - most, 'more setup')}: --all", "soft")
+        if self.missing:
+            yield Sentence(self.missing)
+        yield from (Command(*command) for command in self.commands)
 
 
 def recommendation_info(
-    recommendation: Recommendation | None, vendors: VendorLabels, summary: pl.DataFrame | None = None
-) -> Advice | None:
-    if recommendation is None:
-        return None
+    recommendation: Recommendation, vendors: VendorLabels, summary: pl.DataFrame | None = None
+) -> Advice:
     candidates = recommendation.candidates
     site = dict.fromkeys(SITE_COLUMNS, "")
     choices = [{**one.setting, **site, "setting": choice_of(str(one.setting["setting"]))} for one in candidates]

@@ -12,6 +12,7 @@ from rosbags.rosbag2 import Reader
 from trace_files import ping_session, run, write_trace
 
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
+from dds_trace.extensions.bags.recover_trace import recover
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
 from dds_trace.tracefile.format.ring import RING_HEADER, ring_path
@@ -20,7 +21,6 @@ from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.mcapfile.records import ChannelTable
 from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.reader import read_trace
-from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
@@ -188,7 +188,7 @@ def test_a_disk_without_hard_links(trace, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
-    monkeypatch.setattr("dds_trace.tracefile.recovery.recover.os.link", refuse)
+    monkeypatch.setattr("dds_trace.extensions.bags.recover_trace.os.link", refuse)
     data = trace.read_bytes()
     report = recover(trace)
     assert report.originals[0].read_bytes() == data
@@ -327,7 +327,7 @@ def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(trace, tm
 
 def test_what_was_recovered_is_read_before_it_is_called_well(trace, monkeypatch):
     before = [path.read_bytes() for path in (trace, ring_path(trace))]
-    monkeypatch.setattr("dds_trace.tracefile.recovery.recover.read_trace_in_pieces", lambda *_: None)
+    monkeypatch.setattr("dds_trace.extensions.bags.recover_trace.read_trace_in_pieces", lambda *_: None)
     with pytest.raises(TraceFormatError, match="what was recovered cannot be read"):
         recover(trace)
     assert [path.read_bytes() for path in (trace, ring_path(trace))] == before

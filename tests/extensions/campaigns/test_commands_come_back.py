@@ -13,10 +13,10 @@ from dds_trace.cli.record.command import role_app
 from dds_trace.cli.table_options import settings_as_options
 from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
+from dds_trace.extensions.campaigns.recommendation import recording_commands
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS
 from dds_trace.recorder.options import run_settings, side_settings
-from dds_trace.reports.book.recommendation import recording_commands
 
 HERE = "[run]\ndomain = 9\nseconds = 5\n"
 LINKS = {

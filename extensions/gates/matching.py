@@ -1,33 +1,23 @@
-"""Which groups of two sides are compared (equal parameters, or `--against`), and what was measured of each."""
+"""Which groups of two sides are compared: of equal parameters, or with `--against`."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from dds_trace.analyzer.model.names import group_words, value_word, varying_parameters
+from dds_trace.analyzer.model.parameters import DEVICE_COLUMNS, ParameterValue
+from dds_trace.analyzer.model.runs import RunRows
+from dds_trace.analyzer.model.setting import without_relay
+from dds_trace.analyzer.run_statistics.change import Passes
+from dds_trace.analyzer.verdicts.cases import partition_groups
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.tracefile.format.descriptions import Run as RunDescription
-
-from ..model.names import group_words, is_topic, value_word, varying_parameters
-from ..model.parameters import ParameterValue
-from ..model.runs import UNSENT, RunRows, delivered_runs, split_runs
-from ..model.setting import without_relay
-from ..run_statistics.between_runs import Estimate, Scale, estimates_of_runs, scale_of
-from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
-from ..run_statistics.setups import RunLogarithms
-from .cases import partition_groups
 
 Key = tuple[ParameterValue, ...]
 """Values of the match columns."""
-
-Made = TypeVar("Made")
-
-DEVICE_COLUMNS = ("ping_device", "relay_device")
 
 RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_domain_id")
 """Columns that are null without the relay's trace, and match any value then."""
@@ -41,102 +31,27 @@ CELL_LABEL = "cell"
 AGAINST_LABEL = "against"
 """Label of a run with the name of the base's cell that it was interleaved with."""
 
+MOST_BLOCKS, LEAST_OF_A_BLOCK = 10, 200
+"""Of a recording of a topic; messages."""
 
-LEAST_OF_A_RUN = 0.5
-"""Share of the messages of a group's longest run below which an unfinished run is left out: it would weigh like a whole one."""
+
+def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
+    """Cut recordings of topics into blocks with run ids of their own: a limit of one recording rests on its parts."""
+    blocks = (pl.len() // LEAST_OF_A_BLOCK).clip(1, MOST_BLOCKS).cast(pl.UInt64)
+    number = pl.col("publish_ns").rank("ordinal").cast(pl.UInt64) - 1
+    block = (number * blocks // pl.len().cast(pl.UInt64)).over("run_id")
+    return rows.with_columns(
+        run_id=pl.when(pl.col("data_type").str.starts_with("/")).then(pl.col("run_id") ^ block).otherwise("run_id")
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class SetupRuns:
-    """What was measured of one setup with one message, or of one topic that a tap heard, by run.
-
-    Attributes:
-        estimates: of the latency, by percentile: what setups are ranked by, and remains where `runs` are left out.
-        received: of each message of each run whether it came back; `outside` without the ones that an outage of the sweep took.
-        repeats: of the sweep, of each run; empty where two are equal or one is unknown.
-        starts_ns: of the runs, by one clock; empty where one is unknown.
-        groups: rows of `summary`.
-        published: messages that were sent.
-        unfinished: runs without an end, the fragments that are left out included.
-        bound_ns: largest error of the times of a topic.
-    """
-
-    estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    runs: tuple[RunRows, ...] = ()
-    received: tuple[NDArray[np.bool_], ...] = ()
-    outside: tuple[NDArray[np.bool_], ...] = ()
-    repeats: tuple[int, ...] = ()
-    starts_ns: tuple[int, ...] = ()
-    survivors_ns: Mapping[str, float | None] = field(default_factory=dict)
-    setting: Mapping[str, ParameterValue] = field(default_factory=dict)
-    groups: tuple[int, ...] = ()
-    published: int = 0
-    unfinished: int = 0
-    is_topic: bool = False
-    bound_ns: int = 0
-    _made: dict[object, Any] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(cls, rows: pl.DataFrame, unfinished: Collection[int] = ()) -> SetupRuns:
-        runs = split_runs(rows)
-        least = LEAST_OF_A_RUN * max((len(run.rows) for run in runs), default=0)
-        whole = tuple(run for run in runs if run.run_id not in unfinished or len(run.rows) >= least)
-        heard = "bound_ns" in rows.columns and len(rows) > 0 and is_topic(rows["data_type"][0])
-        bound_ns = rows["bound_ns"].max() if heard else None
-        return cls(
-            runs=whole,
-            received=tuple(run.received for run in whole),
-            published=int((rows["outcome"] != UNSENT).sum()),
-            unfinished=sum(run.run_id in unfinished for run in runs),
-            is_topic=heard,
-            bound_ns=bound_ns if isinstance(bound_ns, int) else 0,
-        )
-
-    @property
-    def group(self) -> int | None:
-        return self.groups[0] if self.groups else None
-
-    def _once(self, key: object, make: Callable[[], Made]) -> Made:
-        if key not in self._made:
-            self._made[key] = make()
-        made: Made = self._made[key]
-        return made
-
-    def delivered(self, metric: str) -> Runs:
-        return self._once(metric, lambda: Runs.of(delivered_runs(self.runs, metric)))
-
-    def estimates_of(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
-        key = metric, tuple(statistics), confidence
-        return self._once(key, lambda: estimates_of_runs(self.delivered(metric), statistics, confidence))
-
-    def survivors(self, metric: str) -> Run:
-        if all(run.is_whole(metric) for run in self.runs):  # sorted already
-            return self.delivered(metric).joined.runs[0]
-        return self._once(("survivors", metric), lambda: joined_runs([run.survivors(metric) for run in self.runs]))
-
-    def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
-        series = self.survivors(metric)
-        return statistic.of_run(series) if len(series) >= statistic.needs else None
-
-    @property
-    def received_share(self) -> float:
-        messages = sum(map(len, self.received))
-        return sum(int(run.sum()) for run in self.received) / messages if messages else 0.0
-
-    @property
-    def is_dead(self) -> bool:
-        return bool(self.received) and not any(run.any() for run in self.received)
-
-    def logarithms(self, percentile: str) -> RunLogarithms | None:
-        """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
-        units = self.estimates[percentile].units
-        if units is None or scale_of(units.values) is not Scale.LOGARITHM:
-            return None
-        logarithms = np.log(units.values)
-        if len(self.repeats) != len(units):
-            return RunLogarithms(logarithms, tuple(range(len(units))))
-        order = np.argsort(self.repeats)
-        return RunLogarithms(logarithms[order], tuple(sorted(self.repeats)))
+def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
+    """Return both sides' passes; None unless every run has one of its own on its side."""
+    sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
+    if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
+        return None
+    before, after = ([number for number in side if number is not None] for side in sides)
+    return before, after
 
 
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:

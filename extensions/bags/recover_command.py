@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from dds_trace.base import limits
-from dds_trace.base.extension import load
-
-from .program import argument, command, make_app, option
+from dds_trace.cli.program import argument, command, make_app, option
 
 app = make_app()
 
@@ -19,11 +17,12 @@ def recover_command(
     out: Annotated[Path | None, option("--out PATH", "File or folder to write. Default: next to FILE")] = None,
 ) -> None:
     """Make a whole copy of what a killed recorder left, or of a bag."""
-    from dds_trace.tracefile.recovery.recover import recover
+    from .recover import is_of_others, recover_recording
+    from .recover_trace import recover
 
     limits.check(limits.INPUT, str(path), "FILE")
     limits.check(limits.PATH, None if out is None else str(out), "--out")
-    report = (load("parts", "recover") if load("parts", "is_recording")(path) else recover)(path, out)
+    report = (recover_recording if is_of_others(path) else recover)(path, out)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
     print("\n".join(report.lines()))

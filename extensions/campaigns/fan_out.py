@@ -10,40 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from dds_trace.analyzer.clocks.boots import machine_of
+from dds_trace.analyzer.groups.host_samples import node_percent
+from dds_trace.analyzer.model.detail_frames import FAN_OUT_FRAMES, FAN_OUT_TIMES
+from dds_trace.analyzer.statistics.percentiles import summarize_values
 from dds_trace.tracefile.format.json_fields import number_of, object_of, objects_of
 
-from ..clocks.boots import machine_of
-from ..model.metrics import frame_schema
-from ..model.setting import parse_setting
-from ..statistics.percentiles import summarize_values
-from .host_samples import node_percent
-
 if TYPE_CHECKING:
-    from ..pairing.exchanges import Exchange
-    from ..pairing.rows import RowStore
-    from .batch import Grouping
-
-_TIMES = ("first_receiver", "last_receiver", "spread", "first_reply", "last_reply")
-FAN_OUT_SCHEMA = frame_schema(
-    "group:u32 groups:str runs:u32 receivers:u32 senders:u32 messages:u64 complete:u64 "
-    + " ".join(f"{name}_p50_ns:f64 {name}_p99_ns:f64" for name in _TIMES)
-    + " bound_ns:i64 position_step_ns:f64 ping_cpu_percent:f64 relay_cpu_percent:f64 wire_bytes_per_receiver:f64 "
-    "matched_p50_ns:f64 matched_max_ns:f64 missed_p50:f64 discovery_bytes_p50:f64 recorders:u32 processors:u32"
-)
-"""A row per set of runs with the same receivers, in a campaign with several receivers or senders; `group` is the first of `groups`.
-
-`complete` messages reached all receivers and came back. `*_receiver` from T1 to T3 of the first and of the last relay on the ping's
-clock, wrong by at most `bound_ns`; `spread` between the two; `*_reply` from T1 to T2. `position_step_ns`: how much later the median is
-from one relay's number to the next. `relay_cpu_percent` of one relay, mean; `wire_bytes_per_receiver` sent by the ping (on loopback
-both ways) per message; `matched_*` from the ping's endpoints to the first echo of the last relay, `missed` messages times receivers
-lost until then. `recorders` of a run on the ping's machine."""
-
-FAN_OUT_POSITION_SCHEMA = frame_schema(
-    "group:u32 relay_id:u32 device:str messages:u64 received:u64 outbound_p50_ns:f64 after_first_p50_ns:f64 first_share:f64 last_share:f64"
-)
-"""A row per relay of a row of `FAN_OUT_SCHEMA` with several: shares are of the complete messages that it got first, and last."""
-
-FAN_OUT_FRAMES = {"fan_out": FAN_OUT_SCHEMA, "fan_out_positions": FAN_OUT_POSITION_SCHEMA}
+    from dds_trace.analyzer.groups.batch import Grouping
+    from dds_trace.analyzer.pairing.exchanges import Exchange
+    from dds_trace.analyzer.pairing.rows import RowStore
 
 _COLUMNS = ("run_id", "relay_id", "sequence", "publish_ns", "receive_ns", "outbound_ns", "clock_bound_ns")
 _MESSAGE = ("run_id", "sequence")
@@ -59,30 +35,23 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
     runs: dict[tuple[int, ...], list[list[Exchange]]] = defaultdict(list)
     for run_id, members in exchanges.items():
         runs[tuple(sorted(groups[run_id]))].append(members)
-    if any(map(_is_crowded, exchanges.values())) and rows.has_rows:
-        for together, crowded in sorted(runs.items()):
-            frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
-            own_rows = frame.filter(pl.col("run_id").is_in([exchange_runs[0].run.run_id for exchange_runs in crowded]))
-            several = max(map(len, crowded)) > 1
-            if several and own_rows.select(_MESSAGE).is_unique().all():  # a relay that was restarted
-                continue
-            relays = _by_relay(together[0], crowded, own_rows) if several else []
-            rows_of["fan_out"].append(
-                {
-                    "group": together[0],
-                    "groups": " ".join(map(str, together)),
-                    **_times(own_rows, relays),
-                    **_costs(crowded, host_samples, _joined_late(own_rows)),
-                }
-            )
-            rows_of["fan_out_positions"] += relays
+    for together, crowded in sorted(runs.items()):
+        frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
+        own_rows = frame.filter(pl.col("run_id").is_in([exchange_runs[0].run.run_id for exchange_runs in crowded]))
+        several = max(map(len, crowded)) > 1
+        if several and own_rows.select(_MESSAGE).is_unique().all():  # a relay that was restarted
+            continue
+        relays = _by_relay(together[0], crowded, own_rows) if several else []
+        rows_of["fan_out"].append(
+            {
+                "group": together[0],
+                "groups": " ".join(map(str, together)),
+                **_times(own_rows, relays),
+                **_costs(crowded, host_samples, _joined_late(own_rows)),
+            }
+        )
+        rows_of["fan_out_positions"] += relays
     return {name: pl.DataFrame(rows_of[name], schema) for name, schema in FAN_OUT_FRAMES.items()}
-
-
-def _is_crowded(exchanges: Sequence[Exchange]) -> bool:
-    return exchanges[0].relays > 1 or not {"pings", "topics"}.isdisjoint(
-        parse_setting(exchanges[0].parameters().setting)
-    )
 
 
 def _joined_late(rows: pl.DataFrame) -> dict[int, int]:
@@ -122,13 +91,13 @@ def _times(rows: pl.DataFrame, relays: Sequence[dict[str, object]]) -> dict[str,
         first_reply=reply.min(),
         last_reply=reply.max(),
     )
-    times = {name: summarize_values(messages[name].sort().to_numpy()) for name in _TIMES}
+    times = {name: summarize_values(messages[name].sort().to_numpy()) for name in FAN_OUT_TIMES}
     medians = pl.Series([relay["outbound_p50_ns"] for relay in relays], dtype=pl.Float64).drop_nulls().to_numpy()
     bound = complete["clock_bound_ns"]
     return {
         "messages": rows.select(_MESSAGE).n_unique(),
         "complete": messages.height,
-        **{f"{name}_{key}_ns": times[name][key] for name in _TIMES for key in ("p50", "p99")},
+        **{f"{name}_{key}_ns": times[name][key] for name in FAN_OUT_TIMES for key in ("p50", "p99")},
         "bound_ns": None if bound.null_count() else bound.max(),
         "position_step_ns": np.polyfit(range(len(medians)), medians, 1)[0] if len(medians) > 1 else None,
     }

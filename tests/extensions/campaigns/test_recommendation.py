@@ -10,9 +10,10 @@ from roundtrip_frames import in_runs, steady
 from wording import numbers
 
 from dds_trace.analyzer.verdicts.job import Guess, Job
-from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.cli import trace
 from dds_trace.cli.record.command import words_of_role
+from dds_trace.extensions.campaigns.recommend import recommend_settings
+from dds_trace.extensions.campaigns.recommendation import PING_OPTIONS, SETTING_OPTIONS, recommendation_info
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option import options_of
@@ -20,7 +21,6 @@ from dds_trace.recorder.option_table import is_setting, key_of
 from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
-from dds_trace.reports.book.recommendation import PING_OPTIONS, SETTING_OPTIONS, recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
 from dds_trace.reports.terminal import render as render_terminal
@@ -182,7 +182,8 @@ def test_it_stands_on_top_and_its_commands_in_the_page_in_markdown_and_in_the_te
     for text, first_below in ((page, 'id="figures"'), (markdown, "What was measured")):
         assert text.index("within the deadline of 50 ms") < text.index(first_below)
     assert markdown.index(book.advice.sentence) < markdown.index(book.answer.headline[:10])
-    assert recommendation_info(None, VendorLabels(VENDORS)) is None
+    analysis = replace(book.analysis, details=replace(book.analysis.details, recommendation=None))
+    assert Book(analysis).advice_blocks() == []
 
 
 @pytest.mark.parametrize("device", ["d" * length for length in range(1, 12)])

@@ -14,12 +14,11 @@ from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatErr
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import counted
-
-from ..format.bag_metadata import RecordedTopic
-from ..format.descriptions import Session
-from ..format.encoding import MESSAGE_HEADER, decode_string
-from ..format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
-from ..format.ring import (
+from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.encoding import MESSAGE_HEADER, decode_string
+from dds_trace.tracefile.format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
+from dds_trace.tracefile.format.ring import (
     RING_SUFFIX,
     SLOT_DTYPE,
     STAGE_NUMBERS,
@@ -29,12 +28,12 @@ from ..format.ring import (
     ring_path,
     salvage_ring,
 )
-from ..mcapfile.records import topic_of
-from ..reading.mcap_source import MANY_RECORDS, McapSource
-from ..reading.reader import read_trace_in_pieces
-from ..reading.source import Text
-from ..writing.event_chunks import CHUNK_BYTES, LIBRARY, MOST_TOPICS, Payload, PayloadQueue
-from ..writing.writer import TraceWriter
+from dds_trace.tracefile.mcapfile.records import topic_of
+from dds_trace.tracefile.reading.mcap_source import MANY_RECORDS, McapSource
+from dds_trace.tracefile.reading.reader import read_trace_in_pieces
+from dds_trace.tracefile.reading.source import Text
+from dds_trace.tracefile.writing.event_chunks import CHUNK_BYTES, LIBRARY, MOST_TOPICS, Payload, PayloadQueue
+from dds_trace.tracefile.writing.writer import TraceWriter
 
 KILLED_SUFFIX = ".killed"
 

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 import psutil
 
 from dds_trace.base.errors import OptionError
-
-from .child import Child
-from .process import pin_cpus
+from dds_trace.recorder.host.child import Child
+from dds_trace.recorder.host.process import pin_cpus
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
@@ -30,24 +29,21 @@ PATIENCE_S = 10.0
 
 
 class MachineLoad:
-    """A load; called, it returns the session's field `load`, if there is one."""
+    """A load; called, it returns the session's field `load`."""
 
-    def __init__(self, kind: str = "none", process: Child | None = None) -> None:
+    def __init__(self, kind: str, process: Child) -> None:
         self._kind = kind
         self._process = process
         self._began_s, self._printed = time.monotonic(), b""
 
     def begin(self) -> None:
         """Start a load that waits for the first echo: a node under it takes long to start."""
-        process = self._process
-        if process is not None and process.stdin is not None and not process.stdin.closed:
+        if self._process.stdin is not None and not self._process.stdin.closed:
             self._began_s = time.monotonic()
-            process.stdin.close()
+            self._process.stdin.close()
 
     def __call__(self) -> JsonObject:
         process = self._process
-        if process is None:
-            return {}
         assert process.stdout is not None
         self._printed += process.stdout.read() or b""
         program, _, started_s = self._printed.decode().strip().rpartition(" ")
@@ -58,17 +54,17 @@ class MachineLoad:
 
 
 @contextmanager
-def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Iterator[MachineLoad]:
-    """Load the machine within the block (`load_program.py`); an `OptionError` where this user or machine cannot."""
-    if kind == "none" or (kind == "network" and host is None):
-        yield MachineLoad()
+def loaded(kind: str, host: str | None = None, *, is_relay: bool = False) -> Iterator[MachineLoad | None]:
+    """Load the machine within the block (`load_program.py`), if this side does; an `OptionError` where this user or machine cannot."""
+    if kind == "network" and host is None:
+        yield None
         return
     if kind == "emulated-pi3":
         *others, host = map(str, sorted(os.sched_getaffinity(0)))
         _check_stealing(others)
         pin_cpus(host if is_relay else ",".join(others))
         if not is_relay:
-            yield MachineLoad()
+            yield None
             return
     if kind == "dma-latency":
         try:

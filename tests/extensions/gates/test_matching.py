@@ -4,8 +4,8 @@ from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
 from dds_trace.analyzer.model.setting import without_relay
-from dds_trace.analyzer.verdicts.matching import match_groups
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
+from dds_trace.extensions.gates.matching import match_groups
 
 P50_ONLY = CompareOptions(metrics=("latency",), statistics=("p50",))
 NO_RELAY = {"relay_vendor": None, "relay_backend": None, "relay_device": None, "relay_domain_id": None}

@@ -7,18 +7,12 @@ from typing import TypedDict
 
 import polars as pl
 
+from dds_trace.analyzer.groups.batch import Grouping
+from dds_trace.analyzer.model.detail_frames import RECOVERY_SCHEMA
+from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.limits import STORED_TIME_NS
 from dds_trace.tracefile.format.json_fields import number_of, object_of
 from dds_trace.tracefile.reading.trace import Trace
-
-from ..model.metrics import frame_schema
-from ..pairing.rows import RowStore
-from .batch import Grouping
-
-RECOVERY_SCHEMA = frame_schema(
-    "group:u32 run_id:u64 by:str began_ns:i64 ended_ns:i64 outage_ns:i64 limit_ns:i64 never:bool out_ns:i64 back_ns:i64 "
-    "lost_within:u64 replayed:u64 lost_after:u64 reordered:u64 duplicates:u64"
-)
 
 _COLUMNS = ("run_id", "sequence", "publish_ns", "relay_in_ns", "receive_ns", "reordered", "duplicates")
 
@@ -74,13 +68,6 @@ def recovery_frame(traces: Iterable[Trace], grouping: Grouping, rows: RowStore) 
         messages = rows.frame(rows.groups.filter(group=group), _COLUMNS).filter(run_id=run_id)
         recoveries.append({"group": group, "run_id": run_id, **outage, **recovery_of(messages, outage)})
     return pl.DataFrame(recoveries, RECOVERY_SCHEMA).sort("group", "began_ns")
-
-
-def outage_spans(recoveries: pl.DataFrame) -> dict[int, tuple[int, int | None]]:
-    """Return run_id -> when its outage began, and when the first reply after it came, ns; None where none came."""
-    back_ns = pl.col("ended_ns") + pl.col("back_ns")
-    rows = recoveries.select("run_id", "began_ns", back_ns.alias("back_ns")).iter_rows()
-    return {run_id: (began_ns, ended_ns) for run_id, began_ns, ended_ns in rows}
 
 
 def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]:

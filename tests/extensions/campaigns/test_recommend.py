@@ -8,7 +8,8 @@ from roundtrip_frames import MS, S, in_runs, roundtrips, steady
 from wording import numbers
 
 from dds_trace.analyzer.verdicts.job import Guess, Job
-from dds_trace.analyzer.verdicts.recommend import Fit, place_of, recommend_settings
+from dds_trace.analyzer.verdicts.recommend import Fit, place_of
+from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.tracefile.format.descriptions import Run
 
 JOB = Job("binary", 33_000, 10.0, 20 * MS, 0.9, metric="latency")

@@ -5,13 +5,10 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Annotated
 
-from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.base.units import spell_size
-
-from .analysis import run_analysis
-from .outputs import Opens, Out, Paths, Reports, ShowsAll
-from .program import command, make_app, option
+from dds_trace.cli.outputs import Opens, Out, Paths, Reports, ShowsAll
+from dds_trace.cli.program import command, make_app, option
 
 MOST_KINDS = 12
 
@@ -56,6 +53,9 @@ def choose_command(
     """
     from dds_trace.analyzer.verdicts.cases import MOST_COMPARED_ROWS
     from dds_trace.analyzer.verdicts.job import make_job
+    from dds_trace.cli.analysis import run_analysis
+
+    from ..learning.results import keep_results
 
     job = make_job(
         size=size, rate=rate, deadline=deadline, reliability=reliability, data=data, domain=domain, metric=metric
@@ -72,4 +72,4 @@ def choose_command(
             "pip install 'dds-trace[learn]' (in a clone '.[learn]'): then what nobody measured is estimated from what was"
         )
     if analysis.summary["published"].sum() <= MOST_COMPARED_ROWS:  # in memory once more
-        say(load("parts", "keep_results")(analysis.load_messages(), job))
+        say(keep_results(analysis.load_messages(), job))

@@ -1,1 +1,0 @@
-"""Traces that a killed recorder left, made whole."""

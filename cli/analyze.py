@@ -12,7 +12,6 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import load
 from dds_trace.base.units import parse_duration
 
-from .analysis import run_analysis
 from .outputs import FIGURE_WIDTHS_MM, Opens, Out, Paths, Reports, ShowsAll, kinds_of
 from .program import Version, command, make_app, option
 
@@ -78,6 +77,8 @@ def analyze_command(
 
         dds-trace analyze runs/ --report html
     """
+    from .analysis import run_analysis
+
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     gates = load("parts", "topic_limits")(fail_if) if fail_if else ()

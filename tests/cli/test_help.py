@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from bags import imu, write_bag2
 
 from dds_trace.base.version import __version__
 from dds_trace.cli import analyze, trace
@@ -35,14 +36,14 @@ MODULES = {
 COMMANDS = [*MODULES, *(f"dds-trace {name}" for name in ("record", "explain", *trace.commands()))]
 CALL = """
 import importlib, json, sys
-module, words, heavy, name = json.loads(sys.argv[1])
+module, words, name = json.loads(sys.argv[1])
 sys.argv = [name, *words]
 code = 0
 try:
     importlib.import_module(module).main()
 except SystemExit as end:
     code = end.code
-print(json.dumps({"code": code, "loaded": [name for name in heavy if name in sys.modules]}))
+print(json.dumps({"code": code, "loaded": [*sys.modules]}))
 """
 ROOT = Path(__file__).parents[2]
 ROOMS = ("src/dds_trace/base", "tracefile", "recorder", "analyzer", "reports", "cli", "extensions")
@@ -51,7 +52,13 @@ SAMPLES = ROOT / "sample_traces"
 
 def called(module, *words, name="command"):
     """Return the lines that a command printed, its exit code and the libraries of `HEAVY` that it loaded."""
-    arguments = json.dumps([module, [*map(str, words)], HEAVY, name])
+    shown, code, loaded = run_once(module, *words, name=name)
+    return shown, code, loaded & {*HEAVY}
+
+
+def run_once(module, *words, name="command"):
+    """Return the lines that a command printed, its exit code and all modules that it loaded."""
+    arguments = json.dumps([module, [*map(str, words)], name])
     ran = subprocess.run([sys.executable, "-c", CALL, arguments], capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
     *shown, said = ran.stdout.splitlines()
@@ -289,6 +296,27 @@ def test_a_table_of_a_small_folder_loads_neither_figures_nor_middleware_nor_clus
     assert f"Wrote {tmp_path / 'summary.parquet'}" in shown
     assert "polars" in loaded
     assert loaded & NOT_FOR_A_TABLE == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "most", "never"),
+    [
+        (["--help"], 64, ()),
+        (["record", "ping", "--help"], 45, ()),
+        (["bag", "BAG", "--out", "OUT"], 90, ("campaigns",)),
+        (["analyze", "TRACES", "--out", "OUT"], 162, ("wire", "gates", "bags", "campaigns")),
+    ],
+    ids=["help", "ping", "bag", "analyze"],
+)
+def test_a_command_loads_few_of_our_modules_and_no_extension_that_it_does_not_ask(words, most, never, tmp_path):
+    files = {"OUT": tmp_path / "out", "TRACES": SAMPLES / "losses"}
+    files["BAG"] = write_bag2(tmp_path / "drive", {"/imu": [imu(0.1)] * 50})
+    _, code, loaded = run_once("dds_trace.cli.trace", *(files.get(word, word) for word in words), name="dds-trace")
+    ours = {name for name in loaded if name.partition(".")[0] == "dds_trace"}
+    assert (code, len(ours)) == (0, min(len(ours), most))
+    assert "dds_trace.base.extension" in ours
+    packages = tuple(f"dds_trace.extensions.{name}." for name in never)
+    assert [name for name in ours if name.startswith(packages)] == []
 
 
 def test_a_ping_over_sockets_loads_nothing_of_the_analyzer_nor_of_another_middleware(tmp_path):

@@ -14,14 +14,11 @@ import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
-from dds_trace.base.records import to_json
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 from dds_trace.cli.program import argument, command, make_app, option
 
-from .against import say_missing, startable
 from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
-from .dry_run import argument_check
 
 if TYPE_CHECKING:
     from ..answer import Answer
@@ -87,6 +84,8 @@ def advise_command(
         dds-trace advise --size 502KB --rate 20 --deadline 50ms --host robot
     """
     import_module("polars")  # before minutes of recording
+    from dds_trace.base.records import to_json
+
     from ..answer import answer
     from ..question import Question, as_learned, ask, limits_of
 
@@ -116,6 +115,8 @@ def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
     from ..answer import promise
     from ..plan.schedule import Remaining
     from ..rehearsal import check_plan
+    from .against import say_missing, startable
+    from .dry_run import argument_check
 
     plan = question.plan
     refused = check_plan(plan, out / plan.name, argument_check())

@@ -42,6 +42,7 @@ def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read, spool):
     write_runs(runs, range(3))
     analyze(runs, spool=spool)
     assert sorted(files_read) == ["ping0.mcap", "ping1.mcap", "ping2.mcap", *(f"relay{n}.mcap" for n in range(3))]
+    assert not any(path.stat().st_size for path in spool.folder.iterdir())  # what fits in memory is not written
     files_read.clear()
     write_runs(runs, range(3, 4))
     grown = analyze(runs, spool=spool)

@@ -16,20 +16,18 @@ import polars as pl
 
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.tracefile.reading.source import MOST_TOPICS, Condition
+from dds_trace.tracefile.reading.source import MOST_TOPICS, NONE, Condition
 
+from .bounds import SHOWN
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth
 from .chains import Link
 from .kinds import SUFFIX_WORDS
-from .losses import NONE
 from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
 from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
 from .read import read_batches
 from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
 from .sync import Sync
-
-_MOST_NOTES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,12 +123,12 @@ def analyze_topics(
         if is_read:
             cards.append(Card(shown, [recording.columns[key] for key in sorted(recording.columns)], condition, sync))
             text = [*cards[-1].health.damages, *cards[-1].health.notes]
-        more = [f"and {len(text) - _MOST_NOTES} more"] if len(text) > _MOST_NOTES else []
+        more = [f"and {len(text) - SHOWN} more"] if len(text) > SHOWN else []
         status = "read" if not condition.damages else "truncated" if is_read else "skipped"
         messages = sum(map(len, recording.columns.values()))
-        sources.append(Source(shown, status, "; ".join([*text[:_MOST_NOTES], *more]), messages))
+        sources.append(Source(shown, status, "; ".join([*text[:SHOWN], *more]), messages))
     if not cards:
-        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[: 2 + 1]]
+        names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[:SHOWN]]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))
         raise MissingEventsError(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a "

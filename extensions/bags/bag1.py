@@ -11,6 +11,7 @@ import struct
 from collections import deque
 from collections.abc import Iterator
 from contextlib import closing, suppress
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,32 +30,41 @@ from dds_trace.tracefile.reading.source import (
     full_type,
 )
 
-from .kinds import BAG1_MAGIC
+from .kinds import BAG1_MAGIC, BLOCK_BYTES
 
-_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
-_NEEDED = {
-    _MESSAGE: {"conn": 4, "time": 8},
-    _BAG_HEADER: {"index_pos": 8},
-    _INDEX: {"conn": 4},
-    _CHUNK: {"size": 4},
-    _CHUNK_INFO: {"chunk_pos": 8},
-    _CONNECTION: {"conn": 4},
+
+class _Op(IntEnum):
+    MESSAGE = 2
+    BAG_HEADER = 3
+    INDEX = 4
+    CHUNK = 5
+    CHUNK_INFO = 6
+    CONNECTION = 7
+
+
+_NEEDED: dict[int, dict[str, int]] = {
+    _Op.MESSAGE: {"conn": 4, "time": 8},
+    _Op.BAG_HEADER: {"index_pos": 8},
+    _Op.INDEX: {"conn": 4},
+    _Op.CHUNK: {"size": 4},
+    _Op.CHUNK_INFO: {"chunk_pos": 8},
+    _Op.CONNECTION: {"conn": 4},
 }
 """Fields of each kind of record, and their bytes."""
-_LENGTH = struct.Struct("<I")
+_LENGTH, _HEADER_LENGTH = struct.Struct("<I"), struct.Struct("<HH")
 _TIME = struct.Struct("<II")
 _OP = rb"(?:\x04\0{3}op=\x02)?"
-_USUAL_HEADER = re.compile(_OP + rb"\t\0{3}conn=(.{4})" + _OP + rb"\r\0{3}time=(.{8})", re.DOTALL)
-"""A message's header as ROS and rosbags write it."""
+_USUAL_HEADER = re.compile(rb"(?=.{38}\Z)" + _OP + rb"\t\0{3}conn=(.{4})" + _OP + rb"\r\0{3}time=(.{8})", re.DOTALL)
+"""A message's header as ROS and rosbags write it: one op, before or after the connection."""
 
-_USUAL_BYTES = 38
 _HEADER_START = re.compile(rb"(?=..\0\0..\0\0[a-z0-9_]{1,24}=)", re.DOTALL)
 """The lengths of a header and of its first field, both under 64 KiB, and the name of that field."""
 
-_MOST_HEADER_BYTES, _HEADER_START_BYTES, _MOST_FIELDS = (1 << 16) - 1, 33, 64
-_FIRST_SEARCHED_BYTES, _SEARCHED_BYTES = 512, 1 << 20
-_BZ2_WEIGHT = 4
-"""bz2 needs at least three times as long for a byte as lz4."""
+_HEADER_START_BYTES = 64
+"""Searched first after damage, and read beyond what is searched: more than `_HEADER_START` needs."""
+
+_MOST_FIELDS = 64
+"""Of a header; bytes that claim more are no record."""
 
 
 class _Record(NamedTuple):
@@ -99,15 +109,15 @@ class _Bag1Walk:
 
     def _messages(self, source: Records, at: int) -> Iterator[RawMessage]:
         for record in self._records(source, at):
-            if record.opcode == _BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
+            if record.opcode == _Op.BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
                 self._condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
-            elif record.opcode == _CONNECTION:
+            elif record.opcode == _Op.CONNECTION:
                 self._add_topic(record, source.read(record.data_at, record.end - record.data_at))
-            elif record.opcode == _CHUNK:
+            elif record.opcode == _Op.CHUNK:
                 self._end_chunk()
                 if record.unpacked is not None:
                     yield from self._messages(record.unpacked, 0)
-            elif record.opcode == _MESSAGE:
+            elif record.opcode == _Op.MESSAGE:
                 self._budget.take()
                 number = _number(record, "conn")
                 if number not in self._topics:
@@ -145,9 +155,9 @@ class _Bag1Walk:
                 at = resumed_at or source.size
                 following = self._record_at(source, at)
                 continue
-            is_packed = record.opcode == _CHUNK and record.fields["compression"] != b"none"
-            next_at = record.end if is_packed or record.opcode != _CHUNK else record.data_at
-            is_open = record.opcode == _CHUNK and not is_packed
+            is_packed = record.opcode == _Op.CHUNK and record.fields["compression"] != b"none"
+            next_at = record.end if is_packed or record.opcode != _Op.CHUNK else record.data_at
+            is_open = record.opcode == _Op.CHUNK and not is_packed
             if is_open and _number(record, "size") == record.end - next_at <= source.size - next_at:
                 following = self._record_at(source, record.end)
                 if following is not None or record.end == source.size:
@@ -171,33 +181,33 @@ class _Bag1Walk:
     def _record_at(self, source: Records, at: int) -> _Record | None:
         if source.size - at < 2 * _LENGTH.size:
             return None
-        (header_bytes,) = _LENGTH.unpack(source.peek(at, _LENGTH.size))
+        header_bytes, beyond = _HEADER_LENGTH.unpack(source.peek(at, _LENGTH.size))
         data_at = at + 2 * _LENGTH.size + header_bytes
-        if header_bytes > _MOST_HEADER_BYTES or data_at > source.size:
+        if beyond or data_at > source.size:
             return None
         header = source.peek(at + _LENGTH.size, header_bytes + _LENGTH.size)
         end = data_at + _LENGTH.unpack_from(header, header_bytes)[0]
-        if header_bytes == _USUAL_BYTES and (usual := _USUAL_HEADER.fullmatch(header, 0, header_bytes)):
+        if usual := _USUAL_HEADER.fullmatch(header, 0, header_bytes):
             is_whole = end <= source.size and end - data_at <= MAX_RECORD_BYTES
-            return _Record(_MESSAGE, {"conn": usual[1], "time": usual[2]}, at, data_at, end) if is_whole else None
+            return _Record(_Op.MESSAGE, {"conn": usual[1], "time": usual[2]}, at, data_at, end) if is_whole else None
         with suppress(struct.error, ValueError):
             return self._record_of(source, at, data_at, end, _fields(header[:header_bytes]))
         return None
 
     def _record_of(self, source: Records, at: int, data_at: int, end: int, fields: dict[str, bytes]) -> _Record | None:
         opcode = fields.get("op", b"\0")[0] if fields.get("op") else 0
-        is_nested = opcode == _CHUNK and source is not self._file
+        is_nested = opcode == _Op.CHUNK and source is not self._file
         is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {}).items())
-        if opcode not in _NEEDED or is_nested or is_short or (opcode == _CHUNK and "compression" not in fields):
+        if opcode not in _NEEDED or is_nested or is_short or (opcode == _Op.CHUNK and "compression" not in fields):
             return None
-        is_container = opcode == _CHUNK and fields.get("compression") == b"none"
+        is_container = opcode == _Op.CHUNK and fields.get("compression") == b"none"
         if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
             return None
         return _Record(opcode, fields, at, data_at, end)
 
     def _resume(self, source: Records, start: int, stop: int) -> int | None:
         """Return the first record in a range; each byte of it is looked at once, in steps that grow."""
-        at, size = start, _FIRST_SEARCHED_BYTES
+        at, size = start, _HEADER_START_BYTES
         while at < stop:
             size = min(size, stop - at)
             data = source.read(at, min(size + _HEADER_START_BYTES, source.size - at))
@@ -205,15 +215,14 @@ class _Bag1Walk:
                 if match.start() < size and self._record_at(source, at + match.start()) is not None:
                     return at + match.start()
             at += size
-            size = min(2 * size, _SEARCHED_BYTES)
+            size = min(2 * size, BLOCK_BYTES)
         return None
 
     def _unpacked(self, source: Records, record: _Record) -> _Record:
         compression, size = record.fields["compression"].decode(errors="replace"), _number(record, "size")
-        weight = _BZ2_WEIGHT if compression == "bz2" else 1
-        self._left_bytes -= weight * max(record.end - record.data_at, size if size <= MAX_RECORD_BYTES else 0)
+        self._left_bytes -= max(record.end - record.data_at, size if size <= MAX_RECORD_BYTES else 0)
         if self._left_bytes < 0:
-            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
+            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
         try:
             packed = source.read(record.data_at, record.end - record.data_at)
             data = _unpack_bz2(packed, size) if compression == "bz2" else unpack_records(compression, packed, size)

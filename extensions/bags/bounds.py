@@ -1,37 +1,35 @@
 """The bounds of the rules of evidence, each with what it separates."""
 
-SECOND_NS = 10**9
-"""A topic that is silent for less did not stop: late starts, early ends and clocks that are set take longer."""
+from __future__ import annotations
+
+from dds_trace.base.units import SECOND_NS
 
 NOTICED_NS = SECOND_NS // 10
 """Changes of an age and clocks that are set by less are jitter of busy machines."""
 
+DAY_NS = 86_400 * SECOND_NS
+"""Ages below may be of a queue; stamps farther away are of another clock."""
+
 FEWEST = 8
-"""With fewer messages any times look regular; as many on each side show a level or a phase; more publishers or steps of a clock are noise."""
+"""With fewer messages any times look regular; as many on each side show a level or a phase; more publishers, steps of a clock or moves of pages are noise."""
 
 WINDOW = 32
 """Messages with one rate: a stretch that has another rate for fewer may be losses."""
 
-LONG = 20
-"""Longest step in periods that is compared with a grid; least power of a common phase (random times exceed it once in a million)."""
-
 PATTERN = 16
-"""Most messages in a pattern that repeats; counters that run faster than that in a hole are of another publisher."""
+"""Most messages in a pattern that repeats, fewest with a rate of their own; counters that run faster in a hole are another publisher's.
+
+Longer steps are compared with no grid; least power of a common phase (random times exceed it once in ten million).
+"""
 
 PHASES = 2000
 """Messages over which the phase of a timer is compared: over more its clock drifts."""
 
-LARGEST = 100_000
-"""Largest jump of a counter that is a loss and no restart."""
-
 NEAR = 0.25
-"""An interval this near to a multiple of the period is that multiple: half of what separates two multiples."""
+"""What is this near to a multiple of the period is that multiple: half of what separates two; shares within it differ by chance."""
 
 REGULAR = 0.35
 """An interval within this of the period is one period; two of them are longer by more."""
-
-OFF = 0.2
-"""Stamps off by more, in periods, are on no grid; shares within it differ by chance."""
 
 MOST = 0.95
 """The share that holds for all but exceptions."""
@@ -42,8 +40,5 @@ FEW = 0.02
 STEADY = 1e-5
 """The spread of an age, in ages, that no late stream has: a constant offset is of another clock."""
 
-P99, FEWEST_FOR_P99 = 0.99, 100
-"""A quantile, and the fewest values that show one."""
-
-NORMAL = 1.4826
-"""Standard deviation of normal values in median deviations."""
+SHOWN = 3
+"""Holes, pauses, chains and notes that are listed, the largest; the rest is counted."""

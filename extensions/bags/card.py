@@ -9,30 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
-from dds_trace.base.units import clock_words, counted, format_duration
-from dds_trace.tracefile.reading.source import Condition
+from dds_trace.base.units import SECOND_NS, clock_words, counted, format_duration
+from dds_trace.tracefile.reading.source import NONE, Condition
 
-from .bounds import FEWEST, FEWEST_FOR_P99, P99, SECOND_NS
+from .bounds import DAY_NS, FEWEST, SHOWN
 from .chains import Link, Stamped, find_links
-from .clocks import (
-    DAY_NS,
-    Clocks,
-    Note,
-    age_course,
-    apart,
-    backwards_ns,
-    growth_since_ns,
-    of_one_clock,
-    reset_note,
-    set_back,
-)
+from .clocks import Clocks, Note, age_course, apart, backwards_ns, growth_since_ns, of_one_clock, reset_note, set_back
 from .holes import Holes
-from .losses import NONE, Losses, TopicTimes, resolution_ns
+from .losses import Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .neighbours import find_silences
 from .observations import Observation, explained, has_losses, observe
 from .periods import Int64
-from .quantiles import median, quantile, spread
+from .quantiles import median, named_quantile, spread
 from .read import copied_messages
 from .sync import Sync, compare_stamps
 from .weighing import Source, weigh
@@ -63,7 +52,7 @@ def timing(log_ns: Int64, recorded_ns: int) -> Row:
         row |= {
             "rate_hz": len(period_ns) / (max(duration_ns, recorded_ns) / SECOND_NS),
             "period_p50_ns": median_ns,
-            "period_p99_ns": quantile(period_ns, P99) if len(period_ns) >= FEWEST_FOR_P99 else None,
+            "period_p99_ns": named_quantile(period_ns, "p99"),
             "gaps": int((period_ns > 2 * median_ns).sum()),
             "gap_max_ns": int(period_ns.max()),
         }
@@ -105,7 +94,7 @@ def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64, no_age: str | None) 
         "age_negative": int((age_ns < 0).sum()),
         "age_min_ns": int(age_ns.min()),
         "age_p50_ns": median(age_ns),
-        "age_p99_ns": quantile(age_ns, P99) if len(age_ns) >= FEWEST_FOR_P99 else None,
+        "age_p99_ns": named_quantile(age_ns, "p99"),
         "age_max_ns": int(age_ns.max()),
         "age_start_ns": start_ns,
         "age_end_ns": end_ns,
@@ -181,7 +170,7 @@ class RecordingHealth:
 def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> Iterator[str]:
     silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
     if silent:
-        first = silent[: 2 + 1]
+        first = silent[:SHOWN]
         more = f" and {len(silent) - len(first)} more" if len(silent) > len(first) else ""
         yield f"no message of {', '.join(first)}{more}"
 

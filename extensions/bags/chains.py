@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
+from dds_trace.tracefile.reading.source import NONE
 
-from .bounds import FEW, FEWEST, FEWEST_FOR_P99, MOST, P99, PHASES, WINDOW
+from .bounds import FEW, FEWEST, MOST, PHASES, WINDOW
 from .clocks import SIMULATED_BEFORE_NS
-from .losses import NONE
 from .periods import Int64
+from .quantiles import named_quantile
 
 TOGETHER_NS = UNIT_NS["ms"]
 """Topics with messages nearer to each other are published together, by one program."""
@@ -91,14 +92,19 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
         _, at, began_at = np.intersect1d(stamps, others, assume_unique=True, return_indices=True)
         waits_ns = logged[at] - began[began_at]
         if (waits_ns > 0).mean() >= MOST and np.median(waits_ns) >= TOGETHER_NS:
-            inputs = int(began_at[-1] - began_at[0]) + 1
-            yield _link(topics[first], topics[follower], waits_ns, inputs)
+            yield _link(topics[first], topics[follower], waits_ns, began_at)
 
 
-def _link(first: Stamped, follower: Stamped, waits_ns: Int64, inputs: int, *, stamps_again: bool = False) -> Link:
-    count, p50_ns = len(waits_ns), float(np.median(waits_ns))
-    p99_ns = float(np.quantile(waits_ns, P99)) if count >= FEWEST_FOR_P99 else None
-    return Link(first.topic, follower.topic, count, count / inputs, p50_ns, p99_ns, stamps_again)
+def share_of_inputs(indices: Int64) -> float | None:
+    """Return the share of messages that led to another one, by their indices, from the first that did to the last."""
+    return len(indices) / (int(indices.max() - indices.min()) + 1) if len(indices) else None
+
+
+def _link(first: Stamped, follower: Stamped, waits_ns: Int64, inputs: Int64, *, stamps_again: bool = False) -> Link:
+    share, p50_ns = share_of_inputs(inputs) or 0.0, float(np.median(waits_ns))
+    return Link(
+        first.topic, follower.topic, len(waits_ns), share, p50_ns, named_quantile(waits_ns, "p99"), stamps_again
+    )
 
 
 def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
@@ -124,7 +130,7 @@ def _follows(first: Stamped, follower: Stamped) -> Iterator[Link]:
     if all(part.any() for part in wander) and 2 * (ranks[0] * ranks[1]).sum() > (ranks[0] ** 2).sum():
         at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
         waits_ns = (follower.stamp_ns - first.stamp_ns[at])[at >= 0]
-        yield _link(first, follower, waits_ns, int(at[-1]) - int(at[at >= 0][0]) + 1, stamps_again=True)
+        yield _link(first, follower, waits_ns, at[at >= 0], stamps_again=True)
 
 
 def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:

@@ -8,23 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from dds_trace.base.units import UNIT_NS, clock_words, counted, format_duration
+from dds_trace.base.units import SECOND_NS, UNIT_NS, clock_words, counted, format_duration
 
-from .bounds import FEW, FEWEST, LONG, MOST, NOTICED_NS, OFF, SECOND_NS, STEADY, WINDOW
+from .bounds import DAY_NS, FEW, FEWEST, MOST, NEAR, NOTICED_NS, PATTERN, STEADY, WINDOW
 from .holes import Holes
 from .periods import Bools, Int64
 from .quantiles import median, quantile, spread
 
-DAY_NS = 86_400 * SECOND_NS
-"""Ages below may be of a queue; stamps farther away are of another clock."""
-
 SIMULATED_BEFORE_NS = SECOND_NS * SECOND_NS
 """September 2001: no recorder of today."""
 
-_WRAP = 2**32
-"""Values of a counter of 32 bits."""
-
-_YEAR_DAYS = 365.25
+_DAYS = {"years": 365.25, "days": 1}
 _AHEAD_S = {37: "TAI", 18: "GPS time"}
 _UNITS = {
     "ms": ("slowly", "milliseconds", "nanoseconds", 1 / UNIT_NS["ms"]),
@@ -45,10 +39,11 @@ def of_one_clock(log_ns: Int64) -> Bools:
 
 
 def apart(time_ns: float) -> str:
+    if time_ns < WINDOW * DAY_NS:
+        return format_duration(time_ns)
     days = time_ns / DAY_NS
-    if days > _YEAR_DAYS:
-        return f"{days / _YEAR_DAYS:.0f} years"
-    return f"{days:.0f} days" if days >= WINDOW else format_duration(time_ns)
+    unit = "years" if days > _DAYS["years"] else "days"
+    return f"{days / _DAYS[unit]:.0f} {unit}"
 
 
 def set_back(backwards_ns: Mapping[str, int]) -> Iterator[str]:
@@ -113,7 +108,7 @@ class Stamps:
             return None
         speeds = (stamp_ns[lag:] - stamp_ns[:-lag])[is_one] / (log_ns[lag:] - log_ns[:-lag])[is_one]
         typical = median(speeds)
-        agree = np.abs(speeds - typical) <= OFF * abs(typical)
+        agree = np.abs(speeds - typical) <= NEAR * abs(typical)
         return typical if 2 * agree.sum() > len(speeds) else None
 
     @property
@@ -124,7 +119,7 @@ class Stamps:
             return False
         again = len(self.stamp_ns) - len(np.unique(self.stamp_ns))
         is_first = self.stamp_ns[back + 1] < self.stamp_ns[0] + SECOND_NS
-        return bool(is_first.all() and again >= (1 - OFF) * (len(self.stamp_ns) - back[0] - 1) > 0)
+        return bool(is_first.all() and again >= (1 - NEAR) * (len(self.stamp_ns) - back[0] - 1) > 0)
 
 
 def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
@@ -322,12 +317,12 @@ def _step_notes(
 
 def _is_same(step: _Step, other: _Step) -> bool:
     apart_ns, size_ns = abs(step.log_ns - other.log_ns), abs(other.size_ns)
-    return apart_ns < size_ns / 2 + 2 * SECOND_NS and abs(step.size_ns - other.size_ns) < OFF * size_ns
+    return apart_ns < size_ns / 2 + 2 * SECOND_NS and abs(step.size_ns - other.size_ns) < NEAR * size_ns
 
 
 def _has_its_age(stamps: Stamps, step: _Step) -> bool:
     ages_ns = stamps.age_ns[stamps.log_ns < step.log_ns + 2 * SECOND_NS]
-    return len(ages_ns) > 0 and 2 * float((np.abs(ages_ns - step.age_ns) < OFF * abs(step.size_ns)).mean()) > 1
+    return len(ages_ns) > 0 and 2 * float((np.abs(ages_ns - step.age_ns) < NEAR * abs(step.size_ns)).mean()) > 1
 
 
 def _goes_on(log_ns: Int64, step: _Step) -> bool:
@@ -335,7 +330,7 @@ def _goes_on(log_ns: Int64, step: _Step) -> bool:
         return False
     if step.size_ns < 0:
         return True
-    edge_ns = OFF / 2 * step.size_ns
+    edge_ns = NEAR / 2 * step.size_ns
     between = (log_ns > step.log_ns - step.size_ns + edge_ns) & (log_ns < step.log_ns - edge_ns)
     return bool(between.any())
 
@@ -346,15 +341,14 @@ def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
     ages_ns, age_ns = stamps.age_ns, median(stamps.age_ns)
     steps_ns = np.diff(stamps.stamp_ns) - np.diff(stamps.log_ns)
     jumps = steps_ns[np.abs(steps_ns) > SECOND_NS]
-    over = {
-        unit: int((np.abs(jumps + _WRAP * UNIT_NS[unit]) < FEW / 2 * _WRAP * UNIT_NS[unit]).sum()) for unit in _UNITS
-    }
+    ranges_ns = {unit: np.iinfo(np.uint32).max * UNIT_NS[unit] for unit in _UNITS}
+    over = {unit: int((np.abs(jumps + most_ns) < FEW / 2 * most_ns).sum()) for unit, most_ns in ranges_ns.items()}
     if any(over.values()):
         unit_name = max(over, key=over.__getitem__)
         yield f"stamps of {topic} ran over {counted(over[unit_name], 'time')}: a counter of 32 bits of {unit_name}"
         return
     speed = stamps.speed or 0.0
-    unit = next((unit for unit in _UNITS.values() if abs(speed / unit[-1] - 1) < OFF / 2), None)
+    unit = next((unit for unit in _UNITS.values() if abs(speed / unit[-1] - 1) < NEAR / 2), None)
     if unit is not None:
         way, written, right, factor = unit
         yield f"stamps of {topic} advance {max(factor, 1 / factor):,.0f} times too {way}: its driver writes {written} where {right} belong"
@@ -428,22 +422,22 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
     A steady age and a straight rise are fitted to the medians of parts (least squares), for each part in which the rise may begin.
     """
     ages_ns = log_ns - stamp_ns
-    if len(ages_ns) < 2 * LONG or abs(median(ages_ns)) > DAY_NS:
+    if len(ages_ns) < 2 * WINDOW or abs(median(ages_ns)) > DAY_NS:
         return None
     start_ns, end_ns = age_course(ages_ns)
     noise_ns = max(FEWEST * spread(np.diff(ages_ns)), NOTICED_NS / FEWEST)
     if end_ns < max(2 * start_ns, start_ns + noise_ns):
         return None
-    levels_ns = np.array([median(part) for part in np.array_split(ages_ns, LONG)])
+    levels_ns = np.array([median(part) for part in np.array_split(ages_ns, WINDOW)])
     if levels_ns[-1] < levels_ns[0] + noise_ns:
         return None
-    middles, firsts = np.arange(LONG) + 1 / 2, np.arange(0, LONG - FEWEST, 1 / 2)
+    middles, firsts = np.arange(WINDOW) + 1 / 2, np.arange(0, WINDOW - FEWEST, 1 / 2)
     fits = [float(np.corrcoef(levels_ns, np.maximum(middles - first, 0))[0, 1]) for first in firsts]
     best = int(np.argmax(fits))
-    return int(log_ns[int(len(log_ns) * firsts[best] / LONG)]) if fits[best] > MOST else None
+    return int(log_ns[int(len(log_ns) * firsts[best] / WINDOW)]) if fits[best] > MOST else None
 
 
 def age_course(age_ns: Int64) -> tuple[float, float]:
     """Return the ages at the start and at the end: medians of up to five messages."""
-    count = min(max(len(age_ns) // LONG, 1), FEWEST // 2 + 1)
+    count = min(max(len(age_ns) // PATTERN, 1), FEWEST // 2 + 1)
     return median(age_ns[:count]), median(age_ns[-count:])

@@ -11,6 +11,12 @@ from dds_trace.tracefile.format.encoding import MAGIC
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
 
+BLOCK_BYTES = 1 << 20
+"""Read, searched or packed at a time: more is not faster."""
+
+MOST_TEXT_BYTES = 16 << 20
+"""Longest definition or list of topics: a thousand topics with the QoS of ten publishers each have 6 MB."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordingKind:

@@ -9,10 +9,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from dds_trace.base.units import UNIT_NS
+from dds_trace.base.units import SECOND_NS, UNIT_NS
+from dds_trace.tracefile.reading.source import NONE
 
-from .bounds import FEW, FEWEST, LARGEST, LONG, NEAR, NOTICED_NS, PATTERN, PHASES, SECOND_NS, WINDOW
-from .clocks import DAY_NS, of_one_clock
+from .bounds import DAY_NS, FEW, FEWEST, NEAR, NOTICED_NS, PATTERN, PHASES, WINDOW
+from .clocks import of_one_clock
 from .holes import Holes
 from .periods import (
     Bools,
@@ -29,9 +30,6 @@ from .quantiles import median, spread
 
 Stretches: TypeAlias = Holes
 """Times over which a clock was set, or no topic has a message; their counts are 0."""
-
-NONE = -(2**63)
-"""A value that a message lacks; no clock shows it."""
 
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
 COMMANDS = re.compile(
@@ -147,7 +145,7 @@ class TopicTimes:
                     waits_ns = np.diff(logged_ns)
                     usual_ns = max(median(np.abs(waits_ns)), 1.0)
                     is_possible = (waits_ns >= 0) & (steps < PATTERN * (waits_ns / usual_ns + 1))
-                    is_jump = (steps > 1) & (steps < LARGEST) & is_possible
+                    is_jump = (steps > 1) & is_possible
                     usual = usual_steps(steps)
                     least = steps - 1 if usual is None else np.maximum(steps // usual - 1, 0)
                     jumps.append(Holes(*(row[is_jump] for row in (logged_ns[:-1], waits_ns, steps - 1, least))))
@@ -184,7 +182,7 @@ class TopicTimes:
             return None
         stamp_period_ns, steps, exact = grid
         steps_ns, log_steps_ns = np.diff(stamps_ns), np.diff(log_ns)
-        is_short = steps <= LONG
+        is_short = steps <= PATTERN
         span_ns, log_span_ns = float(steps_ns[is_short].sum()), float(log_steps_ns[is_short].sum())
         is_same_clock = log_span_ns < 2 * span_ns < 2 * 2 * log_span_ns and abs(median(log_ns - stamps_ns)) < DAY_NS
         period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns

@@ -27,19 +27,18 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
+from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_FIELDS, MESSAGE_HEADER, RECORD_HEADER
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.mcapfile.scan import unaligned
 from dds_trace.tracefile.reading.source import Int64, MessageBatch
 from dds_trace.tracefile.writing.event_chunks import encode_record
 
-_CHUNK_BYTES = 1 << 20
+from .kinds import BLOCK_BYTES
+
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
-_CHUNK_BYTES_BEFORE = 40
-"""Fields of a chunk before its content, without the name of the compression."""
 
 _HEADER_BYTES = RECORD_HEADER.size + MESSAGE_HEADER.size
-_LOG_TIME_AT = RECORD_HEADER.size + 6
+_LOG_TIME_AT = RECORD_HEADER.size + MESSAGE_FIELDS["log_time"]
 
 
 def _unpacked(content: bytearray) -> bytearray:
@@ -87,11 +86,11 @@ class McapCopy:
     def add_messages(self, batch: MessageBatch, channel_ids: Int64) -> None:
         """Copy messages of a batch with their new channel ids."""
         starts, ends = batch.starts - _HEADER_BYTES, batch.starts + batch.sizes
-        parts = np.cumsum(ends - starts) // _CHUNK_BYTES
+        parts = np.cumsum(ends - starts) // BLOCK_BYTES
         edges = [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(batch)]
         for first, stop in pairwise(edges):
             self._add_records(batch, starts[first:stop], ends[first:stop], channel_ids[first:stop])
-            if len(self._content) >= _CHUNK_BYTES:
+            if len(self._content) >= BLOCK_BYTES:
                 self._finish_chunk()
 
     def _add_records(self, batch: MessageBatch, starts: Int64, ends: Int64, channel_ids: Int64) -> None:
@@ -161,12 +160,10 @@ class McapCopy:
         content, first_ns, last_ns, compression = self._content, int(log_ns.min()), int(log_ns.max()), self._compression
         packed = self._pack(content)
         about = (first_ns, last_ns, len(content), crc32(content), len(compression), compression.encode(), len(packed))
-        chunk_at, chunk_length = (
-            self._stream.tell(),
-            RECORD_HEADER.size + _CHUNK_BYTES_BEFORE + len(compression) + len(packed),
-        )
+        fields = struct.pack(f"<QQQII{len(compression)}sQ", *about)
+        chunk_at, chunk_length = self._stream.tell(), RECORD_HEADER.size + len(fields) + len(packed)
         self._stream.write(RECORD_HEADER.pack(Opcode.CHUNK, chunk_length - RECORD_HEADER.size))
-        self._stream.write(struct.pack(f"<QQQII{len(compression)}sQ", *about))
+        self._stream.write(fields)
         self._stream.write(packed)
         index_at, index_offsets = self._stream.tell(), dict[int, int]()
         order = np.argsort(channel_ids, kind="stable")

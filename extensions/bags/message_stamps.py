@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -17,12 +18,10 @@ from dds_trace.extensions.bags.header_stamps import (
     stamp_reader,
 )
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.reading.source import LATEST_NS
 
 _TEXTS = {"cdr": ("ros2msg", "ros1msg"), "ros1": ("ros1msg",)}
 """Encodings of definitions by the encoding of messages."""
-
-_MOST_SECONDS = 2**33
-"""Beyond the year 2242: no clock of today."""
 
 
 class StampReader(NamedTuple):
@@ -74,18 +73,32 @@ def _json_stamp(data: bytes) -> int | None:
 
 
 def _in_ns(seconds: int, nanoseconds: int) -> int | None:
-    return seconds * 1_000_000_000 + nanoseconds or None if 0 <= seconds < _MOST_SECONDS else None
+    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    return stamp_ns if 0 < stamp_ns <= LATEST_NS else None
 
 
 _TIMESTAMP = ".google.protobuf.Timestamp"
-_VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
-"""Wire types of protobuf."""
 
-_FILE, _PACKAGE, _MESSAGE_TYPE = 1, 2, 4
-_TYPE_NAME, _FIELD, _NESTED_TYPE = 1, 2, 3
-_FIELD_NUMBER, _FIELD_TYPE = 3, 6
-_SECONDS, _NANOSECONDS = 1, 2
-"""Numbers of fields in `descriptor.proto` and `timestamp.proto`."""
+
+class _Wire(IntEnum):
+    VARINT = 0
+    EIGHT_BYTES = 1
+    BYTES = 2
+    FOUR_BYTES = 5
+
+
+_SIZES: Mapping[int, int] = {_Wire.EIGHT_BYTES: 8, _Wire.FOUR_BYTES: 4}
+
+
+class _Number:
+    """Of fields, by message, in `descriptor.proto` and `timestamp.proto`."""
+
+    FILE = 1
+    PACKAGE, MESSAGE_TYPE = 2, 4
+    TYPE_NAME, FIELD, NESTED_TYPE = 1, 2, 3
+    FIELD_NUMBER, FIELD_TYPE = 3, 6
+    SECONDS, NANOSECONDS = 1, 2
+
 
 _Types = Mapping[str, Sequence[tuple[int, str]]]
 """Number and type of each field that is a message, by message type."""
@@ -128,7 +141,7 @@ class _Message:
             self._steps -= 1
             if self._steps < 0:
                 raise ValueError("too much before the stamp")
-            if wire != _BYTES or number not in numbers:
+            if wire != _Wire.BYTES or number not in numbers:
                 continue
             if number != numbers[0]:
                 later.setdefault(number, []).append((at, end))
@@ -141,8 +154,8 @@ class _Message:
         return None
 
     def _timestamp(self, start: int, stop: int) -> int | None:
-        values = {number: at for number, wire, at, _ in _wire_fields(self._data, start, stop) if wire == _VARINT}
-        return _in_ns(values.get(_SECONDS, 0), values.get(_NANOSECONDS, 0))
+        values = {number: at for number, wire, at, _ in _wire_fields(self._data, start, stop) if wire == _Wire.VARINT}
+        return _in_ns(values.get(_Number.SECONDS, 0), values.get(_Number.NANOSECONDS, 0))
 
 
 def _wire_fields(data: bytes, start: int, stop: int) -> Iterator[tuple[int, int, int, int]]:
@@ -151,12 +164,12 @@ def _wire_fields(data: bytes, start: int, stop: int) -> Iterator[tuple[int, int,
     while at < stop:
         tag, at = _varint(data, at, stop)
         wire = tag & 7
-        if wire == _VARINT:
+        if wire == _Wire.VARINT:
             value, at = _varint(data, at, stop)
             yield tag >> 3, wire, value, 0
             continue
-        size = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(wire, 0)
-        if wire == _BYTES:
+        size = _SIZES.get(wire, 0)
+        if wire == _Wire.BYTES:
             size, at = _varint(data, at, stop)
         elif not size:
             raise ValueError("not protobuf")
@@ -180,31 +193,31 @@ def _varint(data: bytes, at: int, stop: int) -> tuple[int, int]:
 
 def _message_types(descriptors: bytes) -> Iterator[tuple[str, list[tuple[int, str]]]]:
     """Yield the name of each message type in a `FileDescriptorSet` and its fields that are messages."""
-    for _, start, stop in _parts(descriptors, 0, len(descriptors), {_FILE}):
-        parts = list(_parts(descriptors, start, stop, {_PACKAGE, _MESSAGE_TYPE}))
-        packages = [descriptors[at:end].decode() for number, at, end in parts if number == _PACKAGE]
+    for _, start, stop in _parts(descriptors, 0, len(descriptors), {_Number.FILE}):
+        parts = list(_parts(descriptors, start, stop, {_Number.PACKAGE, _Number.MESSAGE_TYPE}))
+        packages = [descriptors[at:end].decode() for number, at, end in parts if number == _Number.PACKAGE]
         scope = "".join(f".{package}" for package in packages[-1:])
         for number, at, end in parts:
-            if number == _MESSAGE_TYPE:
+            if number == _Number.MESSAGE_TYPE:
                 yield from _message_type(descriptors, at, end, scope)
 
 
 def _message_type(data: bytes, start: int, stop: int, scope: str) -> Iterator[tuple[str, list[tuple[int, str]]]]:
-    parts = list(_parts(data, start, stop, {_TYPE_NAME, _FIELD, _NESTED_TYPE}))
-    name = "".join(f"{scope}.{data[at:end].decode()}" for number, at, end in parts if number == _TYPE_NAME)
+    parts = list(_parts(data, start, stop, {_Number.TYPE_NAME, _Number.FIELD, _Number.NESTED_TYPE}))
+    name = "".join(f"{scope}.{data[at:end].decode()}" for number, at, end in parts if number == _Number.TYPE_NAME)
     fields = []
     for number, at, end in parts:
-        if number == _NESTED_TYPE:
+        if number == _Number.NESTED_TYPE:
             yield from _message_type(data, at, end, name)
-        elif number == _FIELD:
+        elif number == _Number.FIELD:
             about = {part: (wire, first, last) for part, wire, first, last in _wire_fields(data, at, end)}
-            wire, first, last = about.get(_FIELD_TYPE, (_VARINT, 0, 0))
-            if wire == _BYTES:
-                fields.append((about.get(_FIELD_NUMBER, (0, 0, 0))[1], data[first:last].decode()))
+            wire, first, last = about.get(_Number.FIELD_TYPE, (_Wire.VARINT, 0, 0))
+            if wire == _Wire.BYTES:
+                fields.append((about.get(_Number.FIELD_NUMBER, (0, 0, 0))[1], data[first:last].decode()))
     yield name, fields
 
 
 def _parts(data: bytes, start: int, stop: int, numbers: set[int]) -> Iterator[tuple[int, int, int]]:
     for number, wire, at, end in _wire_fields(data, start, stop):
-        if wire == _BYTES and number in numbers:
+        if wire == _Wire.BYTES and number in numbers:
             yield number, at, end

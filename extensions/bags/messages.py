@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -21,23 +22,20 @@ from dds_trace.tracefile.mcapfile.scan import unaligned
 from dds_trace.tracefile.reading.source import NONE, MessageBatch
 from dds_trace.tracefile.reading.storage import find_storage
 
-from .bounds import FEWEST, NOTICED_NS
-from .clocks import DAY_NS, find_resets, of_one_clock
+from .bounds import DAY_NS, FEWEST, MOST, NOTICED_NS
+from .clocks import find_resets, of_one_clock
 from .header_stamps import lost_by_recorder
 from .kinds import RECORDING_KINDS
 from .losses import COMMANDS, LOST_TYPE, TopicTimes
 from .message_stamps import StampReader, stamps_of
 from .periods import Int64
 from .quantiles import median
-from .read import content_hash
 
 if TYPE_CHECKING:
     from array import array
 
 Integers: TypeAlias = NDArray[np.integer[Any]]
 
-_LONGEST_FRAME_BYTES = 256
-_LEAST_ASCENDING = 0.9
 
 _ENDINGS = tuple(ending for kind in RECORDING_KINDS for ending in (kind.suffix, *kind.endings))
 
@@ -199,7 +197,9 @@ class MessageColumns:
         ranks = np.array([rank_of.get(_key(topic), 0) for topic in self._topics], np.int32)[topic_index]
         codes = {publisher: code for code, publisher in enumerate({topic.publisher: 0 for topic in self._topics})}
         publisher = np.array([codes[topic.publisher] for topic in self._topics], np.int32)[topic_index]
-        number = np.argsort(ranks.astype(np.uint16) if len(keys) <= _MOST_16_BITS else ranks, kind="stable")  # by radix
+        number = np.argsort(
+            ranks.astype(np.uint16) if len(keys) <= np.iinfo(np.uint16).max else ranks, kind="stable"
+        )  # by radix
         edges = np.cumsum(np.bincount(ranks, minlength=len(keys)))[:-1]
         del topic_index, ranks
         columns: dict[str, list[Integers]] = {"number": [*np.split(number, edges)]}
@@ -246,7 +246,7 @@ def count_copies(columns: Sequence[TopicMessages], read_again: Callable[[], Iter
     with suppress(TraceFormatError):
         for batch in read_again():
             start, stop = np.searchsorted(numbers, (first, first + len(batch)))
-            contents |= {at: content_hash(batch.content(at - first)) for at in numbers[start:stop].tolist()}
+            contents |= {at: hash(bytes(batch.content(at - first))) for at in numbers[start:stop].tolist()}
             first += len(batch)
             if stop == len(numbers):
                 break
@@ -254,12 +254,11 @@ def count_copies(columns: Sequence[TopicMessages], read_again: Callable[[], Iter
         topic.count_copies(contents)
 
 
-_MOST_16_BITS = 1 << 16
 _PLAIN_CDR = int.from_bytes(b"\0\1", "little")
-_FRAME_BYTES_AT, _FRAME_AT = 12, 16
-"""Offsets of the length of a header's frame and of the frame, in both encodings."""
+_HEADER = struct.Struct("<4xii")
+"""Encapsulation and stamp (CDR), or number and stamp (ROS 1); the length of the frame and the frame follow."""
 
-_WORD_BYTES = 8
+_LENGTH, _WORD = np.dtype("<u4"), np.dtype("<u8")
 _WEIGHTS = np.array([pow(0x9E3779B97F4A7C15, power, 1 << 64) for power in range(1, 35)], np.uint64)
 
 
@@ -328,24 +327,24 @@ class _Stamps:
 
 def _frames(batch: MessageBatch, has_header: NDArray[np.bool_]) -> Int64:
     """Return a number for each text of a header's frame, 0 without one: publishers often differ by it."""
-    frames = np.zeros(len(batch), np.uint64)
-    rows = np.flatnonzero(has_header & (batch.sizes >= _FRAME_AT))
-    sizes = unaligned(batch.data, "<u4")[batch.starts[rows] + _FRAME_BYTES_AT].astype(np.int64)
-    is_short = sizes < _LONGEST_FRAME_BYTES
+    frames, frame_at = np.zeros(len(batch), np.uint64), _HEADER.size + _LENGTH.itemsize
+    rows = np.flatnonzero(has_header & (batch.sizes >= frame_at))
+    sizes = unaligned(batch.data, "<u4")[batch.starts[rows] + _HEADER.size].astype(np.int64)
+    is_short = sizes < len(_WEIGHTS[:-2]) * _WORD.itemsize
     rows, sizes = rows[is_short], sizes[is_short]
-    sizes = np.minimum(sizes, batch.sizes[rows] - _FRAME_AT)
-    words, last_word = unaligned(batch.data, "<u8"), len(batch.data) - _WORD_BYTES
+    sizes = np.minimum(sizes, batch.sizes[rows] - frame_at)
+    words, last_word = unaligned(batch.data, "<u8"), len(batch.data) - _WORD.itemsize
     are_equal = len(sizes) and sizes.min() == sizes.max()
     for size in (sizes[:1] if are_equal else np.unique(sizes)).tolist() if last_word >= 0 else ():
         of_size = rows[sizes == size]
         at, total = (
-            batch.starts[of_size] + _FRAME_AT,
+            batch.starts[of_size] + frame_at,
             np.full(len(of_size), size * int(_WEIGHTS[-1]) % (1 << 64), np.uint64),
         )
-        for number, offset in enumerate(range(0, size, _WORD_BYTES)):
+        for number, offset in enumerate(range(0, size, _WORD.itemsize)):
             beyond = np.maximum(at + offset - last_word, 0)  # in bytes, at the end of the data
             word = words[at + offset - beyond] >> (8 * beyond).astype(np.uint64)
-            used_bits = 8 * min(size - offset, _WORD_BYTES)
+            used_bits = 8 * min(size - offset, _WORD.itemsize)
             total += (word & np.uint64((1 << used_bits) - 1)) * _WEIGHTS[number]
         frames[of_size] = total
     return frames.view(np.int64)
@@ -389,7 +388,7 @@ def leave_out_shared_numbers(columns: Sequence[TopicMessages]) -> None:
         order = np.lexsort((sequence, log_ns))
         sequence, topic_index = sequence[order], topic_index[order]
     is_other_topic = np.diff(topic_index) != 0
-    if is_other_topic.any() and (np.diff(sequence)[is_other_topic] > 0).mean() > _LEAST_ASCENDING:
+    if is_other_topic.any() and (np.diff(sequence)[is_other_topic] > 0).mean() > MOST:
         for topic in columns:
             topic.columns["sequence"] = np.broadcast_to(np.array([NONE]), len(topic))
 

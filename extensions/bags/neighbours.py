@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dds_trace.base.units import clock_words, counted, format_duration
+from dds_trace.base.units import SECOND_NS, clock_words, counted, format_duration
 
-from .bounds import FEW, FEWEST, LONG, NEAR, NOTICED_NS, SECOND_NS
+from .bounds import FEW, FEWEST, NEAR, NOTICED_NS, PATTERN
 from .clocks import Note
 from .holes import Holes
 from .losses import Losses, Reading, TopicTimes
@@ -22,7 +22,7 @@ def find_silent(logged: Int64, topics: int) -> Holes:
     steps_ns = np.diff(logged)
     if topics < 2 or not len(steps_ns):
         return Holes()
-    gaps = np.flatnonzero(steps_ns > max(2 * NOTICED_NS, LONG * median(steps_ns)))
+    gaps = np.flatnonzero(steps_ns > max(2 * NOTICED_NS, PATTERN * median(steps_ns)))
     return Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
 
 
@@ -101,30 +101,31 @@ def doubted(readings: Sequence[Sequence[Reading]], silent: Holes) -> list[list[R
     """Lower the counts of silences in which another topic shows that its publisher stood still: of reading program, simulation, or computer.
 
     Its stamps show it, or a silence of all topics that is no multiple of its steady period: where one is of that kind, all may be.
+    So may a silence after which no stamps, numbers or steady timer go on as after a loss.
     """
-    rhythms = [(reading, reading.rhythm) for topic in readings for reading in topic if reading.rhythm is not None]
-    still = [
-        reading.holes.at(
-            (reading.holes.low == 0)
-            & (reading.holes.missing > 0)
-            & (reading.holes.duration_ns > FEWEST * rhythm.period_ns)
-        )
-        for reading, rhythm in rhythms
-        if reading.name == "stamps"
-    ]
-    if any(_stood_off(rhythm, silent) for reading, rhythm in rhythms if reading.name == "period"):
-        still.append(silent)
-    witness = Holes.of([part for part in still if len(part)]) if any(map(len, still)) else Holes()
-    if not len(witness):
-        return [list(topic) for topic in readings]
-    return [[_doubted(reading, witness) for reading in topic] for topic in readings]
+    is_lost, is_still, witnesses = np.zeros(len(silent), np.bool_), False, []
+    for reading in (reading for topic in readings for reading in topic):
+        lost, still = _went_on(reading)
+        is_lost |= silent.meet(lost)
+        if reading.name == "stamps":
+            witnesses.append(still)
+        else:
+            is_still |= bool(silent.meet(still).any())
+    witness = Holes.of([*witnesses, silent if is_still else silent.at(~is_lost)])
+    return [[_doubted(reading, witness) if len(witness) else reading for reading in topic] for topic in readings]
 
 
-def _stood_off(rhythm: Regularity, silent: Holes) -> bool:
-    holes = rhythm.holes
+def _went_on(reading: Reading) -> tuple[Holes, Holes]:
+    """Return the holes after which stamps, numbers or a steady timer go on as after a loss, and the long ones after which they do not."""
+    holes, rhythm = reading.holes, reading.rhythm
+    if rhythm is None:
+        return holes.at(holes.low > 0), Holes()
+    is_still = (holes.low == 0) & (holes.missing > 0) & (holes.duration_ns > FEWEST * rhythm.period_ns)
+    if reading.name == "stamps":
+        return holes.at(holes.low > 0), holes.at(is_still)
     within_ns, off_ns = _off_multiples(rhythm)
-    is_long = (holes.duration_ns > FEWEST * rhythm.period_ns) & holes.meet(silent)
-    return within_ns < NEAR * rhythm.period_ns and bool(((off_ns > within_ns) & (holes.low == 0) & is_long).any())
+    is_steady, is_off = within_ns < NEAR * rhythm.period_ns, off_ns > within_ns
+    return holes.at((holes.low > 0) & is_steady & ~is_off), holes.at(is_still & is_steady & is_off)
 
 
 def _doubted(reading: Reading, witness: Holes) -> Reading:
@@ -146,7 +147,7 @@ def find_silences(logged: Int64, losses: Sequence[Losses]) -> tuple[Holes, list[
     if len(rates_hz) < 2:
         return Holes(), []
     per_ns = sum(rates_hz) / SECOND_NS
-    gaps = np.flatnonzero(np.diff(logged) > LONG / per_ns)
+    gaps = np.flatnonzero(np.diff(logged) > PATTERN / per_ns)
     silent = Holes.between(logged[gaps].tolist(), logged[gaps + 1].tolist())
     lacking, late_starts = np.zeros(len(silent), np.int64), np.zeros(len(silent), np.bool_)
     for loss in regular:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
+from dds_trace.base.units import SECOND_NS
 
-from .bounds import SECOND_NS
 from .clocks import Note
 from .losses import Losses
 

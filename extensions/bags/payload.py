@@ -20,6 +20,8 @@ from dds_trace.recorder.errors import StoppedError
 from dds_trace.recorder.payloads.base import DataType, Message, Payload, Source, check_size, check_stop
 from dds_trace.recorder.payloads.header import recognize_data_type
 
+from .bounds import DAY_NS, WINDOW
+
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
@@ -27,11 +29,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.reading.source import Condition
 
 HEADER_TYPE = "std_msgs/msg/Header"
-_UNEVEN = 1.5
-"""Typical rate over mean rate from which on both are named: pauses, batches, a clock that was set."""
-_OTHER_CLOCK_NS = 30 * 86_400 * 10**9
-"""An interval from which on two times are of two clocks, a simulation's before it began and the machine's."""
-NAMED_FIELD = 2
 _ABOUT_TOPIC = re.compile(r" says that (.*) has \d", re.DOTALL)
 _COMPARED_NAMES, _COMPARED_CHARACTERS = 100, 200
 """Of names of topics that may be misspelled; comparing takes time with the square of their length."""
@@ -41,7 +38,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate; an `OptionError` for what cannot be used."""
     from dds_trace.tracefile.reading.source import Condition  # noqa: PLC0415
 
-    from .read import content_hash, copied_messages  # noqa: PLC0415
+    from .read import copied_messages  # noqa: PLC0415
 
     if find_spec("rosbags") is None:
         raise BackendUnavailableError(
@@ -67,13 +64,13 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     abouts = ((note, _ABOUT_TOPIC.search(note)) for note in (*condition.damages, *condition.notes))
     notes = [note for note, about in abouts if about is None or about[1] not in others]
     notes += copied_messages(
-        name, len(messages_read) - len({(time_ns, content_hash(data)) for time_ns, data in messages_read})
+        name, len(messages_read) - len({(time_ns, hash(bytes(data))) for time_ns, data in messages_read})
     )
     notes += [f"{counted(unreadable, 'message')} of {name} left out: damaged"] * bool(unreadable)
     rate_hz, typical_hz, clocks = _rates_hz([time_ns for time_ns, _ in messages_read])
     if clocks > 1:
         notes.append(f"{name} has times of {clocks} clocks, years apart; the rate is of the intervals within each")
-    if rate_hz and typical_hz and typical_hz > _UNEVEN * rate_hz:
+    if rate_hz and typical_hz and typical_hz > (1 + 1 / 2) * rate_hz:
         notes.append(f"{name} has {rate_hz:.3g} Hz in the mean, typically {typical_hz:.3g} Hz: choose with --rate")
     return Payload(
         stamper.data_type,
@@ -109,7 +106,7 @@ def _stamped(stamper: _Stamper, messages_read: Sequence[tuple[int, bytes]], *, i
 
 def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]:
     steps_ns = sorted(after - before for before, after in pairwise(times_ns))
-    intervals_ns = [step_ns for step_ns in steps_ns if step_ns < _OTHER_CLOCK_NS]
+    intervals_ns = [step_ns for step_ns in steps_ns if step_ns < WINDOW * DAY_NS]
     span_ns = sum(intervals_ns)
     typical_ns = intervals_ns[len(intervals_ns) // 2] if intervals_ns else 0
     return (
@@ -168,11 +165,13 @@ def _types_of(topic: RecordedTopic) -> Typestore:
 
 class _Stamper:
     def __init__(self, topic: RecordedTopic, path: Path, own_types: Mapping[str, DataType]) -> None:
+        from rosbags.interfaces import Nodetype  # noqa: PLC0415 - only bags need it
+
         store, type_name = _types_of(topic), topic.message_type
         is_ros1 = topic.encoding == "ros1"
         fields = store.fielddefs[type_name][1]
         kind, detail = fields[0][1] if fields else (0, "")
-        first_field_type = detail if kind == NAMED_FIELD else ""
+        first_field_type = detail if kind == Nodetype.NAME else ""
         self.data_type = recognize_data_type(type_name, str(first_field_type), str(path), own_types)
         self._deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
         self._store = _store_of_ros2(store) if is_ros1 else store

@@ -14,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .bounds import FEW, FEWEST, LARGEST, LONG, MOST, NEAR, OFF, PATTERN, PHASES, REGULAR, SECOND_NS, WINDOW
+from dds_trace.base.units import SECOND_NS
+
+from .bounds import FEW, FEWEST, MOST, NEAR, PATTERN, PHASES, REGULAR, WINDOW
 from .holes import Holes
 from .quantiles import median, quantile, row_medians, spread
 
@@ -69,7 +71,7 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
         return None
     clearest = max(pattern.share for pattern in patterns)
     fewest = min(pattern.expected for pattern in patterns if pattern.share > clearest - REGULAR)
-    near = [pattern for pattern in patterns if pattern.expected <= (1 + OFF) * fewest + 1]
+    near = [pattern for pattern in patterns if pattern.expected <= (1 + NEAR) * fewest + 1]
     most = max(pattern.share for pattern in near)
     best = next(pattern for pattern in near if pattern.share > most - FEW)
     if patterns[0].length == 1 < best.length and _is_single_with_stalls(np.diff(times_ns) / patterns[0].period_ns):
@@ -83,7 +85,7 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
         rivals = [
             _several(times_ns, intervals_ns, ordered_ns, rival.period_ns, rival.length)
             for rival in near
-            if rival is best or (rival.length > in_pattern and rival.share > most - OFF)
+            if rival is best or (rival.length > in_pattern and rival.share > most - NEAR)
         ]
         low, high = min(rival.low for rival in rivals), max(rival.high for rival in rivals)
         regularity = next(rival for rival in rivals if rival.in_pattern == in_pattern)
@@ -141,7 +143,7 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
 def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
     """Return the regularity of times off a grid by a good part of a period each, by their sharpest phase (Rayleigh's test); None without."""
     ratio = np.diff(times_ns) / pattern.period_ns
-    if pattern.share > 1 - OFF or len(times_ns) < PHASES / FEWEST or _is_single_with_stalls(ratio):
+    if pattern.share > 1 - NEAR or len(times_ns) < PHASES / FEWEST or _is_single_with_stalls(ratio):
         return None
     if ratio.max() > PHASES / 2 or ratio.sum() > 2 * 2 * len(ratio) or _rate_changes(ratio):
         return None
@@ -151,7 +153,7 @@ def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
         size = 1 << (2 * len(bins)).bit_length() + 1
         first, last = (round(size / FEWEST * factor) for factor in (1 - NEAR / 2, 1 + NEAR / 2))
         power = np.abs(np.fft.rfft(bins, size)[first:last]) ** 2 / len(part_ns)
-        if power.max() < LONG:
+        if power.max() < PATTERN:
             return None
         part_period_ns = round(pattern.period_ns) * size / FEWEST / (first + int(power.argmax()))
         end_ns = parts[number + 1][0] if number + 1 < len(parts) else part_ns[-1] + part_period_ns
@@ -166,14 +168,14 @@ def find_grid(stamps_ns: Int64) -> tuple[float, Int64, Float64] | None:
     """Return the period of ascending stamps that are multiples of one apart, their steps in periods, rounded and not; None for others."""
     steps_ns = np.diff(stamps_ns)
     positive_ns = steps_ns[steps_ns > 0]
-    if len(stamps_ns) < FEWEST or len(positive_ns) < (1 - OFF) * len(steps_ns):
+    if len(stamps_ns) < FEWEST or len(positive_ns) < (1 - NEAR) * len(steps_ns):
         return None
     period_ns = median(positive_ns[positive_ns < (1 + 1 / 2) * quantile(positive_ns, 1 - MOST)])
     for _ in range(2 + 1):
         ratio = positive_ns / period_ns
         steps = np.rint(ratio)
-        short = (steps >= 1) & (steps <= LONG)
-        on_grid = short & (np.abs(ratio - steps) < OFF)
+        short = (steps >= 1) & (steps <= PATTERN)
+        on_grid = short & (np.abs(ratio - steps) < NEAR)
         if on_grid.sum() < max(MOST * short.sum(), len(ratio) / 2):
             return None
         period_ns = float(positive_ns[on_grid].sum() / steps[on_grid].sum())
@@ -184,7 +186,7 @@ def find_grid(stamps_ns: Int64) -> tuple[float, Int64, Float64] | None:
 
 def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
     """Return whether equal steps are multiples in the mean; of two publishers in turn they are not."""
-    is_short = (steps > 0) & (steps <= LONG)
+    is_short = (steps > 0) & (steps <= PATTERN)
     lengths, off = steps[is_short], (ratio - steps)[is_short]
     counts = np.bincount(lengths, minlength=1)
     at_least_one = np.maximum(counts, 1)
@@ -197,7 +199,8 @@ def _is_one_grid(ratio: Float64, steps: Int64) -> bool:
 def usual_steps(steps: Int64) -> Int64 | None:
     """Return the step that is usual at each place, where a topic is thinned or the rate changes once or twice; None where 1 is.
 
-    Two of three, three of five, or a throttle's messages: never off by more than one. Losses at random are soon.
+    Two of three, three of five, or a throttle's messages: steps that come again after some, or are never off by more than one. Losses at
+    random are soon.
     """
     changes = _rate_changes(steps / max(median(steps), 1.0))
     parts = np.split(steps, changes)
@@ -207,15 +210,16 @@ def usual_steps(steps: Int64) -> Int64 | None:
     gaps = int((steps > 1).sum())
     if gaps < PATTERN:
         return None
+    lengths, counts = np.unique(steps, return_counts=True)
+    is_rare = lengths[counts.argmax()] > 1  # after losses at random the shortest step is the most common
+    again = [float((steps[m:] == steps[:-m]).mean()) for m in range(1, PATTERN + 1)]
+    is_again = again[0] < MOST <= max(again) and gaps * PATTERN > (1 - NEAR) * len(steps)
     length = -(-len(steps) * PATTERN // gaps)
     blocks = steps[: len(steps) // length * length].reshape(-1, length)
     ahead = np.cumsum(blocks - blocks.mean(axis=1, keepdims=True), axis=1)
     in_block = (blocks > 1).sum(axis=1)
-    is_even = median(np.abs(in_block - PATTERN)) <= 2
-    is_common = np.bincount(np.minimum(steps, LARGEST)) > FEW * len(steps)
-    return (
-        np.full(len(steps), np.flatnonzero(is_common).max()) if is_even and median(np.ptp(ahead, axis=1)) <= 2 else None
-    )
+    is_even = median(np.abs(in_block - PATTERN)) <= 2 and median(np.ptp(ahead, axis=1)) <= 2
+    return np.full(len(steps), lengths[counts > FEW * len(steps)].max()) if is_rare or is_again or is_even else None
 
 
 def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
@@ -272,21 +276,21 @@ def _is_single_with_stalls(ratio: Float64) -> bool:
 
 def _rate_changes(ratio: Float64) -> list[int]:
     """Return where stretches of another rate begin and end: losses at random leave unequal intervals."""
-    if len(ratio) <= LONG:
+    if len(ratio) <= WINDOW:
         return []
-    blocks = row_medians(np.lib.stride_tricks.sliding_window_view(ratio, LONG)[::LONG])
-    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(median(ratio[-LONG:]) - 1) <= NEAR:
+    blocks = row_medians(np.lib.stride_tricks.sliding_window_view(ratio, WINDOW)[::WINDOW])
+    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(median(ratio[-WINDOW:]) - 1) <= NEAR:
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, LONG, mode="reflect"), 2 * LONG + 1)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, WINDOW, mode="reflect"), 2 * WINDOW + 1)
     typical = np.concatenate([row_medians(windows[at : at + PHASES]) for at in range(0, len(windows), PHASES)])
     is_other = np.abs(typical - 1) > NEAR
     changes = np.flatnonzero(np.diff(is_other.astype(np.int8))) + 1
     edges = []
     for start, stop in pairwise([0, *changes.tolist(), len(ratio)]):
         part = ratio[start:stop]
-        if is_other[start] and len(part) >= LONG:
+        if is_other[start] and len(part) >= WINDOW:
             is_equal = np.abs(part - median(part)) < REGULAR * median(part)
-            if is_equal.mean() >= 1 - OFF:
+            if is_equal.mean() >= 1 - NEAR:
                 edges += [start, stop]
     return sorted({edge for edge in edges if 0 < edge < len(ratio)})
 
@@ -341,6 +345,7 @@ def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -
     is_off: Bools = (np.abs(ratio - steps)[at] > bound) | (bound > NEAR)
     chance = float(np.prod(2 * bound[~is_off]))  # of intervals of any length
     is_off |= bool(2 * 2 * (~is_multiple).sum() > is_multiple.sum()) or chance > FEW / FEWEST
+    is_off |= bool(2 * is_off.sum() > len(at))
     return is_off
 
 
@@ -348,7 +353,7 @@ def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools
     """Return after which holes a timer goes on in another phase: it stood still, or a clock was set, and nothing was lost.
 
     One that lost its messages goes on in its phase, from the first on; one that was held up fires at once. `wander` is the phase of each
-    message in periods. Where one silence is of that kind, all of them may be.
+    message in periods. Where one silence is of that kind, all of them may be, and where most holes are, there is no timer.
     """
     if not len(at):
         return np.zeros(0, np.bool_)
@@ -359,6 +364,7 @@ def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools
     is_still: Bools = has_moved | is_fine & (np.abs(wander[at] - before) > 2 * bound)
     if (has_moved & is_silence).any() or 2 * (is_still & is_silence).sum() > is_silence.sum():
         is_still |= is_silence
+    is_still |= bool(2 * is_still.sum() > len(at))
     return is_still
 
 
@@ -400,7 +406,7 @@ def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns:
     regular = np.flatnonzero(is_regular)
     inner_ns = times_ns[regular[0] : regular[-1] + in_pattern + 1]
     missing, most = (_lacking(part_ns, period_ns, in_pattern, usual_ns) for part_ns in (inner_ns, times_ns))
-    gaps = np.flatnonzero(intervals_ns > usual_ns + (1 - OFF) * period_ns)
+    gaps = np.flatnonzero(intervals_ns > usual_ns + (1 - NEAR) * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
     unsure = in_pattern + round(missing ** (1 / 2))
     seen = int(lost.sum())

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .bounds import NORMAL
+_NAMED = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
+"""Statistic -> quantile, and the values that it takes."""
+
+_NORMAL = 1 / NormalDist().inv_cdf(3 / 4)
+"""Standard deviation of normal values in median deviations."""
 
 Values = NDArray[np.int64] | NDArray[np.float64]
 
@@ -35,5 +40,10 @@ def quantile(values: Values, share: float) -> float:
     return float(before + (after - before) * part if part < 1 / 2 else after - (after - before) * (1 - part))
 
 
+def named_quantile(values: Values, statistic: str) -> float | None:
+    share, needs = _NAMED[statistic]
+    return quantile(values, share) if len(values) >= needs else None
+
+
 def spread(values: Values) -> float:
-    return NORMAL * median(np.abs(values - median(values))) if len(values) else 0.0
+    return _NORMAL * median(np.abs(values - median(values))) if len(values) else 0.0

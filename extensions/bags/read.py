@@ -19,7 +19,7 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME, RecordedTopic
-from dds_trace.tracefile.format.encoding import MESSAGE_HEADER, RECORD_HEADER
+from dds_trace.tracefile.format.encoding import MESSAGE_FIELDS, MESSAGE_HEADER, RECORD_HEADER
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, Block, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import PackedChunk
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
@@ -41,14 +41,7 @@ from dds_trace.tracefile.reading.source import (
 )
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
-from .kinds import RECORDING_KINDS, RecordingKind, function_at
-
-_MOST_CHANNEL_IDS = 1 << 16
-_SEQUENCE_AT, _LOG_TIME_AT, _PUBLISH_TIME_AT = 2, 6, 14
-"""Offsets of fields in `MESSAGE_HEADER`."""
-
-_MOST_METADATA_BYTES = 16 << 20
-"""A thousand topics with the QoS of ten publishers each have 6 MB."""
+from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, RecordingKind, function_at
 
 
 @dataclass(slots=True)
@@ -70,13 +63,6 @@ def open_recording(path: Path) -> Iterator[RecordingFiles]:
         copies = (unpacked(file, LARGEST_FILE_RATIO, most_unpacked_bytes(0)) for file in recording.files)
         recording.files = [stack.enter_context(copy) for copy in copies]
         yield recording
-
-
-_HASHED_BYTES = 4096
-
-
-def content_hash(data: bytes) -> int:
-    return hash((len(data), bytes(data[:_HASHED_BYTES]), bytes(data[-_HASHED_BYTES:])))
 
 
 def copied_messages(topic: str, copies: int) -> Iterator[str]:
@@ -107,7 +93,7 @@ def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     """Return the listed files and the messages of each topic, nothing where the file cannot be read."""
     try:
         with open_regular(path) as file:
-            text = file.read(_MOST_METADATA_BYTES).decode(errors="replace")
+            text = file.read(MOST_TEXT_BYTES).decode(errors="replace")
     except OSError:
         return [], {}
     listed: list[str] = []
@@ -227,13 +213,10 @@ class _UnpackedBytes:
         return message._replace(data=data)
 
 
-_SEARCHED_BYTES = 1 << 20
-
-
 def kind_of(file: Path) -> RecordingKind:
     """Return the kind of a file: by its first bytes, else by its name, else by a beginning further on."""
     with file.open("rb") as stream:
-        start = stream.read(_SEARCHED_BYTES)
+        start = stream.read(BLOCK_BYTES)
     kinds = [kind for kind in RECORDING_KINDS if start.startswith(kind.magic)]
     kinds += [kind for kind in RECORDING_KINDS if file.suffix == kind.suffix]
     kinds += [kind for kind in RECORDING_KINDS if kind.magic in start]
@@ -260,7 +243,7 @@ class McapItems:
         self.topics: list[RecordedTopic] = []
         self.records: list[Channel] = []
         self._index_of: dict[int, int] = {}
-        self._indices = np.full(_MOST_CHANNEL_IDS, -1, np.int64)
+        self._indices = np.full(np.iinfo(np.uint16).max + 1, -1, np.int64)
         self._indices_are_of = -1
         self.doubtful = 0
         self.unchecked = 0
@@ -286,7 +269,7 @@ class McapItems:
         is_beyond, starts, sizes = count < len(starts), starts[:count], sizes[:count]
         at = starts + RECORD_HEADER.size
         times_ns, channel_ids = unaligned(block.data, "<i8"), unaligned(block.data, "<u2")[at]
-        log_ns, publish_ns = times_ns[at + _LOG_TIME_AT], times_ns[at + _PUBLISH_TIME_AT]
+        log_ns, publish_ns = (times_ns[at + MESSAGE_FIELDS[name]] for name in ("log_time", "publish_time"))
         topic, first = np.empty(count, np.int64), 0
         for opcode, start, length in block.scan.others:
             content = bytes(block.data[start : start + length])
@@ -305,7 +288,7 @@ class McapItems:
         self._count_checked(block, starts, is_declared)
         self._see(block, starts, log_ns, is_possible if block.chunks else is_declared & is_possible)
         log_ns[~is_possible], publish_ns[publish_ns < 0] = LATEST_NS, NONE
-        sequence = unaligned(block.data, "<u4")[at + _SEQUENCE_AT].astype(np.int64)
+        sequence = unaligned(block.data, "<u4")[at + MESSAGE_FIELDS["sequence"]].astype(np.int64)
         if count:
             columns = topic, log_ns, publish_ns, sequence
             batch = MessageBatch(self.topics, *columns, block.data, at + MESSAGE_HEADER.size, sizes)

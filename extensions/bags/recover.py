@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
@@ -27,7 +27,7 @@ from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
 from dds_trace.tracefile.reading.source import LATEST_NS, MOST_TOPICS, Condition, Int64, MessageBatch, UnreadableError
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
-from dds_trace.tracefile.writing.event_chunks import LIBRARY
+from dds_trace.tracefile.writing.event_chunks import LIBRARY, encode_record
 
 from .bag1 import bag1_messages
 from .kinds import function_at
@@ -38,8 +38,8 @@ from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-_HEADER_BYTES = 64
-MOST_CHANNELS = 65_535
+_OWN_START = MAGIC + encode_record(Header(profile="ros2", library=LIBRARY))
+MOST_CHANNELS = np.iinfo(np.uint16).max
 """Ids of channels are of 16 bits, and the writer counts from 1."""
 
 
@@ -93,7 +93,7 @@ def is_of_others(path: Path) -> bool:
         header = McapWalk(file).header
         if file.size <= len(MAGIC) or header is not None:
             return header is not None and not header.library.startswith(LIBRARY)
-        return LIBRARY.encode() not in file.read(0, min(_HEADER_BYTES, file.size))
+        return LIBRARY.encode() not in file.read(0, min(len(_OWN_START), file.size))
 
 
 def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import (
+    SECOND_NS,
     clock_words,
     counted,
     format_duration,
@@ -36,8 +37,8 @@ from dds_trace.reports.blocks import (
 )
 
 from .analyze import TopicReport
-from .bounds import FEWEST, NOTICED_NS, SECOND_NS
-from .card import RecordingHealth
+from .bounds import FEWEST, NOTICED_NS, SHOWN
+from .card import STRIP_PARTS, RecordingHealth
 from .chains import chain_lines
 from .observations import READ_BY
 
@@ -53,10 +54,6 @@ HOW_TO_READ = (
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
-_MOST_SHOWN = 3
-"""Holes and pauses that are listed, the longest."""
-
-"""Ages of fewer units of the stamps are rounded visibly."""
 
 
 def seconds_words(seconds: float) -> str:
@@ -84,7 +81,9 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     has = "has" if unseen == 1 else "have"
     if unseen and not health.readable:
         return f"No loss can be seen: {counted(unseen, 'topic')} {has} no steady rate."
-    return "Whole." + (
+    gaps = sum(row["missing_from"] == "period" and row["missing"] > 0 for row in rows)
+    known = f"No loss is certain: gaps of {counted(gaps, 'topic')} are losses or pauses." if gaps else "Whole."
+    return known + (
         f" {counted(unseen, 'topic')} {has} no steady rate, so losses there cannot be seen." if unseen else ""
     )
 
@@ -102,14 +101,14 @@ def facts_words(health: RecordingHealth, topics: int) -> str:
 
 def pause_lines(health: RecordingHealth) -> Iterator[str]:
     longest = sorted(zip(health.pauses, health.doubtful, strict=True), key=lambda pause: -pause[0][1])
-    for (start_s, duration_s), is_doubtful in sorted(longest[:_MOST_SHOWN]):
+    for (start_s, duration_s), is_doubtful in sorted(longest[:SHOWN]):
         why = (
             "a publisher stood still, or they were paused"
             if is_doubtful
             else "lost inside the recorder, or it was paused"
         )
         yield f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: {why}"
-    others = longest[_MOST_SHOWN:]
+    others = longest[SHOWN:]
     if others:
         yield f"and {counted(len(others), 'more pause')} of all topics, of up to {seconds_words(others[0][0][1])}"
 
@@ -128,7 +127,7 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         yield f"none is known to be missing, {row['missing_high']:,} at most"
     least_s = max((1 + 1 / 2) * period_s, is_unsure)  # shorter ones are single messages
     large = sorted((hole for hole in holes if hole["duration_s"] > least_s), key=lambda hole: -hole["duration_s"])
-    shown = sorted(large[:_MOST_SHOWN], key=lambda hole: hole["start_s"])
+    shown = sorted(large[:SHOWN], key=lambda hole: hole["start_s"])
     for hole in shown:
         inside = ", as of all topics" if hole["inside"] else ""
         count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
@@ -241,8 +240,6 @@ _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
 _TONES = {"whole": "decided", "holes": "open", "empty": "lossy", "damaged": "lossy"}
 _LEVELS = "·▁▂▃▄▅▆▇█"
-STRIP_WIDTH = 720
-_LONGEST_NAME = 28
 
 
 @dataclass(frozen=True)
@@ -302,14 +299,14 @@ class BagReport(blocks.Report):
         yield Heading(printable(health.path))
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
         yield Sentence(facts_words(health, len(rows)), "facts")
-        chains = chain_lines([link for path, link in self.report.links if path == health.path], _MOST_SHOWN)
+        chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)
         syncs = [sync.words for path, sync in self.report.syncs if path == health.path]
         lines = (*pause_lines(health), *health.damages, *health.notes, *chains, *syncs)
         yield Points([*map(printable, lines)])
         if not rows:
             return
         topic, *numbers = COLUMNS
-        least = min(_LONGEST_NAME, max((len(row["topic"]) for row in rows), default=0))
+        least = min(28, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]
         columns = [*names, *(Column(name, right=True) for name in numbers)]
         yield Table(columns, [_row(health, *topic) for topic in topics], label="Table of the topics")
@@ -341,23 +338,22 @@ def _strip_svg(words: str, parts: Sequence[tuple[float, float, str, str]]) -> Ma
     return Markup(
         '<svg class="time" viewBox="0 0 {0} 18" preserveAspectRatio="none" role="img" aria-label="{1}">'
         '<rect class="track" width="{0}" height="18"/>{2}</svg>'
-    ).format(STRIP_WIDTH, words, Markup().join(drawn))
+    ).format(STRIP_PARTS, words, Markup().join(drawn))
 
 
 def strip_parts(
     health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], strip: Sequence[float]
 ) -> list[tuple[float, float, str, str]]:
-    scale = STRIP_WIDTH / max(health.duration_ns / SECOND_NS, 1e-9)
+    scale = STRIP_PARTS / max(health.duration_ns / SECOND_NS, 1e-9)
     if not row["missing_from"]:
-        part = STRIP_WIDTH / len(strip)
-        return [(round(at * part, 1), round(part, 1), "some", "") for at, share in enumerate(strip) if share]
+        return [(at, 1, "some", "") for at, share in enumerate(strip) if share]
     start = (row["start_ns"] - health.start_ns) / 1e9 * scale
     width = row["duration_ns"] / 1e9 * scale
-    drawn = [(round(start, 1), round(width, 1), "there", "")]
+    drawn = [(round(start, 2), round(width, 2), "there", "")]
     for hole in holes:
         title = f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
         kind = "inside" if hole["inside"] else "hole"
-        drawn.append((round(hole["start_s"] * scale, 1), round(max(hole["duration_s"] * scale, 1.0), 1), kind, title))
+        drawn.append((round(hole["start_s"] * scale, 2), round(max(hole["duration_s"] * scale, 0.1), 2), kind, title))
     return drawn
 
 

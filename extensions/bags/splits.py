@@ -9,7 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from .bounds import FEWEST, SECOND_NS
+from dds_trace.base.units import SECOND_NS
+
+from .bounds import FEWEST
 
 _NUMBER = r"(?P<number>0|[1-9]\d{0,6})"
 _TIME = r"\d{4}[-_]\d\d[-_]\d\d-\d\d[-_]\d\d[-_]\d\d"

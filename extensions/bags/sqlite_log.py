@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,23 +18,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dds_trace.base.files import open_regular
-from dds_trace.extensions.bags.sqlite_pages import Image
 from dds_trace.tracefile.reading.source import Condition
+
+from .kinds import BLOCK_BYTES
+from .sqlite_pages import PAGE_SIZES, Image
 
 _JOURNAL = struct.Struct(">8sIIIII")
 """Magic, records, start value of the checksums, pages of the database, bytes of a sector, bytes of a page."""
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
-_JOURNAL_TO_ITS_END = 0xFFFFFFFF
-_NUMBER_BYTES, _CHECKSUM_BYTES, _CHECKSUM_STEP = 4, 4, 200
-_LOCK_PAGE_AT = 1 << 30
 _WAL = struct.Struct(">IIIIIIII")
 """Magic, version, bytes of a page, checkpoints, two salts, two sums."""
-_WAL_MAGIC, _WAL_VERSION = 0x377F0682, 3007000
-_FRAME_HEAD_BYTES, _READ_BYTES, _WORD = 24, 1 << 20, 0xFFFFFFFF
+
+
+class _Format(IntEnum):
+    JOURNAL_TO_ITS_END = 0xFFFFFFFF
+    NUMBER_BYTES = 4
+    CHECKSUM_BYTES = 4
+    CHECKSUM_STEP = 200
+    LOCK_PAGE_AT = 1 << 30
+    WAL_MAGIC = 0x377F0682
+    WAL_VERSION = 3007000
+    FRAME_HEAD_BYTES = 24
+
+
+_WORD = np.iinfo(np.uint32).max
 _SECTOR_SIZES = {1 << bits for bits in range(5, 17)}
-_PAGE_SIZES = {1 << bits for bits in range(9, 17)}
-_MOST_LOG_BYTES, _MOST_LOG_RATIO = 1 << 30, 16
-"""A log of more bytes, and of more times its database, is not read."""
+_MOST_LOG_BYTES = 1 << 30
+"""A log of more bytes, and of more than its database, is not read."""
 
 
 class LoggedPages(NamedTuple):
@@ -55,7 +66,7 @@ def open_database(path: Path, condition: Condition) -> Iterator[tuple[Image | No
             if not log_path.is_file() or not log_path.stat().st_size:
                 continue
             log = Image(stack.enter_context(open_regular(log_path)), log_kind=kind)
-            most_bytes = max(_MOST_LOG_BYTES, _MOST_LOG_RATIO * len(database))
+            most_bytes = max(_MOST_LOG_BYTES, len(database))
             if len(log) > most_bytes:
                 sizes = f"it has {len(log) >> 20} MiB; of a log for so small a database at most {most_bytes >> 20} MiB are read"
                 condition.damages.append(f"its log {log_path.name} is left out: {sizes}")
@@ -80,21 +91,27 @@ def _read_journal(log: Image) -> LoggedPages | None:
     first, offsets, at = None, dict[int, int](), 0
     while len(head := log[at : at + _JOURNAL.size]) == _JOURNAL.size:
         magic, records, start, pages, sector_bytes, page_bytes = _JOURNAL.unpack(head)
-        if magic != _JOURNAL_MAGIC or page_bytes not in _PAGE_SIZES or sector_bytes not in _SECTOR_SIZES:
+        if magic != _JOURNAL_MAGIC or page_bytes not in PAGE_SIZES or sector_bytes not in _SECTOR_SIZES:
             break
         first = first or LoggedPages(page_bytes, pages, offsets)
         at += sector_bytes
-        record_bytes = _NUMBER_BYTES + page_bytes + _CHECKSUM_BYTES
+        record_bytes = _Format.NUMBER_BYTES + page_bytes + _Format.CHECKSUM_BYTES
         whole = (len(log) - at) // record_bytes
-        for _ in range(whole if records == _JOURNAL_TO_ITS_END else min(records, whole)):
+        for _ in range(whole if records == _Format.JOURNAL_TO_ITS_END else min(records, whole)):
             record = log[at : at + record_bytes]
-            number = int.from_bytes(record[:_NUMBER_BYTES], "big")
-            sums = start + sum(record[_NUMBER_BYTES + page_bytes - _CHECKSUM_STEP : _NUMBER_BYTES : -_CHECKSUM_STEP])
-            is_end = number in {0, _LOCK_PAGE_AT // page_bytes + 1}
-            if is_end or sums & _WORD != int.from_bytes(record[-_CHECKSUM_BYTES:], "big"):
+            number = int.from_bytes(record[: _Format.NUMBER_BYTES], "big")
+            sums = start + sum(
+                record[
+                    _Format.NUMBER_BYTES
+                    + page_bytes
+                    - _Format.CHECKSUM_STEP : _Format.NUMBER_BYTES : -_Format.CHECKSUM_STEP
+                ]
+            )
+            is_end = number in {0, _Format.LOCK_PAGE_AT // page_bytes + 1}
+            if is_end or sums & _WORD != int.from_bytes(record[-_Format.CHECKSUM_BYTES :], "big"):
                 return first
             if number <= first.pages:
-                offsets[number] = at + _NUMBER_BYTES
+                offsets[number] = at + _Format.NUMBER_BYTES
             at += record_bytes
         at = -(-at // sector_bytes) * sector_bytes
     return first
@@ -105,22 +122,22 @@ def _read_wal(log: Image) -> LoggedPages | None:
     head = log[: _WAL.size].ljust(_WAL.size, b"\0")
     magic, version, page_bytes, _, *salts_and_sums = _WAL.unpack(head)
     page_bytes = 65536 if page_bytes == 1 else page_bytes
-    if magic & ~1 != _WAL_MAGIC or version != _WAL_VERSION or page_bytes not in _PAGE_SIZES:
+    if magic & ~1 != _Format.WAL_MAGIC or version != _Format.WAL_VERSION or page_bytes not in PAGE_SIZES:
         return None
     order, salts, stored = ">" if magic & 1 else "<", tuple(salts_and_sums[:2]), tuple(salts_and_sums[2:])
     words = np.frombuffer(head[:24], f"{order}u4").astype(np.uint32)
     if next(_next_sums((0, 0), words[None])) != stored:
         return None
-    frame_bytes, at, pages = _FRAME_HEAD_BYTES + page_bytes, _WAL.size, 0
+    frame_bytes, at, pages = _Format.FRAME_HEAD_BYTES + page_bytes, _WAL.size, 0
     offsets, pending = dict[int, int](), dict[int, int]()
-    while frames := min(len(log) - at, max(_READ_BYTES, frame_bytes)) // frame_bytes:
+    while frames := min(len(log) - at, max(BLOCK_BYTES, frame_bytes)) // frame_bytes:
         data = np.frombuffer(log[at : at + frames * frame_bytes], np.uint8).reshape(frames, frame_bytes)
-        words = np.hstack((data[:, :8], data[:, _FRAME_HEAD_BYTES:])).view(f"{order}u4").astype(np.uint32)
-        heads = np.ascontiguousarray(data[:, :_FRAME_HEAD_BYTES]).view(">u4").tolist()
+        words = np.hstack((data[:, :8], data[:, _Format.FRAME_HEAD_BYTES :])).view(f"{order}u4").astype(np.uint32)
+        heads = np.ascontiguousarray(data[:, : _Format.FRAME_HEAD_BYTES]).view(">u4").tolist()
         for (number, count, *head_words), frame_sums in zip(heads, _next_sums(stored, words), strict=True):
             if (*salts, *frame_sums) != tuple(head_words) or not number:
                 return LoggedPages(page_bytes, pages, offsets) if offsets else None
-            stored, pending[number] = frame_sums, at + _FRAME_HEAD_BYTES
+            stored, pending[number] = frame_sums, at + _Format.FRAME_HEAD_BYTES
             at += frame_bytes
             if count:
                 pages = count

@@ -9,6 +9,7 @@ from bisect import bisect
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from enum import IntEnum
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -17,7 +18,8 @@ from dds_trace.tracefile.mcapfile.blocks import most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.reading.source import Budget, UnreadableError
 
-from .kinds import SQLITE_MAGIC
+from .bounds import FEWEST
+from .kinds import BLOCK_BYTES, SQLITE_MAGIC
 
 SQLITE_HEADER = struct.Struct(">H2xB7xI")
 """After the magic: page size, bytes reserved in each page, and pages."""
@@ -25,13 +27,27 @@ _CELLS, _PAGE_CELLS = struct.Struct(">H"), struct.Struct(">HH")
 _LEAF_PAGE, _LEAF_BYTES = re.compile(rb"(?=\x0d..[\x00-\x40]...[\x00-\x3c])", re.DOTALL), 8
 _LOGS = {"wal": (24, 0), "journal": (4, 4)}
 """Bytes in front of and after a page in a log, the first four of them its number."""
-_INTERIOR, _LEAF, _PAGE_KINDS, _USUAL_PAGE_BYTES = 5, 13, {2, 5, 10, 13}, 4096
-_FIRST_HEADER_BYTES = 100
-_PAGE_SIZES, _MOST_FIT, _ENOUGH_LEAVES = [1 << bits for bits in range(9, 17)], 0.6, 500
-_MOST_RESERVED = 32
-"""Bytes of a page that an extension of SQLite reserves."""
+PAGE_SIZES = [1 << bits for bits in range(9, 17)]
+_SIZES = dict(enumerate((0, 1, 2, 3, 4, 6, 8, 8)))
+"""Bytes of a number by the kind of its column."""
 
-_MOST_MOVES, _MOST_LOST_PAGES, _SEARCHED_BYTES = 16, 1000, 1 << 20
+
+class _Page(IntEnum):
+    INDEX_INTERIOR = 2
+    INTERIOR = 5
+    INDEX_LEAF = 10
+    LEAF = 13
+
+
+class _Format(IntEnum):
+    FIRST_HEADER_BYTES = 100
+    USUAL_PAGE_BYTES = 4096
+    MOST_RESERVED_BYTES = 32
+    """Of a page, by extensions of SQLite."""
+
+
+_MANY_PAGES = 1000
+"""A file that was cut may lack so many; so many leaves show the size of all pages."""
 
 
 class Image:
@@ -66,24 +82,24 @@ class Image:
         """Return these bytes with pages of a log in their places, `pages` long, but no longer than both have bytes for."""
         joined = Image(log._file)
         joined._under, joined._page_bytes, joined._offsets = self, page_bytes, offsets
-        most = len(self) // page_bytes + len(offsets) + _MOST_LOST_PAGES
+        most = len(self) // page_bytes + len(offsets) + _MANY_PAGES
         joined._size = min(pages, most) * page_bytes
         return joined
 
     def leaf_pages(self) -> Iterator[int]:
         """Yield the offsets of what begins as a leaf page."""
-        for start in range(0, self._size, _SEARCHED_BYTES):
-            for match in _LEAF_PAGE.finditer(self[start : start + _SEARCHED_BYTES + _LEAF_BYTES - 1]):
+        for start in range(0, self._size, BLOCK_BYTES):
+            for match in _LEAF_PAGE.finditer(self[start : start + BLOCK_BYTES + _LEAF_BYTES - 1]):
                 yield start + match.start()
 
 
 def rows_of_pages(image: Image, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
     """Yield the rows of all leaf pages, wherever they are in the file; last those that go on in other pages."""
-    _, _, header = image[:_SEARCHED_BYTES].partition(SQLITE_MAGIC)
+    _, _, header = image[:BLOCK_BYTES].partition(SQLITE_MAGIC)
     claimed, reserved, _ = SQLITE_HEADER.unpack_from(header.ljust(SQLITE_HEADER.size, b"\0"))
     number_bytes, after_bytes = _LOGS.get(image.log_kind, (0, 0))
     page_bytes = _page_bytes(image, 65536 if claimed == 1 else claimed, number_bytes + after_bytes)
-    usable_bytes = page_bytes - (reserved if reserved <= _MOST_RESERVED else 0)
+    usable_bytes = page_bytes - (reserved if reserved <= _Format.MOST_RESERVED_BYTES else 0)
     pages = _Pages(image, page_bytes, usable_bytes, number_bytes, after_bytes)
     cells, leaves = list[_Cell](), dict[int, int]()
     for cell in pages.cells():
@@ -119,7 +135,7 @@ class Tables:
         header = image[: len(SQLITE_MAGIC) + SQLITE_HEADER.size]
         claimed, reserved, _ = SQLITE_HEADER.unpack_from(header, len(SQLITE_MAGIC))
         self._page_bytes = 65536 if claimed == 1 else claimed
-        if not header.startswith(SQLITE_MAGIC) or self._page_bytes not in _PAGE_SIZES:
+        if not header.startswith(SQLITE_MAGIC) or self._page_bytes not in PAGE_SIZES:
             raise ValueError("it does not start as a database does")
         self._image, self._usable_bytes = image, self._page_bytes - reserved
         self._pages = _Pages(image, self._page_bytes, self._usable_bytes, 0, 0)
@@ -141,13 +157,13 @@ class Tables:
         numbers = [root]
         while numbers:
             number = numbers.pop()
-            page, head = self._page(number), _FIRST_HEADER_BYTES if number == 1 else 0
+            page, head = self._page(number), _Format.FIRST_HEADER_BYTES if number == 1 else 0
             (cells,) = _CELLS.unpack_from(page, head + 3)
-            if page[head] == _INTERIOR:
+            if page[head] == _Page.INTERIOR:
                 offsets = struct.unpack_from(f">{cells}H", page, head + 12)
                 children = [int.from_bytes(page[offset : offset + 4], "big") for offset in (*offsets, head + 8)]
                 numbers += reversed(children)
-            elif page[head] == _LEAF:
+            elif page[head] == _Page.LEAF:
                 for offset in struct.unpack_from(f">{cells}H", page, head + 8):
                     cell = self._pages.cell(page, offset, 0)
                     yield cell.row_id, _values(self._payload(cell))
@@ -181,17 +197,17 @@ def _page_bytes(data: Image, claimed: int, in_log: int) -> int:
         if numbers and min(numbers) == content_at:
             starts.append(at)
             largest.append(max(numbers))
-        if len(starts) == _ENOUGH_LEAVES:
+        if len(starts) == _MANY_PAGES:
             break
     apart = np.diff(starts)
     fitting = [
         size
-        for size in _PAGE_SIZES
-        if len(apart) and ((apart % (size + in_log) == 0) & (np.array(largest[1:]) < size)).mean() > _MOST_FIT
+        for size in PAGE_SIZES
+        if len(apart) and ((apart % (size + in_log) == 0) & (np.array(largest[1:]) < size)).mean() > 1 / 2
     ]
-    if claimed in fitting or (not fitting and claimed in _PAGE_SIZES):
+    if claimed in fitting or (not fitting and claimed in PAGE_SIZES):
         return claimed
-    return max(fitting, default=_USUAL_PAGE_BYTES)
+    return max(fitting, default=_Format.USUAL_PAGE_BYTES)
 
 
 class _Cell(NamedTuple):
@@ -214,7 +230,7 @@ class _Pages:
         self._data, self._page_bytes, self._usable_bytes = data, page_bytes, usable_bytes
         self._number_bytes = number_bytes
         self._stride = self._number_bytes + page_bytes + after_bytes
-        self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MOST_LOST_PAGES
+        self._left_bytes, self._most = most_unpacked_bytes(len(data)), len(data) // page_bytes + _MANY_PAGES
         self._offsets: dict[int, list[int]] = {}
         self._ends: set[int] = set()
         self._end_numbers: dict[int, int] = {}
@@ -257,9 +273,9 @@ class _Pages:
         alignments = np.zeros(self._stride, bool)
         alignments[[at % self._stride for at in leaves]] = True
         children = dict[int, int]()
-        for start in range(0, len(self._data), _SEARCHED_BYTES):
-            part = self._data[start : start + _SEARCHED_BYTES + self._stride + 3]
-            size = min(_SEARCHED_BYTES, len(self._data) - start)
+        for start in range(0, len(self._data), BLOCK_BYTES):
+            part = self._data[start : start + BLOCK_BYTES + self._stride + 3]
+            size = min(BLOCK_BYTES, len(self._data) - start)
             content = np.zeros(size + self._stride + 3, np.uint32)
             content[: len(part)] = np.frombuffer(part, np.uint8)
             leading = content[:-3] << 24 | content[1:-2] << 16 | content[2:-1] << 8 | content[3:]
@@ -274,7 +290,7 @@ class _Pages:
                 self._offsets.setdefault(number - (not self._number_bytes), []).insert(0, at)
             if not self._number_bytes:
                 self._ends.update(pages_at[is_aligned & (numbers == 0)].tolist())
-                for at in pages_at[is_aligned & (numbers >> 16 == _INTERIOR << 8)].tolist():
+                for at in pages_at[is_aligned & (numbers >> 16 == _Page.INTERIOR << 8)].tolist():
                     children |= self._children(self._data[at : at + self._page_bytes])
         if not self._number_bytes:
             self._count_moves(
@@ -294,7 +310,7 @@ class _Pages:
             for number, at in [*leaves, *((number, at) for number, offsets in self._offsets.items() for at in offsets)]
         )
         moves = Counter(moved for _, moved in pages)
-        self._moves = [moved for moved, _ in moves.most_common(_MOST_MOVES)]
+        self._moves = [moved for moved, _ in moves.most_common(FEWEST)]
         self._moved = [(at, moved) for at, moved in pages if moves[moved] > 1]
         preceding = {at: self._following(at - self._page_bytes) for at in self._ends}
         self._end_numbers = {
@@ -335,7 +351,7 @@ class _Pages:
             if self._following(at) != after[0] or self._end_numbers.get(at, number) != number:
                 return 0
             following = self._following(at + self._stride)
-            return 1 + (following == after[1] if further else following <= self._most or following >> 24 in _PAGE_KINDS)
+            return 1 + (following == after[1] if further else following <= self._most or following >> 24 in {*_Page})
 
         moves = () if self._number_bytes else (moved_bytes, moved_bytes - self._page_bytes, *self._moves)
         candidates = [(number - 1) * self._page_bytes + moved for moved in moves] + self._offsets.get(number, [])
@@ -359,11 +375,8 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
     return value << 8 | data[at], at + 1
 
 
-_SIZES = (0, 1, 2, 3, 4, 6, 8)
-
-
 def _size_bytes(kind: int) -> int:
-    return _SIZES[kind] if kind < len(_SIZES) else 8 if kind == 7 else 0 if kind < 12 else (kind - 12) // 2
+    return _SIZES.get(kind, max(kind - 12, 0) // 2)
 
 
 def _kinds(payload: bytes) -> tuple[list[int], int]:
@@ -382,7 +395,7 @@ def _values(payload: bytes) -> list[Any]:
     for kind in kinds:
         data = payload[at : at + _size_bytes(kind)]
         at += len(data)
-        if 0 < kind < len(_SIZES):
+        if 0 < kind <= 6:
             values.append(int.from_bytes(data, "big", signed=True))
         elif kind < 12:
             values.append(kind - 8 if kind in {8, 9} else None)

@@ -18,10 +18,12 @@ from urllib.parse import quote
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
-from dds_trace.tracefile.format.events import STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
+from dds_trace.tracefile.format.events import EVENT_CDR_BYTES, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.reading.source import (
+    BATCH_BYTES,
+    BATCH_MESSAGES,
     MOST_TOPICS,
     Batch,
     Budget,
@@ -36,7 +38,7 @@ from dds_trace.tracefile.reading.source import (
     unpack_message,
 )
 
-from .kinds import SQLITE_MAGIC
+from .kinds import MOST_TEXT_BYTES, SQLITE_MAGIC
 from .sqlite_log import open_database
 from .sqlite_pages import SQLITE_HEADER, Image, Tables, rows_of_pages
 
@@ -55,9 +57,7 @@ INSERT INTO schema VALUES (4, 'unknown');
 
 # SQLite's steps are bounded: a hostile database has endless rows in few pages. An absurd size is reported as a lack of memory.
 _UNSUSPECTED_STEPS = 100_000_000
-_STEPS_A_BYTE = 4
 _STEPS_A_CHECK = 1_000_000
-_MOST_TEXT_BYTES = 8 << 20
 
 # Every version of rosbag2's schema has these columns. Views, virtual tables and computed columns are not read.
 _TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
@@ -69,9 +69,6 @@ _TOPICS = "SELECT id, name, type, serialization_format, {}, {} FROM topics LIMIT
 _MESSAGES = "SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END FROM messages ORDER BY id"
 _NO_TABLES = "it is no rosbag2 database: no tables 'topics' and 'messages' as it makes them"
 _MANY_TOPICS = f"it has more than {MOST_TOPICS} topics"
-_MOST_COLUMNS = 7
-_LEAST_REACHED = 0.1
-"""Share of a database's bytes below which its tables may not reach all rows."""
 
 
 def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
@@ -95,7 +92,7 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
         except (sqlite3.Error, MemoryError, ValueError, IndexError, struct.error) as err:
             fault = fault or f"it is damaged ({err})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
-        is_in_doubt = fault or has_gaps or surplus_bytes or read_bytes < before.st_size * _LEAST_REACHED
+        is_in_doubt = fault or has_gaps or surplus_bytes or 4 * read_bytes < before.st_size  # perhaps not all rows
         has_wal = any(file.log_kind == "wal" for file in files)  # perhaps of another database
         doubtful = files if is_in_doubt else files[: 2 * has_wal]
         rows = _unreached_rows(doubtful, budget, seen, topics)
@@ -145,7 +142,7 @@ def _rows_by_sqlite(path: Path, topics: dict[int, RecordedTopic]) -> Iterator[Se
         _bound_work(database, path.stat().st_size)
         topics |= _read_topics(database)
         if sys.version_info >= (3, 11):
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES + _MOST_TEXT_BYTES)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES + MOST_TEXT_BYTES)
         yield from database.execute(_MESSAGES, [MAX_RECORD_BYTES])
 
 
@@ -187,7 +184,7 @@ def _take_description(
     kinds = [type(value) for value in values]
     if kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
         definitions[full_type(values[1])] = values[3], values[2]
-    elif kinds[:4] == [type(None), str, str, str] and len(values) < _MOST_COLUMNS and values[1].startswith("/"):
+    elif kinds[:4] == [type(None), str, str, str] and len(values[4:]) <= 2 and values[1].startswith("/"):
         qos, type_hash = (value if isinstance(value, str) else "" for value in [*values[4:], "", ""][:2])
         if row_id not in topics or not topics[row_id].name.startswith("/"):
             topics[row_id] = RecordedTopic(values[1], full_type(values[2]), values[3], qos=qos, type_hash=type_hash)
@@ -236,7 +233,7 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
 
 
 def _bound_work(database: sqlite3.Connection, size_bytes: int) -> None:
-    checks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_CHECK
+    checks_left = (_UNSUSPECTED_STEPS + 4 * size_bytes) // _STEPS_A_CHECK
 
     def check() -> bool:
         nonlocal checks_left
@@ -245,7 +242,7 @@ def _bound_work(database: sqlite3.Connection, size_bytes: int) -> None:
 
     database.set_progress_handler(check, _STEPS_A_CHECK)
     if sys.version_info >= (3, 11):  # earlier Pythons cannot set it
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_TEXT_BYTES)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_TEXT_BYTES)
 
 
 def _missing_bytes(database: Image) -> int:
@@ -255,11 +252,6 @@ def _missing_bytes(database: Image) -> int:
         return 0  # SQLite will report what is wrong
     page_bytes, _, pages = SQLITE_HEADER.unpack(header)
     return int(65536 if page_bytes == 1 else page_bytes) * int(pages) - len(database)
-
-
-_BATCH_ROWS = 8192
-_ROW_BYTES = 64
-_BATCH_BYTES = 4 << 20
 
 
 class SqliteSource:
@@ -278,7 +270,7 @@ class SqliteSource:
         return frozenset(topic.name for topic in self._condition.topics)
 
     def expected_events(self) -> dict[Stage, int]:
-        return dict.fromkeys(Stage, self._path.stat().st_size // _ROW_BYTES)
+        return dict.fromkeys(Stage, self._path.stat().st_size // EVENT_CDR_BYTES)
 
     def batches(self) -> Iterator[Batch]:
         last, events, texts, size_bytes = Batch(), list[tuple[Stage, bytes]](), list[Text](), 0
@@ -294,7 +286,7 @@ class SqliteSource:
                 elif topic.name.startswith(TOPIC_PREFIX):
                     texts.append(Text(topic.name, log_ns, unpack_message(data), self._shown_as, None))
                 size_bytes += len(data)
-                if len(events) >= _BATCH_ROWS or size_bytes >= _BATCH_BYTES:
+                if len(events) >= BATCH_MESSAGES or size_bytes >= BATCH_BYTES:
                     yield from _batches(events, texts)
                     events, texts, size_bytes = [], [], 0
         except UnreadableError as err:

@@ -19,7 +19,7 @@ from dds_trace.analyzer.clocks.lines import Int64
 from dds_trace.analyzer.loading.campaign import Campaign
 from dds_trace.analyzer.loading.event_index import EventPart, merge_parts
 from dds_trace.analyzer.model.detail_frames import MESSAGE_COLUMNS
-from dds_trace.extensions.bags.clocks import DAY_NS
+from dds_trace.extensions.bags.bounds import DAY_NS
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
 from dds_trace.tracefile.format.json_fields import JsonObject, object_of

@@ -13,6 +13,9 @@ RECORD_HEADER = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
 """Start of a Message record: channel id, sequence, log time and publish time (ns)."""
 
+MESSAGE_FIELDS = {"sequence": 2, "log_time": 6, "publish_time": 14}
+"""Their offsets."""
+
 STRING_SCHEMA_NAME = "std_msgs/msg/String"
 STRING_DEFINITION = "string data\n"
 

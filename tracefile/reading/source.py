@@ -114,7 +114,7 @@ def _column(values: Sequence[int | None]) -> Int64:
     return np.array([NONE if value is None else value for value in values], np.int64)
 
 
-_BATCH_MESSAGES, _BATCH_BYTES = 8192, 4 << 20
+BATCH_MESSAGES, BATCH_BYTES = 8192, 4 << 20
 
 
 def batched(messages: Iterable[RawMessage]) -> Iterator[MessageBatch]:
@@ -124,7 +124,7 @@ def batched(messages: Iterable[RawMessage]) -> Iterator[MessageBatch]:
         for message in messages:
             pending.append(message)
             size_bytes += len(message.data)
-            if len(pending) == _BATCH_MESSAGES or size_bytes >= _BATCH_BYTES:
+            if len(pending) == BATCH_MESSAGES or size_bytes >= BATCH_BYTES:
                 yield MessageBatch.of(pending)
                 pending, size_bytes = [], 0
     except (UnreadableError, TraceFormatError):

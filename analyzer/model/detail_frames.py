@@ -110,9 +110,9 @@ class Overtaking(Enum):
 
 HOP_SCHEMA = frame_schema(
     "chain:u32 hop:u32 topic:str next_topic:str from_event:str to_event:str ping_device:str relay_device:str messages:u64 "
-    "p50_ns:f64 p99_ns:f64 max_ns:f64 bound_ns:i64"
+    "p50_ns:f64 p99_ns:f64 max_ns:f64 bound_ns:i64 share:f64"
 )
-"""By hop: `stamp` to `publish`, `publish` to `receive`, `receive` to the next topic's `publish`."""
+"""By hop: `stamp` to `publish`, `publish` to `receive`, `receive` to the next topic's `publish`; of the last, the `share` of inputs that led to an output."""
 
 MESSAGE_COLUMNS = {
     "sequence": pl.UInt64,

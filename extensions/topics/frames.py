@@ -23,7 +23,8 @@ from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, ParameterValu
 from dds_trace.analyzer.model.runs import tap_run_id
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.units import SECOND_NS
-from dds_trace.extensions.bags.quantiles import spread
+from dds_trace.extensions.bags.chains import share_of_inputs
+from dds_trace.extensions.bags.quantiles import named_quantile, spread
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of
 
 from .device_clocks import DeviceClocks, Machine, follow_wall_clocks
@@ -31,14 +32,6 @@ from .join import Delivery, deliver, find_streams, heard_by_taps, with_ages
 
 LEAST_CHAINED = 0.5
 """Share of messages with a header stamp of an earlier topic, if made of its messages."""
-
-_QUANTILES = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
-"""Statistic -> quantile, and the values that it takes."""
-
-
-def quantile(values: Int64, statistic: str) -> float | None:
-    share, needs = _QUANTILES[statistic]
-    return float(np.quantile(values, share)) if len(values) >= needs else None
 
 
 def origin_name(delivery: Delivery) -> str:
@@ -54,7 +47,7 @@ def find_sources(deliveries: Sequence[Delivery]) -> dict[int, int]:
             is_here = later.origin is not None and earlier.heard.machine == later.origin
             if earlier.heard.topic == later.heard.topic or not is_here:
                 continue
-            times = _processing_ns(earlier, later)
+            times, _ = _processing_ns(earlier, later)
             if len(times) and len(times) >= LEAST_CHAINED * len(later.messages) and np.median(times) >= 0:
                 earlier_ones.append((float(np.median(times)), other))
         if earlier_ones:
@@ -89,8 +82,9 @@ def _hops(path: Sequence[Delivery]) -> Iterator[dict[str, object]]:
     for number, hop in enumerate(path):
         topic, origin, device = hop.heard.topic, origin_name(hop), hop.heard.session.device
         if number:
-            times = _processing_ns(path[number - 1], hop)
-            yield _hop((path[number - 1].heard.topic, topic), ("receive", "publish"), (origin, origin), times)
+            times, share = _processing_ns(path[number - 1], hop)
+            topics = path[number - 1].heard.topic, topic
+            yield _hop(topics, ("receive", "publish"), (origin, origin), times) | {"share": share}
         else:
             times = hop.messages["stamp_to_publish_ns"].drop_nulls().to_numpy()
             yield _hop((topic, topic), ("stamp", "publish"), (origin, origin), times)
@@ -100,16 +94,17 @@ def _hops(path: Sequence[Delivery]) -> Iterator[dict[str, object]]:
 
 def _hop(topics: tuple[str, str], events: tuple[str, str], devices: tuple[str, str], times: Int64) -> dict[str, object]:
     names = ("topic", "next_topic", "from_event", "to_event", "ping_device", "relay_device")
-    statistics = {f"{name}_ns": quantile(times, name) for name in ("p50", "p99", "max")}
+    statistics = {f"{name}_ns": named_quantile(times, name) for name in ("p50", "p99", "max")}
     return {**dict(zip(names, (*topics, *events, *devices), strict=True)), "messages": len(times), **statistics}
 
 
-def _processing_ns(earlier: Delivery, later: Delivery) -> Int64:
-    received = earlier.messages.select("header_ns", "relay_in_ns").drop_nulls().unique("header_ns")
+def _processing_ns(earlier: Delivery, later: Delivery) -> tuple[Int64, float | None]:
+    """Return the times from reception to publishing, and the share of inputs that led to an output."""
+    received = earlier.messages.select("header_ns", "relay_in_ns").drop_nulls().unique("header_ns").sort("header_ns")
     published = later.messages.select("header_ns", "publish_ns").drop_nulls().unique("header_ns")
-    joined = received.join(published, on="header_ns")
+    joined = received.with_row_index("number").join(published, on="header_ns", maintain_order="left")
     times: Int64 = (joined["publish_ns"] - joined["relay_in_ns"]).to_numpy()
-    return times
+    return times, share_of_inputs(joined["number"].to_numpy())
 
 
 def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
@@ -205,11 +200,11 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
         "rate_hz": (len(messages) - len(sent)) * SECOND_NS / sending_ns if sending_ns else None,
         "message_bytes": received_bytes.mean(),
         "transfer_rate_bytes_per_s": int(received_bytes.sum()) * SECOND_NS / lasted_ns if lasted_ns else None,
-        "period_p50_ns": quantile(periods, "p50"),
-        "period_p99_ns": quantile(periods, "p99"),
+        "period_p50_ns": named_quantile(periods, "p50"),
+        "period_p99_ns": named_quantile(periods, "p99"),
         "jitter_ns": spread(periods) if len(periods) > 1 else None,
         **{
-            f"{metric}_{statistic}_ns": quantile(messages[f"{metric}_ns"].drop_nulls().to_numpy(), statistic)
+            f"{metric}_{statistic}_ns": named_quantile(messages[f"{metric}_ns"].drop_nulls().to_numpy(), statistic)
             for metric, statistic in product(TOPIC_METRICS, TOPIC_STATISTICS)
         },
         "bound_ns": messages["bound_ns"].max(),

@@ -186,11 +186,11 @@ def test_one_tap_is_enough_where_only_one_clock_can_have_made_the_stamps(tmp_pat
     assert row["one_way_p50_ns"] == pytest.approx(FAR_NS * 1.23, abs=MS)
 
 
-def analysis_of_a_chain(folder):
-    """Of images that the laptop detects something in, 8 ms after each, and of what it publishes then."""
+def analysis_of_a_chain(folder, every=1):
+    """Of images that the laptop detects something in, 8 ms after each (or some), and of what it publishes then."""
     published = camera(seconds=20)
     near, far = arrivals(published, NEAR_NS), arrivals(published, FAR_NS)
-    found = Published("/detections", LAPTOP, far + 8 * MS, published.headers, guid="03" * 16)
+    found = Published("/detections", LAPTOP, far[::every] + 8 * MS, published.headers[::every], guid="03" * 16)
     there, back = arrivals(found, NEAR_NS, seed=3), arrivals(found, FAR_NS, seed=4)
     return analyzed(
         folder, [Hearing(published, near), Hearing(found, back)], [Hearing(published, far), Hearing(found, there)]
@@ -205,8 +205,9 @@ def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
     assert "(100 %)" in lines[0]
 
 
-def test_the_hops_of_a_chain(tmp_path):
-    hops = analysis_of_a_chain(tmp_path).topic_hops
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_the_hops_of_a_chain(tmp_path, every):
+    hops = analysis_of_a_chain(tmp_path, every).topic_hops
     chain = hops.filter(chain=hops.filter(topic="/detections", relay_device="robot")["chain"][0])
     events = [tuple(row) for row in chain.select("from_event", "to_event", "topic", "next_topic").rows()]
     assert events == [
@@ -216,6 +217,7 @@ def test_the_hops_of_a_chain(tmp_path):
         ("publish", "receive", "/detections", "/detections"),
     ]
     assert chain["p50_ns"].to_list() == pytest.approx([5 * MS, FAR_NS * 1.23, 8 * MS, FAR_NS * 1.23], rel=0.3)
+    assert chain["share"].to_list() == [None, None, pytest.approx(1 / every, rel=0.01), None]
 
 
 def test_stamps_of_a_simulation_have_no_age(tmp_path):

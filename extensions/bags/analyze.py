@@ -153,8 +153,6 @@ _Columns: TypeAlias = dict[_TopicKey, TopicMessages]
 
 @dataclass(slots=True)
 class _Recording:
-    """What was read of one recording, of one file or several."""
-
     parts: list[Part]
     condition: Condition
     columns: dict[tuple[str, str, str], TopicMessages]
@@ -164,7 +162,6 @@ class _Recording:
 
     @property
     def span(self) -> Span:
-        """Return the times of the first file's messages."""
         first_ns = min(int(topic.column("log_ns").min()) for topic in self.columns.values())
         last_ns = max(int(topic.column("log_ns").max()) for topic in self.columns.values())
         return Span(self.parts[0].number or 0, first_ns, last_ns)
@@ -179,7 +176,6 @@ class _Recording:
         self.parts += other.parts
 
     def join(self) -> None:
-        """Put the messages of each topic together from all files."""
         files, number = defaultdict[_TopicKey, list[TopicMessages]](list), 0
         for columns in (self.columns, *self.following):
             for key, messages in columns.items():

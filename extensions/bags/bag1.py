@@ -12,17 +12,23 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from enum import IntEnum
+from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import DamagedChunkError, unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
+from dds_trace.tracefile.mcapfile.scan import unaligned
 from dds_trace.tracefile.reading.source import (
+    NONE,
     Budget,
     Condition,
+    Int64,
     MessageBatch,
     RawMessage,
     UnreadableError,
@@ -53,10 +59,8 @@ _NEEDED: dict[int, dict[str, int]] = {
 """Fields of each kind of record, and their bytes."""
 _LENGTH, _HEADER_LENGTH = struct.Struct("<I"), struct.Struct("<HH")
 _TIME = struct.Struct("<II")
-_OP = rb"(?:\x04\0{3}op=\x02)?"
-_USUAL_HEADER = re.compile(rb"(?=.{38}\Z)" + _OP + rb"\t\0{3}conn=(.{4})" + _OP + rb"\r\0{3}time=(.{8})", re.DOTALL)
-"""A message's header as ROS and rosbags write it: one op, before or after the connection."""
-
+_USUAL_BYTES = 42
+"""Of a message's header with its length: fields `op`, `conn` and `time`."""
 _HEADER_START = re.compile(rb"(?=..\0\0..\0\0[a-z0-9_]{1,24}=)", re.DOTALL)
 """The lengths of a header and of its first field, both under 64 KiB, and the name of that field."""
 
@@ -67,6 +71,15 @@ _MOST_FIELDS = 64
 """Of a header; bytes that claim more are no record."""
 
 
+class _Run(NamedTuple):
+    """The starts of messages that follow each other, and offsets in each."""
+
+    starts: Int64
+    conn_at: int
+    time_at: int
+    data_at: int
+
+
 class _Record(NamedTuple):
     opcode: int
     fields: dict[str, bytes]
@@ -74,16 +87,19 @@ class _Record(NamedTuple):
     data_at: int
     end: int
     unpacked: Records | None = None
+    run: _Run | None = None
 
 
 def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages in file order; what is damaged is in `condition`."""
-    with closing(RecordFile(path)) as file:
-        yield from _Bag1Walk(file, condition)
+    return (message for batch in bag1_batches(path, condition) for message in batch.messages())
 
 
 def bag1_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
-    return batched(bag1_messages(path, condition))
+    """Yield the messages in file order; what is damaged is in `condition`."""
+    with closing(RecordFile(path)) as file:
+        for kind, items in groupby(_Bag1Walk(file, condition), type):
+            in_batches: Any = iter if kind is MessageBatch else batched
+            yield from in_batches(items)
 
 
 class _Bag1Walk:
@@ -93,7 +109,7 @@ class _Bag1Walk:
         self._topics: dict[int, RecordedTopic] = {}
         self._times_ns: list[int] = []
 
-    def __iter__(self) -> Iterator[RawMessage]:
+    def __iter__(self) -> Iterator[RawMessage | MessageBatch]:
         start = len(BAG1_MAGIC)
         if self._file.read(0, min(start, self._file.size)) != BAG1_MAGIC:
             first = self._resume(self._file, 0, self._file.size)
@@ -107,9 +123,11 @@ class _Bag1Walk:
         finally:
             self._condition.topics |= set(self._topics.values())
 
-    def _messages(self, source: Records, at: int) -> Iterator[RawMessage]:
+    def _messages(self, source: Records, at: int) -> Iterator[RawMessage | MessageBatch]:
         for record in self._records(source, at):
-            if record.opcode == _Op.BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
+            if record.run is not None:
+                yield from self._batch(source.read(0, source.size), record.run)
+            elif record.opcode == _Op.BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
                 self._condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
             elif record.opcode == _Op.CONNECTION:
                 self._add_topic(record, source.read(record.data_at, record.end - record.data_at))
@@ -127,6 +145,23 @@ class _Bag1Walk:
                 data = source.read(record.data_at, record.end - record.data_at)
                 if number in self._topics:
                     yield RawMessage(self._topics[number], self._times_ns[-1], None, None, data)
+
+    def _batch(self, data: bytes, run: _Run) -> Iterator[MessageBatch]:
+        count, words = self._budget.take(len(run.starts)), unaligned(data, "<u4")
+        starts = run.starts[:count]
+        numbers, inverse = np.unique(words[starts + run.conn_at], return_inverse=True)
+        if not self._topics.keys() >= {*numbers.tolist()}:
+            self._look_ahead()
+        log_ns = words[starts + run.time_at].astype(np.int64) * 10**9 + words[starts + run.time_at + 4]
+        self._times_ns += log_ns.tolist()
+        is_known = np.array([number in self._topics for number in numbers.tolist()])
+        topics = [self._topics[number] for number in numbers[is_known].tolist()]
+        none, sizes = np.full(count, NONE), words[starts + run.data_at - _LENGTH.size].astype(np.int64)
+        index = (np.cumsum(is_known) - 1)[inverse]
+        batch = MessageBatch(topics, index, log_ns, none, none, data, starts + run.data_at, sizes)
+        yield batch.selected(is_known[inverse])
+        if count < len(run.starts):
+            self._budget.take()
 
     def _end_chunk(self) -> None:
         if self._times_ns:
@@ -187,9 +222,6 @@ class _Bag1Walk:
             return None
         header = source.peek(at + _LENGTH.size, header_bytes + _LENGTH.size)
         end = data_at + _LENGTH.unpack_from(header, header_bytes)[0]
-        if usual := _USUAL_HEADER.fullmatch(header, 0, header_bytes):
-            is_whole = end <= source.size and end - data_at <= MAX_RECORD_BYTES
-            return _Record(_Op.MESSAGE, {"conn": usual[1], "time": usual[2]}, at, data_at, end) if is_whole else None
         with suppress(struct.error, ValueError):
             return self._record_of(source, at, data_at, end, _fields(header[:header_bytes]))
         return None
@@ -203,7 +235,12 @@ class _Bag1Walk:
         is_container = opcode == _Op.CHUNK and fields.get("compression") == b"none"
         if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
             return None
-        return _Record(opcode, fields, at, data_at, end)
+        record = _Record(opcode, fields, at, data_at, end)
+        return (
+            record
+            if opcode != _Op.MESSAGE or source is self._file
+            else _with_alike(source.read(0, source.size), record)
+        )
 
     def _resume(self, source: Records, start: int, stop: int) -> int | None:
         """Return the first record in a range; each byte of it is looked at once, in steps that grow."""
@@ -248,6 +285,23 @@ class _Bag1Walk:
             about.get("callerid", b"").decode(errors="replace"),
             about.get("md5sum", b"").decode(errors="replace"),
         )
+
+
+def _with_alike(data: bytes, record: _Record) -> _Record:
+    """Join a message of a usual header with those after it that have one alike, each whole and with another one, or the end, after it."""
+    at, data_at, starts = record.at, record.data_at - record.at, list[int]()
+    head = data[at : at + _USUAL_BYTES]
+    conn_at, time_at = (head.find(name) + len(name) for name in (b"conn=", b"time="))
+    if data_at != _USUAL_BYTES + _LENGTH.size or time_at < conn_at:
+        return record
+    fixed = map(re.escape, (head[:conn_at], head[conn_at + _LENGTH.size : time_at], head[time_at + _TIME.size :]))
+    alike = re.compile(b"%s.{4}%s.{8}%s(.{4})" % tuple(fixed), re.DOTALL)
+    while (found := alike.match(data, at)) and (end := found.end() + int.from_bytes(found[1], "little")) <= len(data):
+        starts.append(at)
+        at = end
+    if starts and at < len(data):
+        at = starts.pop()
+    return record._replace(end=at, run=_Run(np.array(starts), conn_at, time_at, data_at)) if starts else record
 
 
 def _number(record: _Record, field: str) -> int:

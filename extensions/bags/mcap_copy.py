@@ -84,7 +84,6 @@ class McapCopy:
         return new_id
 
     def add_messages(self, batch: MessageBatch, channel_ids: Int64) -> None:
-        """Copy messages of a batch with their new channel ids."""
         starts, ends = batch.starts - _HEADER_BYTES, batch.starts + batch.sizes
         parts = np.cumsum(ends - starts) // BLOCK_BYTES
         edges = [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(batch)]
@@ -193,6 +192,5 @@ class McapCopy:
         self._rows.clear()
 
     def _write(self, record: McapRecord) -> tuple[int, int]:
-        """Return where a record begins, and its length."""
         at = self._stream.tell()
         return at, self._stream.write(encode_record(record))

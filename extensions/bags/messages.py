@@ -74,7 +74,6 @@ class TopicMessages:
 
     @classmethod
     def joined(cls, files: Sequence[TopicMessages]) -> TopicMessages:
-        """Return the messages of files that follow each other."""
         if len(files) == 1:
             return files[0]
         columns = {name: np.concatenate([file.column(name) for file in files]) for name in files[0].columns}

@@ -18,7 +18,6 @@ from .quantiles import median
 
 
 def find_silent(logged: Int64, topics: int) -> Holes:
-    """Return stretches without a message of any topic."""
     steps_ns = np.diff(logged)
     if topics < 2 or not len(steps_ns):
         return Holes()

@@ -57,7 +57,6 @@ class RecordingFiles:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[RecordingFiles]:
-    """Yield the files of a recording, packed ones as temporary copies."""
     recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
     with ExitStack() as stack:
         copies = (unpacked(file, LARGEST_FILE_RATIO, most_unpacked_bytes(0)) for file in recording.files)
@@ -130,7 +129,6 @@ def _plain(text: str) -> str:
 
 
 def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages of a recording; `condition` as for `read_batches`."""
     for batch in read_batches(path, condition):
         yield from batch.messages()
 
@@ -185,8 +183,6 @@ def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str,
 
 
 class _UnpackedBytes:
-    """Unpacks messages that rosbag2 has packed one by one."""
-
     def __init__(self, size_bytes: int) -> None:
         self._room_bytes = most_unpacked_bytes(size_bytes)
 
@@ -355,7 +351,6 @@ class McapItems:
 
 
 def _parts(block: Block, starts: Int64) -> Iterator[tuple[int, int, PackedChunk]]:
-    """Yield the first message of each chunk, the one after its last, and the chunk."""
     edges = [*np.searchsorted(starts, [position for position, _ in block.chunks]).tolist(), len(starts)]
     yield from zip(edges, edges[1:], (chunk for _, chunk in block.chunks), strict=False)
 

@@ -183,7 +183,6 @@ class _NewChannels:
         return self._ids[key]
 
     def ids_of(self, batch: MessageBatch) -> Int64:
-        """Return the id of each message's channel, and count the messages."""
         indices, firsts, inverse, counts = np.unique(
             batch.topic, return_index=True, return_inverse=True, return_counts=True
         )

@@ -46,8 +46,6 @@ def _part(path: Path) -> Part:
 
 
 class Span(NamedTuple):
-    """The number of a file, its first and its last log time."""
-
     number: int
     first_ns: int
     last_ns: int
@@ -63,7 +61,6 @@ def goes_on(spans: Sequence[Span], following: Span) -> bool:
 
 
 def lost_files(parts: Sequence[Part]) -> Iterator[str]:
-    """Yield what is not here between the files of one recording."""
     for part, following in pairwise(parts):
         if part.number is None or following.number is None or following.number == part.number + 1:
             continue

@@ -150,7 +150,6 @@ class Tables:
         return name in self._roots
 
     def rows(self, name: str) -> Iterator[tuple[int, list[Any]]]:
-        """Yield the rows in ascending order."""
         return self._rows_below(self._roots[name])
 
     def _rows_below(self, root: int) -> Iterator[tuple[int, list[Any]]]:

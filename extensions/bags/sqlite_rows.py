@@ -11,6 +11,7 @@ import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -22,8 +23,6 @@ from dds_trace.tracefile.format.events import EVENT_CDR_BYTES, STAGE_OF_TOPIC, T
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.reading.source import (
-    BATCH_BYTES,
-    BATCH_MESSAGES,
     MOST_TOPICS,
     Batch,
     Budget,
@@ -35,6 +34,7 @@ from dds_trace.tracefile.reading.source import (
     batched,
     event_batch,
     full_type,
+    in_parts,
     unpack_message,
 )
 
@@ -71,11 +71,11 @@ _NO_TABLES = "it is no rosbag2 database: no tables 'topics' and 'messages' as it
 _MANY_TOPICS = f"it has more than {MOST_TOPICS} topics"
 
 
-def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
-    return batched(sqlite_messages(path, condition))
-
-
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
+    return (message for batch in sqlite_batches(path, condition) for message in batch.messages())
+
+
+def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`."""
     before = path.stat()
     budget, seen, rows = Budget(before.st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
@@ -107,9 +107,8 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
         more = f"; {counted(len(rows), 'message')} more from single pages" if rows else ""
         condition.damages.append(f"{fault}{more}")
     condition.topics |= set(topics.values())
-    for _, topic_id, time_ns, data in rows:
-        if topic_id in topics:
-            yield RawMessage(topics[topic_id], time_ns, None, None, data)
+    found = (RawMessage(topics[at], time_ns, None, None, data) for _, at, time_ns, data in rows if at in topics)
+    yield from batched(found)
 
 
 def _messages(
@@ -118,21 +117,24 @@ def _messages(
     budget: Budget,
     seen: dict[int, int],
     condition: Condition,
-) -> Generator[RawMessage, None, int]:
+) -> Generator[MessageBatch, None, int]:
     read_bytes = 0
-    for row_id, topic_id, time_ns, data in rows:
-        budget.take()
-        topic = topics.get(topic_id)
-        if topic is None:
-            continue
+    for part in in_parts(rows):
+        count = budget.take(len(part))
+        known = [row for row in part[:count] if row[1] in topics]
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
-        if isinstance(data, bytes):
-            seen[row_id] = crc32(data)
-            if isinstance(time_ns, int):
-                read_bytes += len(data)
-                yield RawMessage(topic, time_ns, None, None, data)
-                continue
-        condition.unreadable[topic.name] += 1
+        stored = [row for row in known if isinstance(row[3], bytes)]
+        seen.update(zip(map(itemgetter(0), stored), map(crc32, map(itemgetter(3), stored)), strict=True))
+        timed = [row for row in stored if isinstance(row[2], int)]
+        if len(timed) < len(known):
+            others = (row for row in known if not isinstance(row[3], bytes) or not isinstance(row[2], int))
+            condition.unreadable.update(topics[row[1]].name for row in others)
+        if timed:
+            _, topic_ids, times_ns, contents = zip(*timed, strict=True)
+            read_bytes += sum(map(len, contents))
+            yield MessageBatch.of_columns(topics, topic_ids, times_ns, contents)
+        if count < len(part):
+            budget.take()
     return read_bytes
 
 
@@ -147,7 +149,6 @@ def _rows_by_sqlite(path: Path, topics: dict[int, RecordedTopic]) -> Iterator[Se
 
 
 def _rows_by_page(joined: Image, topics: dict[int, RecordedTopic]) -> Iterator[Sequence[Any]]:
-    """Yield the rows of a database that has a log."""
     tables = Tables(joined)
     if "topics" not in tables or "messages" not in tables:
         raise UnreadableError(_NO_TABLES)
@@ -255,8 +256,6 @@ def _missing_bytes(database: Image) -> int:
 
 
 class SqliteSource:
-    """`.db3` file as a `Source`."""
-
     written_events = 0
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
@@ -273,34 +272,25 @@ class SqliteSource:
         return dict.fromkeys(Stage, self._path.stat().st_size // EVENT_CDR_BYTES)
 
     def batches(self) -> Iterator[Batch]:
-        last, events, texts, size_bytes = Batch(), list[tuple[Stage, bytes]](), list[Text](), 0
-        faulty = dict[str, str]()
+        last, faulty = Batch(), dict[str, str]()
         try:
-            for topic, log_ns, _, _, data in sqlite_messages(self._path, self._condition):
-                stage = STAGE_OF_TOPIC.get(topic.name)
-                if stage and (fault := event_fault(stage, topic.encoding, topic.message_type)):
-                    faulty[topic.name] = fault
-                    last.unreadable += 1
-                elif stage:
-                    events.append((stage, unpack_message(data)))
-                elif topic.name.startswith(TOPIC_PREFIX):
-                    texts.append(Text(topic.name, log_ns, unpack_message(data), self._shown_as, None))
-                size_bytes += len(data)
-                if len(events) >= BATCH_MESSAGES or size_bytes >= BATCH_BYTES:
-                    yield from _batches(events, texts)
-                    events, texts, size_bytes = [], [], 0
+            for messages in sqlite_batches(self._path, self._condition):
+                events, texts = list[tuple[Stage, bytes]](), list[Text]()
+                for topic, log_ns, _, _, data in messages.messages():
+                    stage = STAGE_OF_TOPIC.get(topic.name)
+                    if stage and (fault := event_fault(stage, topic.encoding, topic.message_type)):
+                        faulty[topic.name] = fault
+                        last.unreadable += 1
+                    elif stage:
+                        events.append((stage, unpack_message(data)))
+                    elif topic.name.startswith(TOPIC_PREFIX):
+                        texts.append(Text(topic.name, log_ns, unpack_message(data), self._shown_as, None))
+                yield replace(event_batch(events), texts=texts)
         except UnreadableError as err:
             if not self._condition.topics:
                 raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err})") from err
             self._condition.damages.append(str(err))
-        yield from _batches(events, texts)
         last.truncated = "; ".join(f"ends early, {damage}" for damage in self._condition.damages) or None
         last.unreadable += sum(self._condition.unreadable[name] for name in STAGE_OF_TOPIC)
         last.notes = [f"messages of {name} are not used: {why}" for name, why in faulty.items()]
         yield last
-
-
-def _batches(events: list[tuple[Stage, bytes]], texts: list[Text]) -> Iterator[Batch]:
-    batch = event_batch(events)
-    batch.texts = texts
-    yield batch

@@ -28,7 +28,6 @@ class Source:
 
     @property
     def is_of_tap(self) -> bool:
-        """Return whether the messages are a tap's own: events."""
         return self.name.startswith(TOPIC_PREFIX)
 
 

@@ -78,7 +78,6 @@ class Scan:
         return np.concatenate([np.empty(0, np.int64), *self.messages])
 
     def has_short(self, data: Buffer, least_bytes: Mapping[Opcode, int]) -> bool:
-        """Return whether a record is shorter than any of its kind."""
         if any(length < least_bytes[Opcode(opcode)] for opcode, _, length in self.others):
             return True
         starts = self.message_starts()
@@ -169,13 +168,11 @@ def scan_indexed(data: Buffer, start: int, stop: int, starts: Int64) -> Scan | N
 
 
 def lengths_at(data: Buffer, starts: Int64) -> Int64:
-    """Return the lengths of the contents of records."""
     lengths: Int64 = unaligned(data, "<i8")[starts + 1]
     return lengths
 
 
 def unaligned(data: Buffer | bytearray, kind: str) -> NDArray[Any]:
-    """Return the values of a type that begin at each byte."""
     dtype = np.dtype(kind)
     values: NDArray[Any] = np.ndarray((max(len(data) - dtype.itemsize + 1, 0),), dtype, data, 0, (1,))
     return values
@@ -227,7 +224,6 @@ def _linked_messages(data: Buffer, at: int, stop: int) -> tuple[Int64, int]:
 
 
 def single_record(opcode: int, length: int, *, is_trace: bool) -> Scan:
-    """Return the scan of a buffer that has one record."""
     if opcode == Opcode.MESSAGE and not is_trace:
         return Scan(messages=[np.zeros(1, np.int64)])
     return Scan(others=[(opcode, RECORD_HEADER.size, length)], steps=1)

@@ -6,13 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
-
-from dds_trace.base.errors import TraceFormatError
 
 from ..format.bag_metadata import RecordedTopic
 from ..format.encoding import CDR_HEADER
@@ -49,6 +47,7 @@ class RawMessage(NamedTuple):
 
 
 Int64: TypeAlias = "NDArray[np.int64]"
+Row = TypeVar("Row", bound=Sequence[Any])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,15 +73,27 @@ class MessageBatch:
     def of(cls, messages: Sequence[RawMessage]) -> MessageBatch:
         """Make a batch of messages, at least one; of any storage but MCAP times have 63 bits."""
         recorded_topics, log_ns, publish_ns, sequences, contents = zip(*messages, strict=True)
-        topics = {id(topic): topic for topic in recorded_topics}
-        index_of = {key: index for index, key in enumerate(topics)}
-        sizes = np.array([*map(len, contents)], np.int64)
+        batch = cls.of_columns(
+            {id(topic): topic for topic in recorded_topics}, [*map(id, recorded_topics)], log_ns, contents
+        )
+        return replace(batch, publish_ns=_column(publish_ns), sequence=_column(sequences))
+
+    @classmethod
+    def of_columns(
+        cls,
+        topics: Mapping[int, RecordedTopic],
+        topic_ids: Sequence[int],
+        log_ns: Sequence[int],
+        contents: Sequence[bytes],
+    ) -> MessageBatch:
+        index_of = {key: index for index, key in enumerate(dict.fromkeys(topic_ids))}
+        sizes, none = np.array([*map(len, contents)], np.int64), np.full(len(contents), NONE)
         return cls(
-            [*topics.values()],
-            np.array([index_of[key] for key in map(id, recorded_topics)], np.int64),
+            [topics[key] for key in index_of],
+            np.array([*map(index_of.__getitem__, topic_ids)], np.int64),
             np.maximum(np.array(log_ns, np.int64), -LATEST_NS),
-            _column(publish_ns),
-            _column(sequences),
+            none,
+            none,
             b"".join(contents),
             np.cumsum(sizes) - sizes,
             sizes,
@@ -114,25 +125,30 @@ def _column(values: Sequence[int | None]) -> Int64:
     return np.array([NONE if value is None else value for value in values], np.int64)
 
 
-BATCH_MESSAGES, BATCH_BYTES = 8192, 4 << 20
+_BATCH_MESSAGES, _BATCH_BYTES = 2048, 4 << 20
 
 
 def batched(messages: Iterable[RawMessage]) -> Iterator[MessageBatch]:
-    """Collect messages in batches; an error comes after all messages before it."""
-    pending, size_bytes = list[RawMessage](), 0
+    return map(MessageBatch.of, in_parts(messages))
+
+
+def in_parts(rows: Iterable[Row], data_at: int = -1) -> Iterator[list[Row]]:
+    """Collect rows that have content at an index; an error comes after all rows before it."""
+    pending, size_bytes = list[Row](), 0
     try:
-        for message in messages:
-            pending.append(message)
-            size_bytes += len(message.data)
-            if len(pending) == BATCH_MESSAGES or size_bytes >= BATCH_BYTES:
-                yield MessageBatch.of(pending)
+        for row in rows:
+            pending.append(row)
+            if isinstance(data := row[data_at], bytes):
+                size_bytes += len(data)
+            if len(pending) == _BATCH_MESSAGES or size_bytes >= _BATCH_BYTES:
+                yield pending
                 pending, size_bytes = [], 0
-    except (UnreadableError, TraceFormatError):
+    except Exception:
         if pending:
-            yield MessageBatch.of(pending)
+            yield pending
         raise
     if pending:
-        yield MessageBatch.of(pending)
+        yield pending
 
 
 @dataclass(slots=True)

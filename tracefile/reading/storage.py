@@ -50,7 +50,6 @@ def find_storage(
     suffixes: tuple[str, ...],
     cure: str,
 ) -> list[Path]:
-    """Find files and folders as `find_traces` does."""
     folder, left_out = Path(path), {real_path(other) for other in skip}
     if folder.is_file() or (folder.is_dir() and is_one(folder)):
         return [folder]

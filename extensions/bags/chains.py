@@ -6,8 +6,9 @@ than `TOGETHER_NS` is none, and stamps of a simulation or in steps prove nothing
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -113,21 +114,34 @@ def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
     Two timers of one computer keep their phase, too, but each wanders by itself.
     """
     ordered = sorted(topics, key=lambda topic: len(topic.log_ns))
+
+    @lru_cache(maxsize=8 * FEWEST)
+    def ranks(number: int, times: str, indices: bytes) -> Int64 | None:
+        """Return the ranks of the differences of neighbouring steps; None where all are alike."""
+        wander_ns = np.diff(getattr(ordered[number], times)[np.frombuffer(indices, np.int64)], 2)
+        by_rank: Int64 = np.argsort(np.argsort(wander_ns, kind="stable"), kind="stable") - len(wander_ns) // 2
+        return by_rank if wander_ns.any() else None
+
     for number, topic in enumerate(ordered):
-        for other in ordered[number + 1 : number + 1 + FEWEST]:
+        for after, other in enumerate(ordered[number + 1 : number + 1 + FEWEST], number + 1):
             if len(topic.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
                 break
-            for first, follower in ((topic, other), (other, topic)):
-                yield from _follows(first, follower)
+            for first, follower in ((number, after), (after, number)):
+                of_both = partial(ranks, first, "log_ns"), partial(ranks, follower, "stamp_ns")
+                yield from _follows(ordered[first], ordered[follower], *of_both)
 
 
-def _follows(first: Stamped, follower: Stamped) -> Iterator[Link]:
+_Ranks = Callable[[bytes], "Int64 | None"]
+
+
+def _follows(first: Stamped, follower: Stamped, logged: _Ranks, stamped: _Ranks) -> Iterator[Link]:
     at = np.searchsorted(first.log_ns, follower.stamp_ns[:PHASES], "right") - 1
-    wander = [np.diff(times_ns[at >= 0], 2) for times_ns in (first.log_ns[at], follower.stamp_ns[:PHASES])]
-    if len(wander[0]) < 2 * WINDOW or (np.diff(at[at >= 0]) == 1).mean() < MOST:
+    known = np.flatnonzero(at >= 0)
+    steps = np.diff(at[known])
+    if len(steps) <= 2 * WINDOW or np.count_nonzero(steps == 1) / len(steps) < MOST:
         return
-    ranks = [np.argsort(np.argsort(part, kind="stable"), kind="stable") - len(part) // 2 for part in wander]
-    if all(part.any() for part in wander) and 2 * (ranks[0] * ranks[1]).sum() > (ranks[0] ** 2).sum():
+    came, made = logged(at[known].tobytes()), stamped(known.tobytes())
+    if came is not None and made is not None and 2 * (came @ made) > came @ came:
         at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
         waits_ns = (follower.stamp_ns - first.stamp_ns[at])[at >= 0]
         yield _link(first, follower, waits_ns, at[at >= 0], stamps_again=True)

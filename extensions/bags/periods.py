@@ -132,7 +132,7 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
     if typical_ns <= 0:
         return None
     regular = np.abs(periods_ns - typical_ns) < REGULAR * typical_ns / m
-    share = float(regular.mean())
+    share = np.count_nonzero(regular) / len(regular)
     if share < 1 / 2:
         return None
     period_ns = float(periods_ns[regular].mean())
@@ -369,7 +369,6 @@ def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools
 
 
 def _extremes(regular: Float64) -> tuple[float, float]:
-    """Slowest and fastest period, as means of many intervals."""
     if len(regular) < 2 * WINDOW:
         return 1.0, 1.0
     means = regular[: len(regular) // WINDOW * WINDOW].reshape(-1, WINDOW).mean(axis=1)
@@ -405,7 +404,9 @@ def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns:
     is_regular = np.abs(periods_ns - period_ns) < REGULAR * period_ns / in_pattern
     regular = np.flatnonzero(is_regular)
     inner_ns = times_ns[regular[0] : regular[-1] + in_pattern + 1]
-    missing, most = (_lacking(part_ns, period_ns, in_pattern, usual_ns) for part_ns in (inner_ns, times_ns))
+    missing = most = _lacking(inner_ns, period_ns, in_pattern, usual_ns)
+    if len(inner_ns) < len(times_ns):
+        most = _lacking(times_ns, period_ns, in_pattern, usual_ns)
     gaps = np.flatnonzero(intervals_ns > usual_ns + (1 - NEAR) * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
     unsure = in_pattern + round(missing ** (1 / 2))

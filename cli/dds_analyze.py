@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from dds_trace.base.shortage import ANALYSIS
-from dds_trace.base.threads import tune_gc
+from dds_trace.base.threads import one_blas_thread, tune_gc
 
 from .analyze import app
 from .program import run_command
@@ -21,7 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         dds_trace(words)
     tune_gc()
     avoid_slow_sorts()
-    run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]), room=ANALYSIS)
+    with one_blas_thread():
+        run_command(lambda: run_alias("dds-analyze", app, ["analyze", *words]), room=ANALYSIS)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import offers
 from dds_trace.base.shortage import ANALYSIS, RECORDING
 from dds_trace.base.streams import say
-from dds_trace.base.threads import tune_gc
+from dds_trace.base.threads import one_blas_thread, tune_gc
 
 from .program import SETTINGS, ShortHelp, Version, make_app, run_command
 from .vector_sorts import avoid_slow_sorts
@@ -36,6 +37,7 @@ _ORDER = ("record", "sweep", "capacity", "explain", "advise", "analyze", "choose
 """First words of commands as `--help` lists them; others follow."""
 
 _WITHOUT_FRAMES = ("record", "recover", "bridge")
+_WITHOUT_PROGRAMS = ("analyze", "bag", "choose", "compare")
 _HELP = {"-h", "--help", "--version"}
 _GROUPS = {
     "record": "Record a ping, a relay, topics or clocks; list what records now.",
@@ -148,7 +150,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def run() -> None:
         now = follow_moved(words)
         typed = import_module(".record.command", __package__).words_of_role(now) if now[:1] == ["record"] else now
-        build(_words_to_complete() or now)(typed or ["--help"], prog_name=PROGRAM)
+        with one_blas_thread() if now[:1] and now[0] in _WITHOUT_PROGRAMS else nullcontext():
+            build(_words_to_complete() or now)(typed or ["--help"], prog_name=PROGRAM)
 
     room = RECORDING if words[:1] and words[0] in _WITHOUT_FRAMES else ANALYSIS
     run_command(run, needs_stdout=not is_recording, room=None if {*words} <= _HELP else room)

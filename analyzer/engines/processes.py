@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import wait
 
 from dds_trace.base.errors import TraceError
-from dds_trace.base.threads import tune_gc
+from dds_trace.base.threads import one_blas_thread, tune_gc
 
 from .batches import keep_freed_memory
 
@@ -28,7 +28,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Yield processes that end with this one whatever ends it; a `TraceError` where one of them was killed."""
     # A fork would copy locks that other threads, also in polars, have taken.
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
-    with _as_spawned():
+    with _as_spawned(), one_blas_thread():
         for _ in range(count):
             pool.submit(os.getpid)  # each starts one
     try:
@@ -57,19 +57,15 @@ def _end_with_caller() -> None:
 
 @contextmanager
 def _as_spawned() -> Iterator[None]:
-    """Hide the calling program, which a spawned process would run again; block Ctrl-C, which the caller gets; one BLAS thread."""
-    main, blas = sys.modules["__main__"], "OPENBLAS_NUM_THREADS"
+    """Hide the calling program, which a spawned process would run again; block Ctrl-C, which the caller gets."""
+    main = sys.modules["__main__"]
     hidden = {name: getattr(main, name, None) for name in ("__file__", "__spec__")}
-    is_set = blas in os.environ  # by the user
     previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        os.environ.setdefault(blas, "1")
         for name in hidden:
             setattr(main, name, None)
         yield
     finally:
         for name, value in hidden.items():
             setattr(main, name, value)
-        if not is_set:
-            del os.environ[blas]
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)

@@ -7,9 +7,9 @@ import gc
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Protocol, TypeVar, cast
@@ -151,6 +151,19 @@ def run_in_background() -> None:
     """Put this thread back under the ordinary scheduler, if allowed; it inherits SCHED_FIFO of `-o realtime`."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let a numpy that is imported, or a process that starts, have one thread for matrices: a second one of OpenBLAS waits busily."""
+    name = "OPENBLAS_NUM_THREADS"
+    is_set = name in os.environ  # by the user
+    os.environ.setdefault(name, "1")
+    try:
+        yield
+    finally:
+        if not is_set:
+            del os.environ[name]
 
 
 NEW_OBJECTS = 10_000

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 IN_ONE_PROCESS = 10
 REST_S, PATIENCE_S = 3.0, 120.0
+AT_REST = 0.9
+"""Share of the packets of the seconds before, from which on they no longer become fewer."""
 _PROGRAM = """
 import sys
 from contextlib import ExitStack
@@ -63,9 +65,28 @@ def further_nodes(node: Node, number: int) -> Iterator[dict[str, Json]]:
         while (node.count_participants() or 0) < others + len(names) and time.monotonic() < opened_s + PATIENCE_S:
             time.sleep(0.01)
         met_s = time.monotonic() - opened_s
-        before = read_interfaces()
-        time.sleep(REST_S)
-        sent = [(now.sent_packets - was.sent_packets, now.sent_bytes - was.sent_bytes)
-                for name, now in read_interfaces().items() if (was := before.get(name))]  # fmt: skip
-        packets, size_bytes = (round(sum(column) / REST_S) for column in zip(*sent, strict=True))
-        yield {"number": number, "met_s": met_s, "packets_per_second": packets, "bytes_per_second": size_bytes}
+        rates = _rates_until_rest(opened_s + PATIENCE_S)
+        packets, size_bytes = map(round, rates[-1])
+        yield {
+            "number": number,
+            "met_s": met_s,
+            "rest_s": (len(rates) - 1) * REST_S,
+            "packets_per_second": packets,
+            "bytes_per_second": size_bytes,
+        }
+
+
+def _rates_until_rest(end_s: float) -> list[tuple[float, float]]:
+    rates = [_sent_per_second()]
+    while len(rates) < 2 or (rates[-1][0] < AT_REST * rates[-2][0] and time.monotonic() < end_s):
+        rates.append(_sent_per_second())
+    return rates
+
+
+def _sent_per_second() -> tuple[float, float]:
+    before = read_interfaces()
+    time.sleep(REST_S)
+    sent = [(now.sent_packets - was.sent_packets, now.sent_bytes - was.sent_bytes)
+            for name, now in read_interfaces().items() if (was := before.get(name))]  # fmt: skip
+    packets, size_bytes = (sum(column) / REST_S for column in zip(*sent, strict=True))
+    return packets, size_bytes

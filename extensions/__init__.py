@@ -83,7 +83,11 @@ EXTENSIONS = (
         parts={"derived": "foxglove:write_derived"},
     ),
     Extension(name="live", commands={"watch": "command:app"}, parts={"presenter": "notebook"}),
-    Extension(name="service", commands={"record status": "command:app"}, parts={"upkeep": "upkeep:Upkeep"}),
+    Extension(
+        name="service",
+        commands={"record status": "command:app"},
+        parts={"upkeep": "upkeep:Upkeep", "causes_of_relays": "running:causes_of_relays"},
+    ),
     Extension(
         name="cluster",
         parts={

@@ -8,7 +8,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
@@ -36,7 +36,7 @@ from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.base import DataType
 from .payloads.binary import BINARY
-from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, unexpected_relays
+from .roles.echo import explain_silence, find_loss, look_for_relays, own_causes, printed, unexpected_relays
 from .roles.further_nodes import further_nodes
 from .roles.own_look import look_at_self
 from .roles.ping import LONGEST_SETTLE_NS, AnyPing, PingThread, open_ping
@@ -50,7 +50,7 @@ SERVING = "serves domain"
 WIRE_LOOKS = 4
 """After as many checks without a message a relay writes the counts of its capture."""
 QUIET_LOOKS = 10
-"""After as many checks without a message a relay collects garbage."""
+"""After as many checks without a message a relay collects garbage, and one that nothing reached looks at itself."""
 HOPELESS_S = 2.6
 """Wait for an echo where QoS can never match; not in step with Fast DDS's 3 s retry."""
 MAX_RATE_RING_SLOTS = 1 << 19
@@ -107,7 +107,7 @@ class RelayRecording(BaseRecording):
         check_serialization(self._data_types, self.options.serialization)
         super().prepare(stack)
 
-    def begin(self, stack: ExitStack) -> None:  # noqa: ARG002 - the node closes its endpoints
+    def begin(self, stack: ExitStack) -> None:
         self.role = Relay(
             self.node,
             self.upkeep.sink,
@@ -119,6 +119,10 @@ class RelayRecording(BaseRecording):
         )
         self._quiet = self._relayed = 0
         self._unmatched: set[str] = set()
+        self._causes: list[str] = []
+        self._is_reached = False
+        self._output = stack.enter_context(ExitStack())
+        self._read_error: Callable[[], str] = str if self.rehearses else self._output.enter_context(kept_output())
         self.wire.begin()
         self.node.start()
         if not self.rehearses:
@@ -127,6 +131,7 @@ class RelayRecording(BaseRecording):
             self.watch.note(f"relay {self.relay_id:08x} {SERVING} {node.domain_id}{where} until it is stopped")
 
     def _on_probe(self) -> None:
+        self._is_reached = True
         if self.load:
             self.load.begin()
         self.read_back.read_begin()
@@ -136,6 +141,12 @@ class RelayRecording(BaseRecording):
         relayed = self.role.progress().relayed
         self._quiet = self._quiet + 1 if relayed == self._relayed else 0
         self._relayed = relayed
+        self._is_reached |= relayed > 0
+        error = self._read_error()
+        if error or self._is_reached:
+            self._output.close()
+            self._read_error = str
+        self._report([printed(error)] if error and not self._is_reached else [])
         if self._quiet % WIRE_LOOKS == WIRE_LOOKS - 1:
             self.write_wire(go_on=True)
         if self._quiet % QUIET_LOOKS == QUIET_LOOKS - 1:
@@ -144,6 +155,14 @@ class RelayRecording(BaseRecording):
             for line in sorted(lines - self._unmatched):
                 self.watch.note(f"these will never match: {line}")
             self._unmatched |= lines
+            is_first = self._quiet == QUIET_LOOKS - 1 and not self._is_reached
+            self._report(look_at_self(self.node) if is_first else [])
+
+    def _report(self, causes: Iterable[str]) -> None:
+        for cause in causes:
+            self._causes.append(cause)
+            self.watch.note(f"nothing reached this relay yet: {cause}")
+            self.upkeep.report(self._causes)
 
     def write_wire(self, *, go_on: bool = False) -> None:
         self.wire.write_relay(self.role.progress().relayed, self.session_id, self.upkeep.sink, go_on=go_on)
@@ -201,6 +220,7 @@ class PingRecording(BaseRecording):
 
     def _wait_for_echo(self, read_error: Callable[[], str]) -> None:
         ping, node, ping_options, bridge = self.role, self.node, self._ping_options, self.bridge
+        self._causes: tuple[str, ...] = ()
         data_type = self._plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
         has_echo, waited_s = False, 0.0
@@ -219,7 +239,8 @@ class PingRecording(BaseRecording):
         if not has_echo and not self.stop.is_set():
             answers = f"{ping.echoing_relays} of {ping_options.relays} relays answer; " if ping.echoing_relays else ""
             causes = own_causes(ping.probes, read_applied(Applied(Snapshot(sockets=()))), read_error())
-            own = tuple(look_at_self(node))
+            domain_id = node.options.domain_id if ping.plan.relay_domain_id is None else ping.plan.relay_domain_id
+            own = (*(self._causes or look_at_self(node)), *load_part("parts", "causes_of_relays")(domain_id))
             raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied, causes, own))
         if has_echo and bridge is not None:
             bridge.mark_ready()
@@ -237,6 +258,9 @@ class PingRecording(BaseRecording):
         until_s = time.monotonic() + most_s + LONGEST_SETTLE_NS / 1e9
         while not thread.wait(LOOK_S):
             if self.stop.is_set() or time.monotonic() > until_s:
+                self._causes = self._causes or tuple(
+                    look_at_self(self.node)
+                )  # what interrupts the thread closes connections
                 thread.hopeless.set()
         return bool(thread.result())
 
@@ -305,7 +329,6 @@ def check_options(options: RecordOptions) -> None:
 
 
 def _check_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> object | None:
-    """Return the options of the bridge to start, if there is one."""
     return None if ping.bridge == "none" else load_part("parts", "check_bridge")(options, ping, data_type)
 
 

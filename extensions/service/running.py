@@ -12,13 +12,14 @@ import secrets
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
 
 from dds_trace.base.files import is_locked, open_regular
+from dds_trace.base.printable import printable
 from dds_trace.base.records import from_json
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.ring import ring_path
@@ -34,7 +35,10 @@ _TRIES = 3
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The state of a recording, as `dds-trace record status --json` prints it; `pid_start` as process ids are reused."""
+    """The state of a recording, as `dds-trace record status --json` prints it.
+
+    `pid_start` is there as process ids are reused; `causes` are what a relay that nothing reached sees of itself.
+    """
 
     role: str
     path: str
@@ -49,6 +53,7 @@ class Entry:
     messages: int = 0
     files: int = 1
     stopped: str | None = None
+    causes: tuple[str, ...] = ()
 
 
 class State(Enum):
@@ -87,6 +92,7 @@ class RunningRecording:
         folder = runtime_folder() if folder is None else folder
         self._path = folder / f"{session.session_id:016x}{SUFFIX}"
         self._descriptor: int | None = None
+        self.causes: tuple[str, ...] = ()
         self._entry = Entry(
             role=session.role,
             path=str(path.absolute()),
@@ -127,6 +133,7 @@ class RunningRecording:
                 messages=messages,
                 files=files,
                 stopped=stopped,
+                causes=self.causes,
                 told_ns=time.time_ns(),
             )
             with suppress(OSError):
@@ -151,6 +158,17 @@ def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
         with suppress(OSError):
             recordings += filter(None, map(_read_entry, folder.glob(f"*{SUFFIX}")))
     return sorted(recordings, key=lambda listed: (listed.state is not State.RUNNING, listed.entry.began_ns))
+
+
+def causes_of_relays(domain_id: int) -> Iterator[str]:
+    """Yield what relays of the domain on this machine, of any container, see of themselves."""
+    for listed in list_recordings():
+        entry = listed.entry
+        if entry.role == "relay" and entry.domain_id == domain_id and listed.state is not State.KILLED:
+            yield from (
+                f"at the relay (process {entry.pid}, {entry.backend}): {printable(cause, 300)}"
+                for cause in entry.causes
+            )
 
 
 def _read_entry(path: Path) -> Listed | None:

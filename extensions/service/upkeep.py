@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Iterable, MutableMapping
 from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
@@ -136,6 +136,9 @@ class Upkeep:
         self._running.update(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
         activity = f"into {self.destination.path}" if stopped is None else f"waiting for disk space: {stopped}"
         self._manager.notify(f"{counted(messages, 'message')}, {activity}")
+
+    def report(self, causes: Iterable[str]) -> None:
+        self._running.causes = tuple(causes)
 
     def close_trace(self, **described: Json) -> ClosedTrace:
         """Close the last file; the result has the events and bytes of all."""

@@ -113,17 +113,26 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
 
 @contextmanager
 def kept_output() -> Iterator[Callable[[], str]]:
-    """Yield what reads the first error of Fast DDS or Cyclone DDS on stdout and stderr, which are passed on at the end of the block.
+    """Yield what reads the first error of Fast DDS or Cyclone DDS on stdout and stderr, and passes on what was printed since.
 
     What Python prints on stderr is printed at once.
     """
+    passed_bytes = 0
     with tempfile.TemporaryFile() as printed, os.fdopen(os.dup(STDERR), "w", buffering=1) as stderr:
+
+        def read_error() -> str:
+            nonlocal passed_bytes
+            text = _text(printed)
+            with suppress(OSError):  # nobody reads it
+                os.write(stderr.fileno(), text[passed_bytes:].encode())
+            passed_bytes = len(text)
+            return next((match[match.lastgroup or 0] for match in _ERROR.finditer(text)), "")
+
         try:
             with _redirected(printed, STDOUT, STDERR), redirect_stderr(stderr):
-                yield lambda: next((match[match.lastgroup or 0] for match in _ERROR.finditer(_text(printed))), "")
+                yield read_error
         finally:
-            with suppress(OSError):  # nobody reads it
-                os.write(STDERR, _text(printed).encode())
+            read_error()
 
 
 @contextmanager

@@ -72,10 +72,14 @@ def find_loss(
     )
 
 
+def printed(error: str) -> str:
+    return f'the middleware printed "{error}"'
+
+
 def own_causes(probes: Traffic, applied: Applied, error: str) -> Iterator[str]:
     """Yield what a ping saw of its own probes: `error` is what the middleware printed, `applied` is from its start on."""
     if error:
-        yield f'the middleware printed "{error}"'
+        yield printed(error)
     if dropped := applied.socket_drops():
         yield f"the kernel dropped {counted(dropped, 'datagram')} at this process's full sockets: try --tuned or a smaller --size"
     carried = tcp_delta(applied)

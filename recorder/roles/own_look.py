@@ -13,8 +13,7 @@ import psutil
 from ..applied.vendors import vendor_facts
 from ..backends import load_backend
 from ..choices import Discovery
-from ..domains import domain_port_range
-from ..kernel.sockets import DiagError, Socket, dump_sockets, read_sockets
+from ..kernel.sockets import Socket, read_sockets
 
 if TYPE_CHECKING:
     from ..backends.node import Node
@@ -29,25 +28,10 @@ def look_at_self(node: Node) -> Iterator[str]:
     """Yield, the surest first, what keeps messages of this process from arriving, with what to do."""
     backend, rmw = load_backend(node.middleware.backend), node.middleware.rmw
     sockets = read_sockets() or ()
-    yield from backend.own_causes(rmw, node.options.discovery, os.environ)
-    if backend.speaks_dds:
-        yield from _shared_ports(node.options.domain_id, sockets)
+    yield from backend.own_causes(rmw, os.environ)
     yield from _stuck_connections(sockets)
     if backend.speaks_dds and node.options.discovery is not Discovery.LOCALHOST:
         yield from _one_of_several_interfaces(node.middleware.vendor, sockets)
-
-
-def _shared_ports(domain_id: int, sockets: Sequence[Socket]) -> Iterator[str]:
-    inodes = {read.inode for read in sockets}
-    ports = domain_port_range(domain_id)[2:]  # all share the first two by intention
-    with suppress(DiagError):
-        for other in dump_sockets(socket.AF_INET, socket.IPPROTO_UDP):
-            if other.inode not in inodes and other.local[1] in {read.local_port for read in sockets} & {*ports}:
-                yield (
-                    f"another process has UDP port {other.local[1]} of this one, too, and the kernel gives each datagram to one of "
-                    "them: end it, or give it another --domain"
-                )
-                return
 
 
 def _stuck_connections(sockets: Sequence[Socket]) -> Iterator[str]:
@@ -84,5 +68,5 @@ def _one_of_several_interfaces(vendor: str, sockets: Sequence[Socket]) -> Iterat
         cure = vendor_facts(vendor).name_interface.format(others[0])
         yield (
             f"this process sends through the interface {', '.join(sorted(used))} only, and has {', '.join(others)}, too: name the one in "
-            f"the relay's network{f', {cure}' if cure else ''}"
+            f"the other side's network{f', {cure}' if cure else ''}"
         )

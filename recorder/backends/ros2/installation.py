@@ -245,11 +245,11 @@ def profile_of(rmw: str | None, environment: Mapping[str, str]) -> tuple[str, st
     return "", f"{ignored[0]} is ignored: Fast DDS {version} reads {names}" if ignored else ""
 
 
-def own_causes(rmw: str | None, discovery: Discovery, environment: Mapping[str, str]) -> Iterator[str]:
-    """Yield what in these variables keeps a node from meeting others, with what to do."""
+def own_causes(rmw: str | None, environment: Mapping[str, str]) -> Iterator[str]:
+    """Yield what in these variables keeps a node from others, with what to do."""
     named = environment.get("RMW_IMPLEMENTATION", "")
     if named and named != WHEELS_RMW:
-        yield f"RMW_IMPLEMENTATION is {named} here: the relay's has to be a middleware that it meets"
+        yield f"RMW_IMPLEMENTATION is {named} here: the other side's has to be a middleware that it meets"
     if ros_middleware(rmw or WHEELS_RMW).vendor != "fastdds":
         return
     if server := environment.get("ROS_DISCOVERY_SERVER"):
@@ -267,12 +267,6 @@ def own_causes(rmw: str | None, discovery: Discovery, environment: Mapping[str, 
             f"the whitelist of the profile {Path(path).name} only has {', '.join(interfaces)}, and no interface here has that name or "
             "address: correct it, or unset the variable that names the profile"
         )
-    peers = environment.get("ROS_STATIC_PEERS", "")
-    if peers and discovery is Discovery.LOCALHOST:
-        yield f"ROS_STATIC_PEERS is {peers} here, and --discovery localhost meets this machine only: --discovery subnet"
-    for peer in peers.split(";") if peers else ():
-        if not _has_address(peer):
-            yield f"ROS_STATIC_PEERS: {printable(peer, 80)} has no address here; separate addresses by semicolons"
 
 
 def _may_listen(server: str) -> bool:
@@ -284,12 +278,6 @@ def _may_listen(server: str) -> bool:
             probe.bind((host, int(port)))
     except (OSError, ValueError):  # it is in use, or of another machine
         return True
-    return False
-
-
-def _has_address(host: str) -> bool:
-    with suppress(OSError, UnicodeError):
-        return bool(socket.getaddrinfo(host.strip(), None))
     return False
 
 

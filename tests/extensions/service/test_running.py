@@ -9,7 +9,14 @@ import time
 import pytest
 from trace_files import relay_session
 
-from dds_trace.extensions.service.running import SUFFIX, RunningRecording, State, list_recordings, runtime_folder
+from dds_trace.extensions.service.running import (
+    SUFFIX,
+    RunningRecording,
+    State,
+    causes_of_relays,
+    list_recordings,
+    runtime_folder,
+)
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
@@ -42,6 +49,18 @@ def test_a_living_recording_is_listed_until_it_ends(tmp_path):
     running.close()
     assert list_recordings([tmp_path / "run"]) == []
     assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_what_a_relay_sees_of_itself_is_there_for_pings_of_its_domain(tmp_path):
+    running = RunningRecording(relay_session(), tmp_path / "relay.mcap")
+    running.causes = ("a \x1b cause",)
+    running.update(path=tmp_path / "relay.mcap", messages=0, files=1, stopped=None)
+    assert [*causes_of_relays(11)] == []
+    (said,) = causes_of_relays(10)
+    assert said.startswith(f"at the relay (process {os.getpid()}, ros2): a ")
+    assert "\x1b" not in said
+    running.close()
+    assert [*causes_of_relays(10)] == []
 
 
 def test_a_killed_one_is_told_as_such_and_swept_once_nothing_of_it_waits(tmp_path):

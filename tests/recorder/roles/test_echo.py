@@ -103,10 +103,12 @@ def test_what_a_middleware_prints_is_read_and_passed_on_and_our_own_lines_at_onc
         os.write(
             1, b"\x1b[31;1m Error] \x1b[37mFailed init_port: open_and_lock_file failed\x1b[34;1m -> Function open\n"
         )
-        assert read_error() == "Failed init_port: open_and_lock_file failed"
         say("waiting")
         assert capfd.readouterr() == ("", "waiting\n")
-    assert "open_and_lock_file failed" in capfd.readouterr().err
+        assert read_error() == "Failed init_port: open_and_lock_file failed"
+        assert "open_and_lock_file failed" in capfd.readouterr().err
+        os.write(2, b"the last words\n")
+    assert capfd.readouterr().err == "the last words\n"
     said = "type [COMPLETE ef]: invalid object"
     with kept_output() as read_error:
         os.write(2, f"1795870701.539528 [38] dq.builtin: {said}\n".encode())

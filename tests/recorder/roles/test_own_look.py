@@ -1,40 +1,36 @@
-"""What a ping sees of itself before it blames the other side or a firewall; the printed cures are tried."""
+"""What both sides see of themselves before they blame the other one or a firewall; the printed cures are tried."""
 
 import re
 import socket
-from types import SimpleNamespace
 
 import pytest
 from middlewares import needs
 from namespaces import needs_namespaces, network_with
 from processes import RunningCommand
+from two_devices import needs_devices
 
+from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip
+from dds_trace.extensions.campaigns.station.namespaces import NamespacePair
 from dds_trace.recorder.backends.ros2 import installation
-from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.domains import domain_port_range
-from dds_trace.recorder.kernel.sockets import Socket, TcpState, read_sockets
-from dds_trace.recorder.roles import own_look
 
 WHITELIST = """<dds><profiles><transport_descriptors><transport_descriptor><transport_id>u</transport_id><type>UDPv4</type>
 <interfaceWhiteList><address>{}</address></interfaceWhiteList></transport_descriptor></transport_descriptors>
 <participant profile_name="p" is_default_profile="true"><rtps><userTransports><transport_id>u</transport_id></userTransports>
-</rtps></participant></profiles></dds>"""
+<useBuiltinTransports>false</useBuiltinTransports></rtps></participant></profiles></dds>"""
 
 
-def causes(variables, discovery=Discovery.SUBNET, rmw="rmw_fastrtps_cpp"):
-    return [*installation.own_causes(rmw, discovery, variables)]
+def causes(variables, rmw="rmw_fastrtps_cpp"):
+    return [*installation.own_causes(rmw, variables)]
 
 
 def test_variables_that_keep_a_node_from_others_are_named(sentences):
-    assert causes({}) == causes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_STATIC_PEERS": "127.0.0.1"}) == []
+    assert causes({}) == causes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == []
     given = {"ROS_DISCOVERY_SERVER": "192.0.2.1:11811;192.0.2.2", "ROS_SUPER_CLIENT": "TRUE"}
     (server,) = causes(given)
     assert "nothing on this machine" not in server  # it may be on another one
     assert causes(given, rmw="rmw_cyclonedds_cpp") == []
-    (peers,) = causes({"ROS_STATIC_PEERS": "192.0.2.1,192.0.2.2"})
-    (local,) = causes({"ROS_STATIC_PEERS": "192.0.2.1"}, Discovery.LOCALHOST)
     (other,) = causes({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, rmw="rmw_zenoh_cpp")
-    sentences(server, peers, local, other)
+    sentences(server, other)
 
 
 def test_a_server_here_is_looked_for():
@@ -54,79 +50,101 @@ def test_a_whitelist_without_an_address_of_this_machine_is_named(tmp_path):
     assert causes({variable: str(path)}) == []
 
 
-def test_a_port_of_this_process_that_another_has_too_is_named(domain_id):
-    port = domain_port_range(domain_id)[-1]
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as two,
-    ):
-        for opened in (one, two):
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            opened.bind(("127.0.0.1", port))
-        sockets = read_sockets()
-        assert [*own_look._shared_ports(domain_id, sockets)] == []
-        (said,) = own_look._shared_ports(domain_id, [read for read in sockets if read.inode != _inode(two)])
-        assert f"UDP port {port}" in said
+def start(role, both, out, into, **variables):
+    command = ("dds-record", "--role", role, *both, "--out", out, "--force")
+    return RunningCommand(*command, environment=variables, prefix=into)
 
 
-def _inode(opened):
-    return int(re.search(r"\d+", str(own_look.os.readlink(f"/proc/self/fd/{opened.fileno()}")))[0])
+def relay_of(*arguments, **variables):
+    relay = start("relay", *arguments, **variables)
+    relay.wait_for_line("serves domain")
+    return relay
 
 
-@pytest.mark.parametrize(("retransmitted", "says"), [(0, False), (7, True)])
-def test_a_connection_that_sends_again_and_again_is_named(retransmitted, says):
-    tcp = TcpState(retransmitted=retransmitted, acked_bytes=1234)
-    read = Socket("tcp", "ipv4", "127.0.0.1", 5000, "127.0.0.1", 5001, 1, 1, tcp=tcp)
-    said = [*own_look._stuck_connections([read])]
-    assert bool(said) is says
-    assert not said or ("1,234 bytes were acknowledged" in said[0] and "(65535 here)" in said[0])
+def ping_of(both, *arguments, **variables):
+    return start("ping", (*both, "--messages", 5, "--size", "33KB", "-o", "wait=6"), *arguments, **variables).finish()
 
 
-def test_one_of_several_interfaces_is_named_with_the_variable_that_names_another(monkeypatch):
-    address = {"eth0": "192.0.2.1", "wlan0": "198.51.100.1", "lo": "127.0.0.1"}
-    inet = socket.AF_INET
-    monkeypatch.setattr(
-        own_look.psutil,
-        "net_if_addrs",
-        lambda: {name: [SimpleNamespace(family=inet, address=text)] for name, text in address.items()},
-    )
-    monkeypatch.setattr(own_look.psutil, "net_if_stats", lambda: dict.fromkeys(address, SimpleNamespace(isup=True)))
+def first_line(done):
+    assert done.status == 8, done.stderr
+    return re.search(r"^  try: (.*)$", done.stderr, re.MULTILINE)[1]
 
-    def said(*opened, vendor="cyclonedds"):
-        sockets = [Socket("udp", "ipv4", text, 7410, "0.0.0.0", 0, 1, 1) for text in ("0.0.0.0", *opened)]
-        return [*own_look._one_of_several_interfaces(vendor, sockets)]
 
-    assert said() == said("192.0.2.1", "198.51.100.1") == []
-    assert 'NetworkInterface name="wlan0"' in said("192.0.2.1")[0]
-    assert "CYCLONEDDS" not in said("192.0.2.1", vendor="fastdds")[0]
+def assert_first_and_cured(folder, both, into, side, wrong, right, says):
+    """One side has the variables of `wrong`, the other those of `right`; then both have the latter."""
+    at = {"ping": right, "relay": right, side: wrong}
+    relay = relay_of(both, folder / "relay.mcap", into["relay"], **at["relay"])
+    if side == "relay":
+        relay.wait_for_line(f"nothing reached this relay yet: {says}")
+    said = first_line(ping_of(both, folder / "ping.mcap", into["ping"], **at["ping"]))
+    if side == "relay":
+        relay.stop()
+        says = f"at the relay (process {relay.pid}, {both[1]}): {says}"
+        relay = relay_of(both, folder / "again.mcap", into["relay"], **right)
+    done = ping_of(both, folder / "ping.mcap", into["ping"], **right)
+    relay.stop()
+    assert said.startswith(says)
+    assert done.status == 0, done.stderr
+    return said
+
+
+@pytest.mark.middleware
+@needs("ros2")
+@needs_namespaces("ip", "iproute2")
+@pytest.mark.parametrize("side", ["ping", "relay"])
+@pytest.mark.parametrize(
+    ("variables", "says"),
+    [
+        ({"ROS_DISCOVERY_SERVER": "127.0.0.1:11999", "ROS_SUPER_CLIENT": "TRUE"}, "ROS_DISCOVERY_SERVER is 127.0.0.1:11999"),
+        ({installation.fast_dds().profile_variables[0]: "gone.xml"}, "the whitelist of the profile gone.xml only has 192.0.2.9"),
+    ],
+)  # fmt: skip
+def test_a_setting_that_keeps_a_side_from_the_other_is_the_first_line(
+    tmp_path, domain_id, monkeypatch, variables, says, side
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gone.xml").write_text(WHITELIST.format("192.0.2.9"))
+    both = ("--backend", "ros2", "--domain", domain_id, "--discovery", "subnet")
+    with network_with("a0") as into:
+        assert_first_and_cured(tmp_path, both, dict.fromkeys(("ping", "relay"), into), side, variables, {}, says)
 
 
 @pytest.mark.middleware
 @needs("cyclonedds")
-@needs_namespaces("ip", "iproute2")
-def test_the_printed_interface_cures_a_ping_on_the_wrong_one(tmp_path, domain_id):
-    second = (
-        ("link", "add", "b0", "type", "veth", "peer", "name", "b1"),
-        ("addr", "add", "203.0.113.1/24", "dev", "b0"),
-        *(("link", "set", name, "up") for name in ("b0", "b1")),
-    )
-    sides = ("--backend", "cyclonedds", "--domain", domain_id, "--discovery", "subnet")
-    with network_with("a0", *second) as into:
+@needs_devices
+@pytest.mark.parametrize("side", ["ping", "relay"])
+def test_the_printed_interface_cures_a_side_on_the_wrong_one(tmp_path, domain_id, side):
+    both = ("--backend", "cyclonedds", "--domain", domain_id, "--discovery", "subnet")
+    named = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{}"/></Interfaces></General></Domain></CycloneDDS>'
+    wrong, right = ({"CYCLONEDDS_URI": uri} for uri in (named.format("b0"), named.format(INTERFACE)))
+    says = f"this process sends through the interface b0 only, and has {INTERFACE}, too: "
+    with NamespacePair(None) as pair:
+        into = {"ping": pair.ping, "relay": pair.relay}
+        for command in (
+            ("link", "add", "b0", "type", "veth", "peer", "name", "b1"),
+            ("addr", "add", "203.0.113.1/24", "dev", "b0"),
+            *(("link", "set", name, "up") for name in ("b0", "b1")),
+        ):
+            ip("-n", into[side].namespace, *command)
+        prefixes = {name: each.prefix for name, each in into.items()}
+        said = assert_first_and_cured(tmp_path, both, prefixes, side, wrong, right, says)
+    assert f"CYCLONEDDS_URI='{right['CYCLONEDDS_URI']}'" in said
 
-        def ping(name, **variables):
-            sent = ("--role", "ping", *sides, "--messages", 5, "--size", "1KB", "-o", "wait=6")
-            command = RunningCommand(
-                "dds-record", *sent, "--out", tmp_path / f"{name}.mcap", environment=variables, prefix=into
-            )
-            return command.finish()
 
-        text = ping("alone", CYCLONEDDS_URI="").stderr
-        found = re.search(r"try: .* through the interface a0 only, and has b0, too: .*CYCLONEDDS_URI='([^']+)'", text)
-        relay = RunningCommand(
-            "dds-record", "--role", "relay", *sides, "--out", tmp_path / "relay.mcap",
-            environment={"CYCLONEDDS_URI": found[1]}, prefix=into,
-        )  # fmt: skip
-        relay.wait_for_line("serves domain")
-        done = ping("named", CYCLONEDDS_URI=found[1])
+@pytest.mark.middleware
+@needs_devices
+def test_a_path_that_drops_large_packets_is_the_first_line_and_a_smaller_mtu_cures_it(tmp_path, domain_id):
+    both = ("--backend", "socket", "--domain", domain_id, "--discovery", "subnet")
+    with NamespacePair(None, hosts=2) as pair:
+        # A bridge drops frames that are too large for a port, and reports it to nobody.
+        ip("-n", pair._switch, "link", "set", "port1", "mtu", "1000")
+        ip("-n", pair.ping.namespace, "link", "set", INTERFACE, "gso_max_segs", "1")
+        relay = relay_of(both, tmp_path / "relay.mcap", pair.relay.prefix)
+        ping = (*both, "--peer", pair.relay.address), tmp_path / "ping.mcap", pair.ping.prefix
+        said = first_line(ping_of(*ping))
+        ip("-n", pair.ping.namespace, "link", "set", INTERFACE, "mtu", "1000")
+        done = ping_of(*ping)
         relay.stop()
+    assert f"the connection to {pair.relay.address}" in said
+    assert "(1500 here)" in said
     assert done.status == 0, done.stderr

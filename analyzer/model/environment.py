@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -41,6 +41,16 @@ def versions_of(session: Session) -> dict[str, str]:
 def middleware_version(session: Session) -> str:
     versions = versions_of(session)
     return versions.get(session.vendor) or next((versions[name] for name in versions if session.vendor in name), "")
+
+
+def versions_apart(sessions: Sequence[Session]) -> list[str]:
+    """Return of each session the version in which they differ, the middleware's or else the first package's; empty if unknown, or equal in all."""
+    tables = [{"": middleware_version(session), **versions_of(session)} for session in sessions]
+    for name in dict.fromkeys(name for table in tables for name in table):
+        found = [table.get(name, "") for table in tables]
+        if len({*found} - {""}) > 1:
+            return [version and f"{name} {version}".strip() for version in found]
+    return [""] * len(tables)
 
 
 _NOT_LASTING = (*FLEETING, "middleware", "configuration")

@@ -16,7 +16,7 @@ from dds_trace.tracefile.format.events import Stage
 from ..clocks.boots import machine_of, session_of_run
 from ..loading.campaign import Campaign
 from ..loading.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
-from ..model.environment import environment_of, middleware_version
+from ..model.environment import environment_of, versions_apart, versions_of
 from ..model.parameters import Parameters, parameters_of
 
 OVERLAP_NS = 1_000_000_000
@@ -108,7 +108,7 @@ class Exchange:
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the ping's anchor; `end_ns` its last.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
-        versions: of the middleware of ping and relay, where exchanges of the same parameters differ in them.
+        versions: of the middleware or a package, of ping and relay, where exchanges of the same parameters differ in them.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 
@@ -241,22 +241,22 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
 
 
 def _apart_by_version(exchanges: Sequence[Exchange]) -> list[Exchange]:
-    versions = [
-        (middleware_version(exchange.ping), middleware_version(exchange.relay) if exchange.relay else "")
-        for exchange in exchanges
-    ]
-    vendors = [(exchange.ping.vendor, exchange.relay and exchange.relay.vendor) for exchange in exchanges]
-    if len(set(zip(vendors, versions, strict=True))) == len(set(vendors)):
-        return [*exchanges]
-    by_parameters: dict[Parameters, set[tuple[str, str]]] = defaultdict(set)
-    keys = [exchange.parameters() for exchange in exchanges]
-    for key, pair in zip(keys, versions, strict=True):
-        if all(pair):
-            by_parameters[key].add(pair)
-    return [
-        replace(exchange, versions=pair) if len(by_parameters[key]) > 1 and all(pair) else exchange
-        for exchange, key, pair in zip(exchanges, keys, versions, strict=True)
-    ]
+    """Give exchanges of equal parameters the versions in which they differ."""
+    apart = [*exchanges]
+    both = [(index, one.ping, one.relay) for index, one in enumerate(exchanges) if one.relay is not None]
+    sessions = {side.session_id: side for _, *sides in both for side in sides}.values()
+    if len({(side.vendor, *versions_of(side).items()) for side in sessions}) == len({side.vendor for side in sessions}):
+        return apart
+    by_parameters: dict[Parameters, list[tuple[int, Session, Session]]] = defaultdict(list)
+    for row in both:
+        by_parameters[exchanges[row[0]].parameters()].append(row)
+    for rows in by_parameters.values():
+        words = versions_apart([side for _, *sides in rows for side in sides])
+        pairs = [*zip(words[::2], words[1::2], strict=True)]
+        if len({pair for pair in pairs if all(pair)}) > 1:
+            for (index, *_), pair in zip(rows, pairs, strict=True):
+                apart[index] = replace(exchanges[index], versions=pair if all(pair) else ("", ""))
+    return apart
 
 
 def _within_bounds(

@@ -69,6 +69,7 @@ from .sides import (
     errors_of,
     recorded_apart,
     run_loads,
+    side_names,
 )
 
 Label = dict[str, ParameterValue]
@@ -125,6 +126,7 @@ class Comparison:
     changes: tuple[Change, ...] = ()
     deliveries: tuple[DeliveryChange, ...] = ()
     environment: tuple[str, ...] = ()
+    names: tuple[str, str] | None = None
     errors: tuple[SideError, ...] = ()
     barred: frozenset[Key] = frozenset()
     interleaved: tuple[str, ...] = ()
@@ -243,6 +245,7 @@ def compare(base: Analysis, new: Analysis, options: CompareOptions | None = None
         delivery=comparison.delivery.with_columns(pl.Series("environment", environments, pl.String)),
         barred=frozenset([*keys_of(base.barred_groups, {}), *keys_of(new.barred_groups, names)]),
         environment=difference_sentences(differences),
+        names=side_names(differences),
         interleaved=partner_differences(partners, match),
         ignored=ignored_sentences(base_groups, new_groups, match),
         same_recordings=before.equals(after),

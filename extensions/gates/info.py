@@ -336,6 +336,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
     unfinished = counted(sum(comparison.unfinished.values()), "run")
     left_out = f"{unfinished} did not finish; what has less than half of the messages of the longest run is left out."
     parts = (
+        ("Sides", ["base {}, new side {}".format(*comparison.names)] if comparison.names else []),
         ("Not matched", comparison.ignored),
         ("Measured in turns", comparison.interleaved),
         ("Unlike environments", comparison.environment),

@@ -91,6 +91,20 @@ def difference_sentences(differences: Differences) -> tuple[str, ...]:
     )
 
 
+def side_names(differences: Differences) -> tuple[str, str] | None:
+    """Return what to call base and new side: the version in which they differ, the middleware's or else a package's."""
+    versions = [
+        (recorder.vendor not in unlike.field, unlike.field.partition(".")[2], _listed(unlike.base), _listed(unlike.new))
+        for recorder, fields in differences.items()
+        for unlike in fields
+        if unlike.field.startswith("versions.")
+    ]
+    if not versions:
+        return None
+    _, package, before, after = min(versions)
+    return f"{package} {before}".replace('"', ""), f"{package} {after}".replace('"', "")
+
+
 def environment_of_group(group: Mapping[str, ParameterValue], differences: Differences) -> str:
     ping = _alike(differences, "ping", *map(group.get, ("vendor", "ping_device", "connectivity")))
     relay = _alike(differences, "relay", *map(group.get, ("relay_vendor", "relay_device", "connectivity")))

@@ -85,6 +85,9 @@ def test_runs_of_two_versions_are_two_results_and_of_one_version_one(tmp_path):
     write("one", 1, jazzy)
     write("one", 2, [("fastdds", "2.14.5")])  # as newer recorders name it
     assert settings("one") == [""]
+    for number, version in enumerate(("7.1.6", "7.1.7"), start=1):
+        write("package", number, [("rclpy", version)])
+    assert settings("package") == ["version=rclpy 7.1.6", "version=rclpy 7.1.7"]
 
 
 def test_parameters_come_from_run_and_sessions(tmp_path):

@@ -14,6 +14,7 @@ from dds_trace.extensions.gates.sides import (
     environment_differences,
     environment_of_group,
     recorded_apart,
+    side_names,
 )
 
 OLD, NEWER = '"6.1"', '"6.6"'
@@ -101,6 +102,20 @@ def test_without_a_fingerprint_of_both_roles_nothing_is_said(unknown):
     found = environment_differences(sessions, sessions)
     assert environment_of_group(group(), found) == "same"
     assert environment_of_group(group(**unknown), found) == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("base", "new", "names"),
+    [
+        ({"rclpy": "7.1.6", "fastrtps": "2.14.5"}, {"rclpy": "9.1.2", "fastdds": "3.2.3"}, ("fastdds 2.14.5", "fastdds 3.2.3")),
+        ({"rclpy": "7.1.6", "fastdds": "3.2.3"}, {"rclpy": "7.1.7", "fastdds": "3.2.3"}, ("rclpy 7.1.6", "rclpy 7.1.7")),
+        ({"fastdds": "3.2.3"}, {"fastdds": "3.2.3"}, None),
+        ({}, {}, None),
+    ],
+)  # fmt: skip
+def test_sides_are_named_by_the_version_in_which_they_differ(base, new, names):
+    before, after = ([ping(versions=versions)] for versions in (base, new))
+    assert side_names(environment_differences(before, after)) == names
 
 
 def record(folder, first, kernel):

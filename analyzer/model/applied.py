@@ -77,7 +77,6 @@ def maps_foreign_memory(session: Session) -> bool | None:
 
 
 def interface_bytes(session: Session) -> dict[str, int]:
-    """Return the bytes that each interface sent."""
     begin, end = (object_of(_instant(session, name).get("interfaces")) for name in ("begin", "end"))
     sent = {name: [_integer(object_of(totals.get(name)), "sent_bytes") for totals in (begin, end)] for name in end}
     return {name: now - (then or 0) for name, (then, now) in sent.items() if now is not None}

@@ -217,7 +217,6 @@ class Search:
             return Race(trials, self.question.limits, until_s, self._say, self.clock).halve(candidates)
 
     def proof_seconds(self, trials: Measurer, candidate: Candidate) -> float:
-        """Return the length of a run of the proof."""
         shortest_s, longest_s = PROOF_SECONDS
         overhead_s = trials.expected_s(candidate, longest_s) - longest_s * len(candidate.cells)
         allowed_s = PROOF_SHARE * 60 * self.question.minutes / (3 * PROOFS) - overhead_s

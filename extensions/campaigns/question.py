@@ -46,7 +46,6 @@ class Question:
 
     @property
     def messages(self) -> list[Cell]:
-        """One cell of each message."""
         return list({tuple(getattr(cell, axis) for axis in MESSAGE_AXES): cell for cell in self.plan.cells}.values())
 
     @property

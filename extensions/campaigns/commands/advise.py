@@ -147,7 +147,6 @@ def _say(event: Event) -> None:
 
 
 def shown(answer: Answer) -> list[str]:
-    """Return the lines of an answer."""
     variables = (answer["recommended"] or {}).get("variables", {})
     lines = [answer["sentence"], *(f"  export {name}={shlex.quote(value)}" for name, value in variables.items())]
     lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
@@ -160,7 +159,6 @@ def shown(answer: Answer) -> list[str]:
 
 
 def shown_proof(proof: Answer) -> list[str]:
-    """Return the lines of one proof."""
     from ..proof import proof_lines
 
     words = "" if proof["verdict"] == "better" else f" ({proof['reason']})"

@@ -19,7 +19,7 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     send_when_free,
     written_profile,
 )
-from dds_trace.recorder.backends.ros2.installation import FAST_DDS_2, fast_dds
+from dds_trace.recorder.backends.ros2.installation import FAST_DDS_2, FAST_DDS_3, fast_dds
 from dds_trace.recorder.choices import Discovery, Transport
 
 VARIABLE = fast_dds().profile_variables[0]
@@ -161,6 +161,9 @@ def test_large_data_opens_tcp_on_loopback(run):
         assert listening == ["127.0.0.1"]
         groups = {(each.interface, each.address) for each in side.applied.latest.groups}
         assert ("lo", "239.255.0.1") in groups
+        # Fast DDS 3 gives it 8,500 KiB, Fast DDS 2 its default of 512.
+        segment_bytes = max(each.size_bytes for each in side.applied.latest.memory)
+        assert (segment_bytes >= 8_704_000) is (fast_dds() is FAST_DDS_3)
 
 
 @pytest.mark.middleware

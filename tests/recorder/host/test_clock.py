@@ -4,6 +4,11 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
+from namespaces import needs_namespaces
+from processes import RunningCommand, ping
+
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.host import fingerprint
 from dds_trace.recorder.host.clock import ClockAnchor, SystemClock, read_adjtimex, read_monotonic_pair, sharpen_sleep
 from dds_trace.recorder.host.fingerprint import read_boot_id
@@ -60,6 +65,22 @@ def test_a_system_that_forbids_the_call_gives_nothing(monkeypatch):
     assert read_adjtimex() is None
     monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_options: object())
     assert read_adjtimex() is None
+
+
+@pytest.mark.middleware
+@needs_namespaces("unshare", "util-linux")
+def test_a_relay_in_another_time_namespace_has_another_clock_and_none_was_set(tmp_path, domain_id):
+    ahead = ("unshare", "-T", "--monotonic", "1000", "--boottime", "1000", "-f")
+    sides = ("--backend", "socket")
+    serving = ("--role", "relay", "--domain", domain_id, *sides, "--duration", "20", "--out", tmp_path / "relay.mcap")
+    relay = RunningCommand("dds-record", *serving, prefix=ahead)
+    relay.wait_for_line("serves domain")
+    done = ping(domain_id, tmp_path / "ping.mcap", *sides, "--messages", 20, "--size", "1KB")
+    assert (done.status, relay.finish().status) == (0, 0), done.stderr
+    analysis = analyze(tmp_path)
+    assert len({session.extra["boot_id"] for session in analysis.sessions}) == 2
+    assert "clock_set" not in {found.code for found in analysis.findings}
+    assert analysis.summary["received"].to_list() == [20]
 
 
 def test_the_boot_id_is_the_kernels(monkeypatch):

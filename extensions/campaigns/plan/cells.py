@@ -216,7 +216,8 @@ class Cell:
         if not self.with_flows:
             return replace(self, flow="") if self.senders > 1 else self
         flows = tuple(sorted((self.flow, *self.with_flows)))
-        return replace(self, data="", size=None, rate=DEFAULT_RATE_HZ, flow="", with_flows=flows)
+        usual = {name: DEFAULTS[name] for name in ("size", "rate", *SENDER_AXES)}
+        return replace(self, data="", flow="", with_flows=flows, **usual)
 
     @property
     def senders(self) -> int:

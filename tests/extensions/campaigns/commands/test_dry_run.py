@@ -290,15 +290,3 @@ def test_an_environment_that_is_not_there_is_left_out(tmp_path, domain_id, capsy
     assert [trace.name for trace in (tmp_path / "runs/plan").glob("*.ping.mcap")] == [
         "socket_same_binary-1KB_10Hz.ping.mcap"
     ]
-
-
-def test_a_search_is_promised_by_its_own_bisection(tmp_path, capsys):
-    path = tmp_path / "plan.toml"
-    path.write_text(
-        HEAD.format(10, 5)
-        + "[search]\nmin_rate = 50\nmax_rate = 400\n[axes]\nbackend = 'socket'\n[[matrix]]\nsize = '33KB'\n"
-    )
-    assert run_trace("capacity", path, "--out", tmp_path / "runs", "--dry-run", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert 1 < told["recordings"]["least"] <= told["recordings"]["expected"] < told["recordings"]["most"] < 40
-    assert told["least_seconds"] <= told["seconds"] < told["most_seconds"]

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import pytest
 
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.campaigns.plan.commands import ping_arguments, relay_arguments
-from dds_trace.extensions.campaigns.plan.flows import recorded_together
+from dds_trace.extensions.campaigns.plan.flows import FLOW_KEYS, recorded_together
 from dds_trace.extensions.campaigns.plan.plan import Order
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.extensions.campaigns.plan.schedule import plan_seconds, schedule
@@ -40,6 +42,14 @@ def test_each_flow_alone_each_pair_and_all_on_one_relay():
     (group,) = schedule(plan)
     assert [len(cells) for cells in recorded_together(group.cells)].count(1) == 3
     assert sorted(len(cells) for cells in recorded_together(group.cells)) == [1, 1, 1, 2, 2, 2, 3]
+
+
+@pytest.mark.parametrize("own", [{"priority": "high"}, {"when_full": "drop"}, {"priority": "low", "when_full": "drop"}])
+def test_flows_that_differ_in_what_a_flow_may_have_are_sent_together(own):
+    assert own.keys() < FLOW_KEYS.keys()
+    alike, other = plan_of(HEAD + CAMERA + IMU).cells[2:]
+    ((first, second),) = recorded_together([alike, replace(other, **own)])
+    assert (first.flow, second.flow) == ("camera", "imu")
 
 
 def test_two_flows_have_no_set_twice():

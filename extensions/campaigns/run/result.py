@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, quantile_of
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted, three_digits
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.reading.trace import Trace
-
-from ..plan.plan import PERCENTILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +126,5 @@ def _measured_events(trace: Trace, stage: Stage, run: Run) -> EventColumns:
 def _percentiles_ms(times_ns: NDArray[np.int64]) -> dict[str, float] | None:
     if not len(times_ns):
         return None
-    values_ms = np.percentile(times_ns, PERCENTILES) / 1e6
-    return {
-        f"p{percentile:g}": round(float(value), 4) for percentile, value in zip(PERCENTILES, values_ms, strict=True)
-    }
+    ordered = np.sort(times_ns)
+    return {row.label: round(quantile_of(ordered, row.quantile) / 1e6, 4) for row in PERCENTILES}

@@ -2,7 +2,8 @@
 
     python benchmarks/bench_advise.py OUT [--links ethernet second wifi lte] [--old SRC] [--grid 0] [--json FILE]
 
-Root, Linux. SRC is the folder `src` of a checkout before the command took `--size`; without it only the new one is timed. Then the
+Root, Linux. SRC is the folder `src` of a checkout before the command took `--size`, whose `.venv` is used if it has one (its programs
+may start in another module); without SRC only the new one is timed. Then the
 new answer, the best file of each vendor of the old one, and with `--grid N` all candidates run N times in turns; what is printed is
 the geometric mean of p50 and p99 of the response and the share received. An interrupted run goes on with the same command.
 """
@@ -62,12 +63,12 @@ def write_plan(path: Path, link: Link, size: str, rate: float) -> Path:
     return path
 
 
-def timed(command: list[str], kept: Path, **variables: str) -> tuple[float, object]:
+def timed(command: list[str], kept: Path, python: str = sys.executable, **variables: str) -> tuple[float, object]:
     """Return minutes and JSON output of a command, those of an earlier run if it is through."""
     if not kept.exists():
         began_s = time.monotonic()
         done = subprocess.run(
-            [sys.executable, "-m", "dds_trace", *command],
+            [python, "-m", "dds_trace", *command],
             stdout=subprocess.PIPE,
             text=True,
             check=False,
@@ -136,6 +137,7 @@ def main() -> None:
             old_minutes, advices = timed(
                 ["advise", str(plan), "--json", "--out", str(options.out / f"{name}-old")],
                 options.out / f"{name}.old.json",
+                str(own if (own := options.old.parent / ".venv/bin/python").exists() else sys.executable),
                 PYTHONPATH=str(options.old),
             )
             old = {one["vendor"]: Path(one["configuration"]).stem if one["kept"] else "" for one in advices}

@@ -18,20 +18,21 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dds_trace.base.records import to_json
-from dds_trace.base.units import format_rate, format_size
+from dds_trace.base.units import counted, format_rate, format_size
 
 from .advice import variables_of
 from .folder import replace_text
 from .halving import FIRST_SECONDS, Candidate, Event, Look, Measurer, Race, Standing
 from .link_probe import PROBE_S, probe_link
+from .plan.flows import recorded_together
 from .plan.plan import Plan
 from .proof import ignored, proof_of
-from .question import Question, check_advisable, find_candidates
+from .question import Question, as_learned, check_advisable, find_candidates
 from .search import Bisection, RateAnswer, round_rate
 from .trials import Durations, open_trials
 
 if TYPE_CHECKING:
-    from .halving import Order, Tell
+    from .halving import Tell
     from .plan.link import Link
 
 Answer: TypeAlias = "dict[str, Any]"
@@ -58,12 +59,7 @@ OpenTrials: TypeAlias = (
 
 
 def answer(
-    question: Question,
-    out: Path,
-    tell: Tell = lambda _: None,
-    *,
-    order: Order | None = None,
-    clock: Callable[[], float] = time.monotonic,
+    question: Question, out: Path, tell: Tell = lambda _: None, *, clock: Callable[[], float] = time.monotonic
 ) -> Answer:
     """Search and prove the best setup for a question in the folder `out`/NAME, and write `answer.json` there.
 
@@ -71,7 +67,6 @@ def answer(
 
     Args:
         tell: gets each step, in this thread, between runs. What it raises, and Ctrl-C, end the search with its recordings kept.
-        order: puts the most promising candidates first.
 
     Returns:
         `question`, `link` (measured or emulated, null on one machine), `load` (payload over the link's rate), `sentence`, `recommended`
@@ -84,15 +79,15 @@ def answer(
         TraceError: nothing can be recorded at all.
     """
     check_advisable(question.plan)
-    return Search(question, new_folder(out, question.plan.name), tell, order, clock).answer()
+    return Search(question, new_folder(out, question.plan.name), tell, clock).answer()
 
 
-def promise(question: Question, order: Order | None = None) -> tuple[int, float]:
+def promise(question: Question) -> tuple[int, float]:
     """Return the recordings and seconds of a search in which the candidates hardly differ, by the search itself."""
     check_advisable(question.plan)
     trials = _Imagined(question.plan)
     with tempfile.TemporaryDirectory(prefix="dds-trace-advise-") as folder:
-        search = Search(question, Path(folder), lambda _: None, order, lambda: trials.now_s, trials.open)
+        search = Search(question, Path(folder), lambda _: None, lambda: trials.now_s, trials.open)
         if question.plan.has_two_devices:
             trials.now_s += PROBE_S
         ranking = search.look(search.fitted(question.plan), question.plan.link)
@@ -128,18 +123,21 @@ class _Imagined(Durations):
 
 @dataclass(slots=True)
 class Search:
-    """The steps of an answer; `open` yields what measures in a folder."""
+    """The steps of an answer; `open` yields what measures in a folder, and `order` puts the most promising candidates first."""
 
     question: Question
     folder: Path
     tell: Tell
-    order: Order | None
     clock: Callable[[], float]
     open: OpenTrials = open_trials
+    order: Callable[[Plan, Sequence[Candidate]], Sequence[Candidate]] = as_learned
     link: Link | None = field(default=None, init=False)
     load: float = field(default=0.0, init=False)
     began_s: float = field(init=False)
     overheads_s: list[float] = field(default_factory=list, init=False)
+    ranking: list[Standing] = field(default_factory=list, init=False)
+    fresh: list[Standing] = field(default_factory=list, init=False)
+    proofs: list[Answer] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self.began_s = self.clock()
@@ -154,19 +152,18 @@ class Search:
             self._note("link", f"link: {self.link}")
         if self.load > 1:
             self._note("fit", f"no setting makes this fit: {self._load_words()}")
-        ranking = self.look(self.fitted(plan), self.link)
-        sides = self.sides(ranking)
-        proofs: list[Answer] = []
-        chosen: Standing | None = None
-        fits: Answer | None = None
-        if sides and self.load <= 1 and not sides[0].excess(self.question.limits)[0]:
-            fresh = self.record_proof(sides)
-            proofs = self._judge(fresh)
-            chosen = self._choose(fresh, proofs)
-        if sides and chosen is None:
-            chosen = sides[0]
+        limits = self.question.limits
+        self.ranking = self.look(self.fitted(plan), self.link)
+        sides = self.sides(self.ranking)
+        if sides and self.load <= 1 and not sides[0].excess(limits)[0]:
+            self.fresh = self.record_proof(sides)
+        self._judge()
+        chosen, fits = self._choose(), None
+        measured = [standing for standing in self.fresh or sides if standing.looks]
+        if chosen is None and measured:
+            chosen = min(measured, key=lambda standing: standing.rank(limits))
             fits = self._fit(chosen.candidate)
-        result = self._result(ranking, chosen, proofs, fits)
+        result = self._result(chosen, fits)
         text = json.dumps(to_json(result, not_finite=lambda _: None), indent=1)
         replace_text(self.folder / "answer.json", f"{text}\n")
         self._say(Event("answer", result["sentence"], None if chosen is None else chosen.candidate))
@@ -207,9 +204,7 @@ class Search:
 
     def look(self, plan: Plan, link: Link | None) -> list[Standing]:
         """Return the candidates, best first."""
-        candidates: Sequence[Candidate] = find_candidates(plan, link, self.folder / "configurations")
-        if self.order is not None:
-            candidates = self.order(candidates)
+        candidates = self.order(plan, find_candidates(plan, link, self.folder / "configurations"))
         looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
         with self._open(looks, "look", self.folder / "looks") as trials:
             proof_s = 3 * PROOFS * trials.expected_s(candidates[0], self.proof_seconds(trials, candidates[0]))
@@ -218,10 +213,11 @@ class Search:
 
     def proof_seconds(self, trials: Measurer, candidate: Candidate) -> float:
         shortest_s, longest_s = PROOF_SECONDS
-        overhead_s = trials.expected_s(candidate, longest_s) - longest_s * len(candidate.cells)
+        recordings = len(recorded_together(candidate.cells))
+        overhead_s = trials.expected_s(candidate, longest_s) - longest_s * recordings
         allowed_s = PROOF_SHARE * 60 * self.question.minutes / (3 * PROOFS) - overhead_s
         enough_s = PROOF_MESSAGES / min(cell.rate for cell in candidate.cells)
-        return max(shortest_s, min(enough_s, allowed_s / len(candidate.cells), longest_s))
+        return max(shortest_s, min(enough_s, allowed_s / recordings, longest_s))
 
     @staticmethod
     def sides(ranking: Sequence[Standing]) -> list[Standing]:
@@ -245,7 +241,7 @@ class Search:
             fitting = int((self._until_s - self.clock()) / trials.expected_s(best, seconds))  # fixed before the first
             fresh = fresh[: max(2, fitting // LEAST_PROOFS)]  # the default precedes the runner-up
             turns = list(zip(fresh, races, strict=False))
-            for number in range(max(LEAST_PROOFS, min(PROOFS, fitting // len(fresh)))):
+            for number in range(max(LEAST_PROOFS, min(3 * PROOFS, fitting) // len(fresh))):
                 for standing, race in turns if number % 2 == 0 else reversed(turns):
                     if not standing.dropped:
                         race.run(standing, seconds)
@@ -254,29 +250,34 @@ class Search:
     def _side_folder(self, standing: Standing) -> Path:
         return self.folder / "proof" / re.sub(r"[^\w.+-]", "-", standing.candidate.name)
 
-    def _judge(self, fresh: Sequence[Standing]) -> list[Answer]:
-        proofs: list[Answer] = []
-        for other in fresh[1:]:
-            folders = [self._side_folder(side) for side in (other, fresh[0])]
-            proof: Answer = {"of": fresh[0].candidate.name, "against": other.candidate.name}
-            if failed := next((side for side in (fresh[0], other) if side.dropped), None):
+    def _judge(self) -> None:
+        """Compare the best with each other side of the proof."""
+        for other in self.fresh[1:]:
+            best, folders = self.fresh[0], [self._side_folder(side) for side in (other, self.fresh[0])]
+            proof: Answer = {"of": best.candidate.name, "against": other.candidate.name}
+            if failed := next((side for side in (best, other) if side.dropped), None):
                 proof |= {"kept": failed is other, "verdict": "incomplete", "proof": [], "received": []}
-                proofs.append({**proof, "reason": f"{failed.candidate.name} was not recorded: {failed.dropped}"})
-                continue
-            command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
-            proofs.append({**proof, **proof_of(fresh[0].candidate.name, *folders), "command": command})
-        return proofs
+                proof["reason"] = f"{failed.candidate.name} was not recorded: {failed.dropped}"
+            else:
+                command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
+                proof |= {**proof_of(best.candidate.name, *folders), "command": command}
+            self.proofs.append(proof)
 
-    def _choose(self, fresh: Sequence[Standing], proofs: Sequence[Answer]) -> Standing | None:
-        """Return what keeps the limits in the fresh runs: the best, unless another is proven better or its default is as good."""
-        fitting = [row for row in fresh if row.looks and not row.dropped and not row.excess(self.question.limits)[0]]
-        if fresh[0] not in fitting:
-            return next(iter(fitting), None)
-        for other, proof in zip(fresh[1:], proofs, strict=True):
-            is_simpler = _is_default(other, fresh[0]) and proof["verdict"] != "better"
-            if other in fitting and (proof["verdict"] == "worse" or is_simpler):
-                return other
-        return fresh[0]
+    def _choose(self) -> Standing | None:
+        """Return what keeps the limits in the fresh runs: the best of the looks, if not its default is as good or another is faster.
+
+        A default is as good unless the best is proven better; another one is faster by proof, or in these runs.
+        """
+        limits = self.question.limits
+        fitting = [row for row in self.fresh if row.looks and not row.excess(limits)[0]]
+        if not fitting or self.fresh[0] not in fitting:
+            return min(fitting, key=lambda row: row.level, default=None)
+        best = chosen = self.fresh[0]
+        for other, proof in zip(self.fresh[1:], self.proofs, strict=True):
+            is_open, is_faster = proof["verdict"] != "better", other.level < chosen.level
+            if other in fitting and is_open and (_is_default(other, best) or proof["verdict"] == "worse" or is_faster):
+                chosen = other
+        return chosen
 
     def _fit(self, candidate: Candidate) -> Answer:
         """Search the highest rate at the size and the largest size at the rate, each proven in fresh runs; None where there is none."""
@@ -317,51 +318,59 @@ class Search:
                 value = round_rate(value / FIT_RESOLUTION)
         return None
 
-    def _result(
-        self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
-    ) -> Answer:
+    def _result(self, chosen: Standing | None, fits: Answer | None) -> Answer:
         question, limits, host = self.question, self.question.limits, self.question.plan.relay.ssh
-        messages = [{"data": cell.data, "size": cell.size, "rate_hz": cell.rate} for cell in question.messages]
+        messages = [
+            {"data": cell.data, "size": cell.size, "rate_hz": cell.rate, **({"flow": cell.flow} if cell.flow else {})}
+            for cell in question.messages
+        ]
         return {
             "question": {"messages": messages, "limits": limits, "minutes": question.minutes, "host": host},
             "link": None if self.link is None else self.link.to_dict(),
             "load": self.load,
-            "sentence": self._sentence(ranking, chosen, proofs, fits),
+            "sentence": self._sentence(chosen, fits),
             "recommended": None if chosen is None else _recommended(chosen.candidate),
-            "candidates": [{**row.event("look", limits).to_dict(), "dropped": row.dropped} for row in ranking],
-            "proofs": proofs,
+            "candidates": [{**row.event("look", limits).to_dict(), "dropped": row.dropped} for row in self.ranking],
+            "proofs": self.proofs,
             "fits": fits,
             "seconds": round(self.clock() - self.began_s, 1),
             "folder": str(self.folder),
         }
 
-    def _sentence(
-        self, ranking: Sequence[Standing], chosen: Standing | None, proofs: Sequence[Answer], fits: Answer | None
-    ) -> str:
+    def _sentence(self, chosen: Standing | None, fits: Answer | None) -> str:
         limits = self.question.limits
         if chosen is None:
-            return f"No answer: {ranking[0].candidate.name} was not measured: {ranking[0].dropped}."
+            failed = next(row for row in (*self.fresh, *self.ranking) if row.dropped)
+            return f"No answer: {failed.candidate.name} was not measured: {failed.dropped}."
         name = chosen.candidate.name
         if fits is not None:
-            reason = self._load_words() if self.load > 1 else f"{name} was nearest: {chosen.excess(limits)[1]}"
-            rate, size = fits["rate_hz"], fits.get("size_bytes")
-            parts = [f"{format_rate(rate)} at this size"] if rate else []
-            parts += [f"{format_size(int(size))} at this rate"] if size else []
-            works = (
-                f"up to {' or '.join(parts)} works"
-                if parts
-                else f"nothing that works was found in {self.question.minutes:g} min"
-            )
-            return f"Nothing makes this fit ({reason}); with {name} {works}."
+            tried = sum(bool(row.looks) for row in self.ranking)
+            reason = f"None of {counted(tried, 'setup')} fits ({name} was nearest: {chosen.excess(limits)[1]})"
+            if self.load > 1:
+                reason = f"No setting makes this fit ({self._load_words()})"
+            return f"{reason}; with {name} {self._fits_words(fits)}."
         event = chosen.event("proof", limits)
         late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"
+        sides = {side.candidate.name: side for side in self.fresh}
         compared = []
-        for proof in proofs:
+        for proof in self.proofs:
             if name in (proof["of"], proof["against"]):
-                is_base, verdict = name == proof["against"], str(proof["verdict"])
-                verdict = _OPPOSITES.get(verdict, verdict) if is_base else verdict
-                compared.append(_VERDICTS[verdict].format(proof["of"] if is_base else proof["against"]))
+                is_base, verdict = name == proof["against"], proof["verdict"]
+                other = sides[proof["of"] if is_base else proof["against"]]
+                words = _VERDICTS[_OPPOSITES.get(verdict, verdict) if is_base else verdict]
+                if other.looks and (broken := other.excess(limits)[1]):
+                    words = f"{{}} breaks a limit, {broken}"
+                compared.append(words.format(other.candidate.name))
         return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}."
+
+    def _fits_words(self, fits: Answer) -> str:
+        rate, size = fits["rate_hz"], fits.get("size_bytes")
+        parts = [f"{format_rate(rate)} at this size"] if rate else []
+        parts += [f"{format_size(int(size))} at this rate"] if size else []
+        if not parts:
+            return f"nothing that does was found in {self.question.minutes:g} min"
+        others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
+        return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
 
 
 _OPPOSITES = {"better": "worse", "worse": "better"}
@@ -369,6 +378,7 @@ _VERDICTS = {
     "better": "proven better than {}",
     "worse": "proven worse than {}",
     "no difference": "no difference to {} is proven",
+    "mixed": "in part better and in part worse than {}",
     "incomplete": "not compared with {}",
 }
 
@@ -381,7 +391,9 @@ class _TimeUpError(Exception):
     """The time that was given is used."""
 
 
-def _scaled(value: float, scale: float) -> float:
+def _scaled(value: float | None, scale: float) -> float | None:
+    if value is None:
+        return None
     return max(1, int(value * scale)) if isinstance(value, int) else round_rate(value * scale)
 
 
@@ -392,5 +404,8 @@ def _recommended(candidate: Candidate) -> Answer:
         "vendor": candidate.vendor,
         "bundle": candidate.bundle,
         "configuration": None if path is None else str(path),
-        "variables": {} if path is None else variables_of(candidate.vendor, path),
+        "variables": {
+            **({"RMW_IMPLEMENTATION": rmw} if (rmw := candidate.cells[0].rmw) else {}),
+            **({} if path is None else variables_of(candidate.vendor, path)),
+        },
     }

@@ -1,4 +1,4 @@
-"""Successive halving: short runs of all candidates, more and longer ones of those left.
+"""A race of candidates: short runs of all, more and longer ones of those that no run excludes.
 
 A candidate that keeps the limits precedes one that does not; of those that keep them the faster one precedes.
 """
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
+from dds_trace.analyzer.statistics.percentiles import minimum_messages, quantile_of
 from dds_trace.base.records import to_json
 from dds_trace.base.units import three_digits
 
@@ -30,16 +31,19 @@ LOST_MS = 10_000.0
 """Response of a lost message where times are averaged."""
 
 PASSES = 2
-"""Runs of each candidate in a round, in alternating order."""
+"""Runs of a length, one of each candidate in a pass; the next ones take twice as long. So many are needed to exclude one."""
 
 FIRST_SECONDS = 2.0
-"""Length of the first round's runs; each further round doubles it."""
+"""Length of the first runs."""
 
 FIRST_SHARE = 0.6
-"""Most of the time of the looks that the first round may take, of one run each where two take longer."""
+"""Most of the time of the looks that the first pass may take."""
 
 LEAST_SPREAD, DISTANCE = 0.05, 2.5
 """A candidate is slower if it is so by as many standard errors; runs spread by at least 5 %."""
+
+QUANTILES = (0.5, 0.99)
+"""Quantiles of the response by which candidates are ordered."""
 
 MOSTLY = 0.5
 """Share of late messages for which one run is enough."""
@@ -58,10 +62,6 @@ class Candidate:
     @property
     def name(self) -> str:
         return f"{self.middleware} {self.bundle or 'default'}"
-
-
-Order: TypeAlias = Callable[[Sequence[Candidate]], Sequence[Candidate]]
-"""Function that returns the candidates with the most promising first; the first ones are tried where time is short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ class Look:
     @property
     def level(self) -> float:
         """Logarithm of the geometric mean of p50 and p99 over all messages."""
-        times = [np.quantile(np.minimum(values, LOST_MS), (0.5, 0.99)) for values in self.response_ms]
-        return float(np.log(times).mean())
+        ordered = [np.sort(np.minimum(values, LOST_MS)) for values in self.response_ms]
+        return float(np.log([quantile_of(values, quantile) for values in ordered for quantile in QUANTILES]).mean())
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,10 +159,13 @@ class Standing:
 
     def event(self, stage: str, limits: Limits, state: str = "", text: str = "") -> Event:
         """Describe all runs so far."""
-        name, values = self.candidate.name, np.concatenate([*self.responses(), []])
+        name, values = self.candidate.name, np.sort(np.concatenate([*self.responses(), []]))
         lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
-        p50, p99 = np.quantile(values, (0.5, 0.99), method="higher").tolist() if len(values) else (None, None)
-        words = f"{name}: p50 {ms_words(p50)}, p99 {ms_words(p99)}, {lost} of {len(values)} lost"
+        p50, p99 = (quantile_of(values, quantile) if len(values) else None for quantile in QUANTILES)
+        slow = f"p99 {ms_words(p99)}"
+        if 0 < len(values) < minimum_messages(QUANTILES[-1]):
+            slow = f"slowest {ms_words(float(values[-1]))}"
+        words = f"{name}: p50 {ms_words(p50)}, {slow}, {lost} of {len(values)} lost"
         return Event(stage, text or words, self.candidate, state, len(self.looks), len(values), lost, late, p50, p99)
 
     def rank(self, limits: Limits) -> tuple[bool, float, float]:
@@ -193,11 +196,12 @@ class Race:
     stage: str = "look"
 
     def run(self, standing: Standing, seconds: float, number: int = 0) -> None:
-        """Record the next run of a candidate, or the run of this number; a candidate that cannot run is dropped."""
+        """Record the next run of a candidate, or the run of this number; of one that cannot run nothing counts."""
         candidate, number = standing.candidate, number or len(standing.looks) + 1
         self._tell(standing, "running", f"{candidate.name}: run {number}")
         look = self.measurer.look(candidate, number, seconds)
         if look.failure:
+            standing.looks.clear()
             self.drop(standing, look.failure)
             return
         standing.looks.append(look)
@@ -210,67 +214,48 @@ class Race:
     def halve(self, candidates: Sequence[Candidate], first_s: float = FIRST_SECONDS) -> list[Standing]:
         """Return all candidates, best first; those that no time was left for are dropped, too."""
         standings = [Standing(candidate) for candidate in candidates]
-        seconds = first_s
-        racing, passes = self._first(standings, first_s)
-        while self._round(racing, seconds, passes):
-            racing, passes = self._not_slower(racing), PASSES
-            if len(racing) < 2:
+        racing, seconds = standings, first_s
+        for number in itertools.count(1):
+            racing = self._affordable(racing, seconds, number)
+            for standing in racing:  # the best first: the time may end
+                if number == 1 or self.clock() < self.until_s:
+                    self.run(standing, seconds)
+            if len(racing := self._not_excluded(racing)) < 2 and number >= PASSES:
                 break
-            seconds *= 2
-            affordable = self._affordable(racing, seconds, PASSES, self.until_s - self.clock())
-            half = racing[: max(2, min(math.ceil(len(racing) / 2), affordable))]
-            for standing in racing[len(half) :]:
-                self.drop(standing, f"{self._times_words(standing, half[0])}, among the slower ones")
-            racing = half
-        running = [standing for standing in racing if not standing.dropped]
+            seconds *= 2 if number % PASSES == 0 else 1
+        running = [standing for standing in standings if not standing.dropped]
         for standing in running:  # of an unfinished pass some have more and longer runs
             del standing.looks[min(len(row.looks) for row in running) :]
         return sorted(standings, key=lambda standing: standing.rank(self.limits))
 
-    def _first(self, standings: list[Standing], seconds: float) -> tuple[list[Standing], int]:
-        """Return what there is time to try, and how often."""
-        budget_s = FIRST_SHARE * (self.until_s - self.clock())
-        passes = PASSES if self._affordable(standings, seconds, PASSES, budget_s) == len(standings) else 1
-        affordable = max(2, self._affordable(standings, seconds, passes, budget_s))
-        for standing in standings[affordable:]:
-            self.drop(standing, "not tried, there was no time")
-        return standings[:affordable], passes
+    def _affordable(self, racing: Sequence[Standing], seconds: float, number: int) -> list[Standing]:
+        """Drop those that there is no time for in a pass, and in the next one of its length, and return the others.
 
-    def _affordable(self, standings: Sequence[Standing], seconds: float, passes: int, budget_s: float) -> int:
-        """Return how many of the first ones can be run so often."""
-        costs_s = (passes * self.measurer.expected_s(standing.candidate, seconds) for standing in standings)
-        return sum(total_s <= budget_s for total_s in itertools.accumulate(costs_s))
+        Two have the first pass, whatever it takes. Of two that have no time for a later one none is dropped or returned.
+        """
+        left_s = (self.until_s - self.clock()) * (FIRST_SHARE if number == 1 else 1)
+        passes = 1 if number <= PASSES else PASSES - (number - 1) % PASSES
+        costs_s = (passes * self.measurer.expected_s(standing.candidate, seconds) for standing in racing)
+        fitting = sum(total_s <= left_s for total_s in itertools.accumulate(costs_s))
+        fitting_or_two = max(2, fitting)
+        for standing in racing[fitting_or_two:]:
+            words = f"{self._times_words(standing, racing[0])}, with no time for more runs"
+            self.drop(standing, words if standing.looks else "not tried, there was no time")
+        is_begun = number == 1 or fitting >= min(2, len(racing))
+        return list(racing[:fitting_or_two]) if is_begun else []
 
-    def _round(self, racing: Sequence[Standing], seconds: float, passes: int) -> bool:
-        """Run all so often; return whether there was time for it."""
-        is_first = not any(standing.looks for standing in racing)
-        for turn in range(passes):
-            running = [standing for standing in racing if not standing.dropped]
-            expected_s = sum(self.measurer.expected_s(standing.candidate, seconds) for standing in running)
-            if not is_first and self.clock() + expected_s > self.until_s:
-                return False
-            for standing in running if turn % 2 == 0 else reversed(running):
-                if self.clock() > self.until_s and not (is_first and turn == 0):
-                    return False
-                self.run(standing, seconds)
-            least_excess = min((standing.excess(self.limits)[0] for standing in running), default=0.0)
-            for standing in running:
-                excess, words = standing.excess(self.limits)
-                if not standing.dropped and excess > max(MOSTLY, least_excess):
-                    self.drop(standing, words)
-        return True
-
-    def _not_slower(self, racing: Sequence[Standing]) -> list[Standing]:
+    def _not_excluded(self, racing: Sequence[Standing]) -> list[Standing]:
         """Drop what the evidence excludes; return the others, best first."""
         ranked = sorted((row for row in racing if not row.dropped), key=lambda row: row.rank(self.limits))
         spread = self._spread(ranked)
-        for standing in ranked[1:] if all(len(row.looks) >= PASSES for row in ranked) else ():
+        for standing in ranked[1:]:
             best, (excess, words) = ranked[0], standing.excess(self.limits)
             least_excess = best.excess(self.limits)[0]
             error = spread * math.sqrt(1 / len(best.looks) + 1 / len(standing.looks))
-            if excess > least_excess == 0:
+            is_sure = min(len(best.looks), len(standing.looks)) >= PASSES
+            if excess > (least_excess if is_sure and not least_excess else max(MOSTLY, least_excess)):
                 self.drop(standing, words)
-            elif excess == least_excess and standing.level - best.level > DISTANCE * error:
+            elif is_sure and excess == least_excess and standing.level - best.level > DISTANCE * error:
                 self.drop(standing, self._times_words(standing, best))
         return [standing for standing in ranked if not standing.dropped]
 

@@ -14,7 +14,7 @@ from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS, match_without
 from dds_trace.reports.book.groups import time_words
 
 Proof: TypeAlias = "dict[str, Any]"
-"""`kept` (is better), `verdict` (better, worse or no difference), `reason`, and the rows of the comparison `proof` and `received`, ns."""
+"""`kept` (is better), `verdict` (better, worse, mixed, no difference or incomplete), `reason`, and the rows of the comparison `proof` and `received`, ns."""
 
 _MESSAGE = ("data_type", "payload_bytes", "rate_hz")
 _PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high", "verdict")
@@ -43,10 +43,11 @@ def proof_of(name: str, base: Path, new: Path) -> Proof:
     pays_off = pays(comparison)
     proof = comparison.rows.select(_PROOF).rows(named=True)
     received = comparison.delivery.select(_RECEIVED).rows(named=True)
-    is_better = "better" in {row["verdict"] for row in (*proof, *received)}
-    is_worse = not is_better and any(speaks_against(proof, received))
+    verdicts = {row["verdict"] for row in (*proof, *received)}
+    verdict = "better" if pays_off else "worse" if "worse" in verdicts else "no difference"
+    if not pays_off and "better" in verdicts:
+        verdict = "mixed" if any(speaks_against(proof, received)) else "incomplete"
     reason = f"{name} " + ("is proven better" if pays_off else f"looked best, and {why_not(proof, received)}")
-    verdict = "better" if pays_off else "worse" if is_worse else "no difference"
     return {"kept": pays_off, "verdict": verdict, "reason": reason, "proof": proof, "received": received}
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dds_trace.analyzer.model.parameters import QOS_DEFAULTS
 from dds_trace.analyzer.model.setting import write_setting
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -20,8 +21,8 @@ from .advice import bundles, write_bundles
 from .halving import Candidate, Limits
 from .learning.model import order
 from .learning.results import read_campaigns
-from .plan.cells import DEFAULTS, Cell
-from .plan.flows import MESSAGE_AXES, is_crowded
+from .plan.cells import DEFAULTS, SENDER_AXES, Cell
+from .plan.flows import MESSAGE_AXES, is_crowded, recorded_together
 from .plan.link import Link
 from .plan.plan import Plan
 from .plan.plan_file import parse_plan, read_host, read_link
@@ -46,12 +47,13 @@ class Question:
 
     @property
     def messages(self) -> list[Cell]:
-        return list({tuple(getattr(cell, axis) for axis in MESSAGE_AXES): cell for cell in self.plan.cells}.values())
+        return list({_message(cell): cell for cell in self.plan.cells}.values())
 
     @property
     def load_mbit_s(self) -> float:
-        """Payload of the fastest message in one direction, as the messages are sent one after the other; 0 where the data has its own size."""
-        return max((cell.payload_bit_s or 0.0 for cell in self.plan.cells), default=0.0) / 1e6
+        """Most payload at one time in one direction: of all flows, else of one message; without data that has its own size."""
+        recordings = recorded_together(self.plan.cells)
+        return max((sum(cell.payload_bit_s or 0.0 for cell in cells) for cells in recordings), default=0.0) / 1e6
 
 
 def ask(
@@ -137,11 +139,23 @@ def _label(cell: Cell) -> str:
     return load_backend(cell.backend).label
 
 
+def flows_together(plan: Plan) -> Plan:
+    """Return the plan with only those results in which all of its flows are sent."""
+    return replace(plan, cells=tuple(cell for cell in plan.cells if len(cell.with_flows) + 1 >= len(plan.flows)))
+
+
+def _message(cell: Cell) -> tuple[object, ...]:
+    return tuple(getattr(cell, axis) for axis in MESSAGE_AXES)
+
+
 def check_advisable(plan: Plan) -> None:
     """Refuse plans with more than messages from one device to another."""
     faults = {
         "a relay that a person starts": plan.by_hand,
-        "[[flows]], relays, hosts, pings and topics": bool(plan.flows) or any(map(is_crowded, plan.cells)),
+        "relays, hosts, pings and topics": any(map(is_crowded, plan.cells)),
+        "flows with equal messages": any(
+            len({*map(_message, cells)}) < len(cells) for cells in recorded_together(plan.cells)
+        ),
         "a bridge": any(cell.crosses_domains for cell in plan.cells),
         "two middlewares in one result": any(cell.relay_backend or cell.relay_rmw for cell in plan.cells),
         "the axes configuration and tuned": any(cell.configuration or cell.tuned for cell in plan.cells),
@@ -156,7 +170,9 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
     """Return the defaults of each setup of the plan, then its bundles; their files are written to the folder."""
     setups: dict[Cell, list[Cell]] = {}
     for cell in plan.cells:
-        setups.setdefault(replace(cell, **{axis: DEFAULTS[axis] for axis in MESSAGE_AXES}), []).append(cell)
+        axes = (*MESSAGE_AXES, *SENDER_AXES) if cell.flow else MESSAGE_AXES
+        usual = {axis: DEFAULTS[axis] for axis in axes}
+        setups.setdefault(replace(cell, **usual, flow="", with_flows=()), []).append(cell)
     largest_bytes = max((cell.size or 0 for cell in plan.cells), default=0)
     rows: list[tuple[int, Candidate]] = []
     for setup, cells in setups.items():
@@ -178,21 +194,17 @@ def as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
     for candidate in candidates:
         cell, link = candidate.cells[0], plan.link_of(candidate.cells[0])
         applied = {"link": link and link.setting, "configuration": candidate.bundle}
-        setting = write_setting({key: text for key, text in applied.items() if text})
-        message = {"data_type": cell.data, "payload_bytes": cell.size or 0, "rate_hz": cell.rate}
-        names = {
-            name: getattr(cell, name) for name in ("backend", "bridge", "reliability", "durability", "history", "depth")
-        }
-        devices = dict.fromkeys(("ping_device", "relay_device"), "")
-        connectivity = plan.connectivity_of(cell)
         row = {
-            **names,
-            **message,
-            **devices,
+            **{name: getattr(cell, name, usual) for name, usual in QOS_DEFAULTS.items()},
+            **{name: getattr(cell, name) for name in ("backend", "bridge")},
+            **dict.fromkeys(("ping_device", "relay_device"), ""),
+            "data_type": cell.data,
+            "payload_bytes": cell.size or 0,
+            "rate_hz": cell.rate,
             "vendor": candidate.vendor,
-            "connectivity": connectivity,
-            "setting": setting,
+            "connectivity": plan.connectivity_of(cell),
+            "setting": write_setting({key: text for key, text in applied.items() if text}),
         }
-        rows.append({**row, "serialization": "raw", "candidate": candidate})
+        rows.append({**row, "candidate": candidate})
     learned = [row["candidate"] for row in order(rows, read_campaigns(), "response 0.9")]
     return sorted(learned, key=lambda candidate: bool(candidate.bundle))

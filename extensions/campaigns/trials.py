@@ -11,6 +11,7 @@ from dds_trace.base.errors import TraceError
 
 from .folder import locked_folder
 from .halving import Look
+from .plan.flows import recorded_together
 from .plan.schedule import RELAY_OVERHEAD_S, Estimate, group_by_relay
 from .run.progress import SweepProgress
 from .run.result import read_cpu_percent, read_responses
@@ -58,16 +59,19 @@ class Durations:
         """Return the duration of a run with its start and end."""
         plan = plan_of_trials(self.plan, self.plan.name, seconds)
         if self.overheads_s:
-            planned_s = sum(plan.run.planned_seconds(cell.rate) for cell in candidate.cells)
-            return planned_s + sum(self.overheads_s) / len(self.overheads_s)
+            return self._planned_s(candidate, seconds) + sum(self.overheads_s) / len(self.overheads_s)
         cells = [replace(cell, repeat=2) for cell in candidate.cells]
         overhead_s = RELAY_OVERHEAD_S + SSH_OVERHEAD_S * plan.has_two_devices
         return Estimate(plan).remaining(cells).seconds + overhead_s
 
     def took(self, candidate: Candidate, seconds: float, elapsed_s: float) -> None:
         """Note how long a run took."""
+        self.overheads_s.append(elapsed_s - self._planned_s(candidate, seconds))
+
+    def _planned_s(self, candidate: Candidate, seconds: float) -> float:
         run = plan_of_trials(self.plan, self.plan.name, seconds).run
-        self.overheads_s.append(elapsed_s - sum(run.planned_seconds(cell.rate) for cell in candidate.cells))
+        recordings = recorded_together(candidate.cells)
+        return sum(max(run.planned_seconds(cell.rate) for cell in cells) for cells in recordings)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -96,16 +100,21 @@ class Trials(Durations):
         """Record each cell with a relay of its own settings; return why one could not be."""
         self.runner.plan = plan_of_trials(self.runner.plan, self.runner.plan.name, seconds)
         for group in group_by_relay(self.runner.plan, cells):
-            waiting = [cell for cell in group.cells if not self.runner.state[cell.name].done]
+            waiting = [
+                together
+                for together in recorded_together(group.cells)
+                if not all(self.runner.state[cell.name].done for cell in together)
+            ]
             if not waiting:
                 continue
             with self.runner.relay(group) as relay:
-                for cell in waiting:
-                    state = self.runner.record(cell, relay)
-                    if state.status is Status.FAILED:
-                        return state.reason
-                    if state.result is not None and state.result.not_applied:
-                        return f"not applied: {state.result.not_applied}"
+                for together in waiting:
+                    self.runner.record_together(together, relay)
+                    for state in (self.runner.state[cell.name] for cell in together):
+                        if state.status is Status.FAILED:
+                            return state.reason
+                        if state.result is not None and state.result.not_applied:
+                            return f"not applied: {state.result.not_applied}"
         return ""
 
     def paths(self, cell: Cell) -> tuple[Path, Path]:

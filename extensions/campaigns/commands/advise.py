@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -87,7 +86,7 @@ def advise_command(
     from dds_trace.base.records import to_json
 
     from ..answer import answer
-    from ..question import Question, as_learned, ask, limits_of
+    from ..question import Question, ask, flows_together, limits_of
 
     limits = limits_of(deadline, in_time, cpu)
     if plan is not None:
@@ -95,7 +94,8 @@ def advise_command(
             raise OptionError("a plan has its own messages, link and devices; remove --size, --rate, --link and --host")
         requested = plan_of(plan, out)
         read_thresholds(requested, None, None, is_judged=False)
-        question = Question(replace(requested, name=f"{requested.name}-advice"), limits, minutes)
+        named = replace(flows_together(requested), name=f"{requested.name}-advice")
+        question = Question(named, limits, minutes)
     elif rate is None:
         raise OptionError("give the messages, for example --size 502KB --rate 20, or a PLAN")
     else:
@@ -104,7 +104,7 @@ def advise_command(
         raise typer.Exit(_dry_run(question, out, as_json=as_json))
 
     def run() -> int:
-        result = answer(question, out, _say, order=partial(as_learned, question.plan))
+        result = answer(question, out, _say)
         print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
         return 0 if result["recommended"] else INCOMPLETE_EXIT_CODE
 

@@ -24,7 +24,7 @@ from dds_trace.cli.doctor import middleware_checks
 
 from ..answer import answer
 from ..plan.link import PRESETS
-from ..question import Question, as_learned, ask, limits_of
+from ..question import Question, ask, limits_of
 
 if TYPE_CHECKING:
     from dds_trace.extensions.live.local_server import Answer
@@ -103,7 +103,7 @@ class Desk:
         while True:
             question = self._questions.get()
             try:
-                result = self._search(question, self._out, self._tell, order=partial(as_learned, question.plan))
+                result = self._search(question, self._out, self._tell)
                 self._show(running=False, answer=result)
                 say(result["sentence"])
             except _StoppedError:

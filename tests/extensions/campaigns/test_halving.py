@@ -98,6 +98,18 @@ def test_it_ends_at_its_time_and_first_tries_the_first(until_s):
         assert left[0] >= 2
 
 
+def test_where_runs_take_longer_than_expected_the_best_have_their_second_one():
+    class Late(Made):
+        def look(self, candidate, number, seconds):
+            self.now_s += 1.5
+            return super().look(candidate, number, seconds)
+
+    made = Late(MANY)
+    ranking = made.race(150).halve(candidates(list(MANY)[::-1]))
+    assert [len(standing.looks) for standing in ranking[:2]] == [2, 2]
+    assert min(made.runs.values()) == 1
+
+
 def test_losses_precede_latency_and_a_failure_is_out_at_once():
     made = Made({"fast": 5, "slow": 50, "dead": 1, "deaf": 2}, {"fast": 0.1, "deaf": 1.0}, failing=("dead",))
     ranking = made.race().halve(candidates(["fast", "slow", "dead", "deaf"]))

@@ -15,8 +15,10 @@ from namespaces import needs_namespaces
 from dds_trace.extensions.campaigns.answer import answer
 from dds_trace.extensions.campaigns.plan.link import Link
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
-from dds_trace.extensions.campaigns.question import Question, ask, limits_of
+from dds_trace.extensions.campaigns.question import Question, ask, flows_together, limits_of
 from dds_trace.extensions.campaigns.station.namespaces import NamespacePair
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
 
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
 pytestmark = [pytest.mark.middleware, pytest.mark.slow, needs_namespaces("tc", "iproute2")]
@@ -60,6 +62,23 @@ def test_an_emulated_link_is_answered_with_a_proof_that_the_printed_command_repe
         "dds-trace record relay --backend cyclonedds --check --out x.mcap", CYCLONEDDS_URI=path.as_uri()
     )
     assert code == 0, printed
+
+
+def test_flows_are_sent_together(tmp_path):
+    flows = '[[flows]]\nname = "a"\nsize = "9KB"\nrate = 100\n[[flows]]\nname = "b"\nsize = "1KB"\nrate = 50\n'
+    plan = f'{LINK}[run]\nseconds = 1\n[axes]\nbackend = "cyclonedds"\n{flows}'
+    plan = flows_together(replace(parse_plan(plan, "two", "two.toml")))
+    found = answer(Question(plan, limits_of("2s"), 2), tmp_path)
+    assert found["recommended"], found
+    spans = {}
+    for path in (tmp_path / "two/proof").glob("*/*.ping.mcap"):
+        run = path.parent, path.name.split("_r")[-1]
+        spans.setdefault(run, []).append(read_trace(path).events[Stage.T1].monotonic_ns[[0, -1]])
+    assert len(spans) >= 2 * 3
+    for (a_first, a_last), (b_first, b_last) in spans.values():
+        assert max(a_first, b_first) < min(a_last, b_last)
+    for proof in found["proofs"]:
+        assert {row["payload_bytes"] for row in proof["proof"]} == {9000, 1000}
 
 
 def test_more_than_the_link_carries_is_said_and_what_fits_is_searched(tmp_path):

@@ -86,6 +86,7 @@ function showAnswer(state) {
   const variables = Object.entries(found.recommended?.variables ?? {});
   byId("files").hidden = !variables.length;
   byId("exports").textContent = variables.map(([name, value]) => `export ${name}='${value}'`).join("\n");
+  byId("save").hidden = !found.recommended?.configuration;
   byId("save").download = (found.recommended?.configuration ?? "").split("/").pop();
   byId("command").textContent = state.command;
 }

@@ -32,7 +32,7 @@ def run(text, tmp_path, *options):
         '[axes]\nbackend = "cyclonedds"\nbridge = "builtin"',
         '[axes]\nconfiguration = "x.xml"',
         '[run]\nseconds = 1\n[axes]\nbackend = "zenoh"\nrate = "max"',
-        '[run]\nseconds = 1\n[[flows]]\nname = "a"\n[[flows]]\nname = "b"',
+        '[run]\nseconds = 1\n[[flows]]\nname = "a"\n[[flows]]\nname = "b"',  # their verdicts would be one
     ],
 )
 def test_plans_that_it_is_not_for(text, tmp_path, capsys):

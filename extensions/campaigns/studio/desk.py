@@ -104,14 +104,14 @@ class Desk:
             question = self._questions.get()
             try:
                 result = self._search(question, self._out, self._tell)
-                self._show(running=False, answer=result)
+                self._show(running=False, note="", answer=result)
                 say(result["sentence"])
             except _StoppedError:
                 self._show(
                     running=False, note="Stopped; what was measured is kept, and the same question goes on from it."
                 )
             except (TraceError, OSError) as err:
-                self._show(running=False, error=str(err))
+                self._show(running=False, note="", error=str(err))
             self._earlier = self._read_earlier()
 
     def _tell(self, event: Event) -> None:
@@ -119,7 +119,7 @@ class Desk:
             if event.candidate is not None and event.state:
                 self._rows.setdefault(event.candidate.name, Row(event)).take(event)
             self._shown |= {"left_s": event.left_s, "stage": event.stage, "note": event.text or self._shown["note"]}
-        if self._is_stopped:
+        if self._is_stopped and event.stage != "answer":  # which is written
             raise _StoppedError
 
     def _show(self, **values: object) -> None:
@@ -150,8 +150,10 @@ class Desk:
         return _json({"error": ""})
 
     def _stop(self, _body: bytes) -> Answer:
-        self._is_stopped = True
-        self._show(note="stopping after this run")
+        with self._lock:
+            if self._shown["running"]:
+                self._is_stopped = True
+                self._shown["note"] = "stopping after this run"
         return _json({"error": ""})
 
     def _state(self) -> Answer:

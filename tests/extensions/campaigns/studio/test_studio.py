@@ -15,7 +15,7 @@ from browser import violations
 from processes import RunningCommand
 from waiting import PATIENCE_S, wait_until
 
-from dds_trace.base.errors import TraceError
+from dds_trace.base.errors import BackendUnavailableError, OutputError, TraceError
 from dds_trace.extensions.campaigns.answer import answer
 from dds_trace.extensions.campaigns.halving import Candidate, Event
 from dds_trace.extensions.campaigns.studio.desk import Desk, question_of
@@ -39,13 +39,21 @@ def told(candidate, p50, p99, state="measured", lost=0, runs=1, text=""):
     return Event("look", text, candidate, state, runs, 40 * runs, lost, lost, p50, p99, 30.0)
 
 
+ENDS = {
+    11: OutputError("state.json: the disk is full; free space"),
+    12: BackendUnavailableError("robot: no route to host"),
+    13: TraceError("nothing can be recorded"),
+}
+"""What a search ends with, by the rate of its messages."""
+
+
 class MadeSearch:
     """Tells of two candidates, and waits where a test wants to look."""
 
     def __init__(self, settings):
         self.going, self.settings, self.asked = threading.Event(), settings, []
 
-    def __call__(self, question, _out, tell, **_):
+    def __call__(self, question, _out, tell):
         self.asked.append(question)
         tell(Event("link", "measuring the link", left_s=110.0))
         tell(told(SLOW, None, None, "running", runs=0))
@@ -55,8 +63,9 @@ class MadeSearch:
         tell(told(SLOW, 18.0, math.inf, "dropped", lost=3, runs=2, text="Zenoh default is out: 3.8% lost"))
         self.going.wait()
         tell(told(FAST, 1.5, 2.5, runs=3))
-        if question.plan.cells[0].rate == 13:
-            raise TraceError("nothing can be recorded")
+        if ended := ENDS.get(question.plan.cells[0].rate):
+            raise ended
+        tell(Event("answer", "the sentence"))
         return {
             "sentence": "Use Fast DDS (ROS 2) large: 100.00% within 50 ms, p99 2.5 ms.",
             "recommended": {
@@ -194,16 +203,38 @@ def test_a_second_question_waits_for_the_first_and_a_stop_ends_it(served, search
     wait_until(lambda: not json.loads(request(served, "GET", "/state")[1])["running"])
     state = json.loads(request(served, "GET", "/state")[1])
     assert "Stopped" in state["note"]
+    post(served, "/stop", {})
+    assert json.loads(request(served, "GET", "/state")[1]) == state
     assert json.loads(post(served, "/ask", FORM)[1]) == {"error": ""}
     wait_until(lambda: json.loads(request(served, "GET", "/state")[1])["answer"])
 
 
-def test_what_ends_a_search_is_said_and_the_next_one_runs(served, search):
+@pytest.mark.parametrize("rate", ENDS)
+def test_what_ends_a_search_is_said_with_what_was_measured_and_the_next_one_runs(served, search, rate):
+    """As a full disk, and a device that vanishes."""
     search.going.set()
-    post(served, "/ask", {**FORM, "rate": "13"})
-    wait_until(lambda: json.loads(request(served, "GET", "/state")[1]).get("error") == "nothing can be recorded")
+    post(served, "/ask", {**FORM, "rate": str(rate)})
+    wait_until(lambda: json.loads(request(served, "GET", "/state")[1]).get("error") == str(ENDS[rate]))
+    state = json.loads(request(served, "GET", "/state")[1])
+    assert (state["running"], state["note"], len(state["rows"])) == (False, "", 2)
     post(served, "/ask", FORM)
     wait_until(lambda: json.loads(request(served, "GET", "/state")[1])["answer"])
+
+
+def test_a_stop_that_comes_with_the_answer_leaves_the_answer(tmp_path):
+    desk = Desk(tmp_path)
+
+    def stopped(_question, _out, tell):
+        desk.posts["/stop"](b"")
+        tell(Event("answer", "Use it."))
+        return {"sentence": "Use it."}
+
+    desk._search = stopped
+    threading.Thread(target=desk.work, daemon=True).start()
+    desk.posts["/ask"](json.dumps(FORM).encode())
+    wait_until(lambda: not json.loads(desk.answers["/state"]()[1])["running"])
+    state = json.loads(desk.answers["/state"]()[1])
+    assert (state["note"], state["answer"]) == ("", {"sentence": "Use it."})
 
 
 def test_earlier_answers_of_strangers_are_left_out(tmp_path):

@@ -64,7 +64,8 @@ def analyze_command(
     fail_if: Annotated[
         list[str] | None,
         option(
-            "--fail-if LIMIT", "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; repeatable."
+            "--fail-if LIMIT",
+            "Fail if a topic that taps heard is beyond this limit: 'age_p99(/camera) > 50ms'; repeatable.",
         ),
     ] = None,
     open_it: Opens = False,

@@ -36,12 +36,10 @@ class Check:
 
 @command(app, "doctor")
 def doctor_command(
-    out: Annotated[
-        Path | None, option("--out PATH", "A trace to be: what recording costs is measured on its disk.")
-    ] = None,
+    out: Annotated[Path | None, option("--out PATH", "Measure what recording costs on the disk of this path.")] = None,
     as_json: Annotated[bool, option("--json", "Print the checks as JSON.")] = False,
 ) -> None:
-    """Show what can be measured here, what cannot, what to install.
+    """Check this machine: middlewares, missing packages, limits.
 
     Middlewares, bridges, security, buffers, clocks, permissions, and what recording itself costs here (some seconds).
     """

@@ -40,7 +40,7 @@ _WITHOUT_FRAMES = ("record", "recover", "bridge")
 _WITHOUT_PROGRAMS = ("analyze", "bag", "choose", "compare")
 _HELP = {"-h", "--help", "--version"}
 _GROUPS = {
-    "record": "Record a ping, a relay, topics or clocks; list what records now.",
+    "record": "Record a ping, a relay, topics or clocks; list recordings.",
     "explain": "Explain why latency rises at slow rates, or around a size.",
     "sweep": "Write a plan.",
 }

@@ -52,7 +52,7 @@ class CommandOptions:
     reliability: Reliability = option(
         Reliability.RELIABLE,
         "--reliability QOS",
-        "Delivery (of a tap best_effort unless given):",
+        "Delivery (tap: best_effort):",
         axis=Axis(meaning="QoS reliability of both sides"),
     )
     durability: Durability = option(
@@ -71,7 +71,7 @@ class CommandOptions:
     depth: int = option(
         10,
         "--depth N",
-        "Length of the queue with keep_last; of a tap 32 unless given.",
+        "Length of the queue with keep_last (tap: 32).",
         limit=limits.DEPTH,
         axis=Axis(meaning="messages that `keep_last` keeps, of both sides"),
     )

@@ -225,9 +225,7 @@ class TapOptions:
         parse=parse_rates,
     )
     diagnostics: bool = detail(False, "--diagnostics", "Publish the state of each topic on /diagnostics once a second.")
-    payload: bool = detail(
-        False, "--payload", "Keep the messages themselves too, as a bag has them; without it, never."
-    )
+    payload: bool = detail(False, "--payload", "Keep the messages, too, as a bag does.")
 
     def check(self) -> None:
         check_fields(self)

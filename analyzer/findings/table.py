@@ -233,7 +233,7 @@ CHECKS: tuple[Check, ...] = (
     sending.late_sends,
     sending.CLIENTS.warning(
         "client_bound",
-        "The throughput is our programs', not the middleware's",
+        "Throughput was limited by the benchmark client",
         pl.any_horizontal(pl.col("sender_busy", "held").is_not_null()),
         "[The sending thread was busy in {sender_busy:.0%} of the time that it had a processor, {message_ns:duration} a message, in Python "
         "and the middleware; it waited for neither the middleware nor the link.]"
@@ -263,7 +263,7 @@ CHECKS: tuple[Check, ...] = (
     surroundings.disturbed_flows,
     surroundings.HEAD_OF_LINE.warning(
         "head_of_line",
-        "Messages of a flow wait until a message of another flow is through",
+        "Head-of-line blocking between flows",
         pl.col("verdict") == Overtaking.WAITS.value,
         "Of {caught:# message} of {flow} that left while one of {other} was under way and stayed so for twice the usual round trip, "
         "{overtook} returned before it[; half of them took {wait_p50_ns:duration} more than usual].",
@@ -273,7 +273,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     surroundings.FAN_OUT.warning(
         "slow_discovery",
-        "Running relays were met late, and messages until then were lost",
+        "Slow discovery: messages were lost before all relays were found",
         pl.col("matched_max_ns") > surroundings.SLOW_MATCH_NS,
         "Until the last of {receivers:# relay} answered a ping that had just started, up to {matched_max_ns:duration} passed; "
         "{missed_p50:.3g} messages to relays were lost until then (p50 of the runs)[, and discovery took {discovery_bytes_p50:,.0f} "
@@ -300,7 +300,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     sessions.RECORDINGS.warning(
         "strangers",
-        "Somebody else sent what a recording did not accept",
+        "Unexpected traffic from another process was rejected",
         pl.col("strangers") != "",
         "Others sent what was not accepted: {strangers}.",
         "Find out who else sends on this domain or port (SECURITY.md), and record where nobody does: their load is in the latency.",

@@ -49,9 +49,9 @@ def record_command(
 
 _HELP = {
     Role.PING: "Send messages on a schedule, and record what a relay sends back.",
-    Role.RELAY: "Send messages back, and record them; Ctrl-C ends.",
-    Role.TAP: "Record how late and how complete topics of others arrive.",
-    Role.BEACON: "Compare the clocks of the devices that run one; Ctrl-C ends.",
+    Role.RELAY: "Send messages back, and record them (Ctrl-C to stop).",
+    Role.TAP: "Record latency and loss of topics that other programs publish.",
+    Role.BEACON: "Align the clocks of several devices: run one on each.",
 }
 
 

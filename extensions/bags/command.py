@@ -44,7 +44,10 @@ def bag_command(
     export: Annotated[list[str] | None, kinds_of(TOPIC_EXPORTS, "--export KIND", "Further file to write")] = None,
     fail_if: Annotated[
         list[str] | None,
-        option("--fail-if LIMIT", "Fail if it holds: 'missing(/camera) > 1%', 'age_p99(/camera) > 50ms'; repeatable."),
+        option(
+            "--fail-if LIMIT",
+            "Fail if a topic is beyond this limit: 'missing(/camera) > 1%', 'age_p99(/camera) > 50ms'; repeatable.",
+        ),
     ] = None,
     limits_file: Annotated[Path | None, option("--limits FILE", "A limits.toml, with limits by topic.")] = None,
     write_limits: Annotated[
@@ -63,7 +66,7 @@ def bag_command(
     ] = None,
     open_it: Opens = False,
 ) -> None:
-    """Say whether a recording of other tools is whole, topic by topic.
+    """Check that a recording of other tools is whole, topic by topic.
 
     Exit code 30 with holes, 31 if it is damaged; with --fail-if the limits decide.
 

@@ -16,7 +16,7 @@ def recover_command(
     path: Annotated[Path, argument("FILE", "A .mcap file, its ring, or a bag of another program.")],
     out: Annotated[Path | None, option("--out PATH", "File or folder to write. Default: next to FILE")] = None,
 ) -> None:
-    """Make a whole copy of what a killed recorder left, or of a bag."""
+    """Recover a trace after a crash, or a damaged bag."""
     from .recover import is_of_others, recover_recording
     from .recover_trace import recover
 

@@ -38,7 +38,7 @@ def watch_command(
         Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces")
     ] = None,
 ) -> None:
-    """Show the report in a browser while a sweep writes; Ctrl-C ends.
+    """Serve a live report while a sweep is running (Ctrl-C to stop).
 
     For example:
 

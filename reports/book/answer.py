@@ -211,7 +211,7 @@ def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[str
                 reasons.setdefault(row.reason, []).append((row, answer))
     labels = contender_labels(answers, vendors)
     total = sum(map(len, reasons.values()))
-    where = "" if total == 1 else f" for any of the {total} kinds of message compared"
+    where = "" if total == 1 else f" in any of {total} comparisons"
     lowest = lowest_sentence([pair for judged in reasons.values() for pair in judged], labels)
     if len(reasons) == 1:
         ((reason, judged),) = reasons.items()

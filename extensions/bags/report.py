@@ -17,7 +17,7 @@ from dds_trace.base.units import (
     format_duration,
     format_rate,
     format_ratio,
-    format_size,
+    mean_size,
     utc_words,
 )
 from dds_trace.reports import blocks
@@ -182,7 +182,7 @@ def cells(row: TopicRow, strip: Sequence[float]) -> tuple[str, ...]:
         "" if row["gap_max_ns"] is None else format_duration(row["gap_max_ns"]),
         _share_words(sum(strip) / len(strip)) if row["expected_rate_hz"] else "",
         "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
-        format_size(round(row["payload_mean_bytes"])),
+        mean_size(row["payload_mean_bytes"]),
         age_words(row),
     )
 

@@ -9,7 +9,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, mean_size
 from dds_trace.extensions.bags.chains import TOGETHER_NS, Link, Stamped, chain_lines, find_links
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -143,7 +143,7 @@ def _topic_row(row: Mapping[str, Any]) -> tuple[Words, ...]:
         printable(row["topic"]),
         _way(row),
         MISSING if row["rate_hz"] is None else format_rate(float(f"{row['rate_hz']:.3g}")),
-        MISSING if row["message_bytes"] is None else format_size(round(row["message_bytes"])),
+        MISSING if row["message_bytes"] is None else mean_size(row["message_bytes"]),
         format_ratio(row["received_ratio"]),
         *(Stack([[Span(time, "")] for time in pair]) for pair in times),
         *(time for pair in times for time in pair),

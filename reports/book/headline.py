@@ -202,7 +202,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
 
 def limits_words(analysis: Analysis) -> str:
     counts = Counter(code for finding in analysis.findings for code in [finding.code] * finding.count)
-    full, recordings = counts["cpu_saturated"], len(analysis.sessions)
+    full, recordings = counts["cpu_saturated"], analysis.details.host_samples["session_id"].n_unique()
     words = ""
     if full and full >= BUSY_SHARE * recordings:
         words = f" The machine was busy in {full} of {counted(recordings, 'trace')}: these times include waiting for a processor."

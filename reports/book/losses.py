@@ -9,7 +9,7 @@ from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason, is_replacing
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_rate, format_ratio, format_size, joined
+from dds_trace.base.units import format_rate, format_ratio, format_size, joined, mean_size
 
 from .groups import (
     MOST_NAMED,
@@ -71,7 +71,7 @@ def throughput_sentence(groups: Groups, values: Values) -> str:
     for group in sorted(fast, key=lambda group: -(rates[group.index] or 0)):
         lost = 1 - (values.plain["received_ratio"][group.index] or 0.0)
         share = f" ({format_ratio(lost)} replaced)" if lost > 0 and replaces(groups, group) else ""
-        parts.append(f"{labels[group.index]} {format_size(round(rates[group.index] or 0))}/s{share}")
+        parts.append(f"{labels[group.index]} {mean_size(rates[group.index] or 0)}/s{share}")
     return f"As fast as messages were taken: {some_of(parts, 'more in the table')}." if parts else ""
 
 

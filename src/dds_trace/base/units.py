@@ -132,6 +132,10 @@ def format_size(size_bytes: int) -> str:
     return f"{size_bytes} B"
 
 
+def mean_size(size_bytes: float) -> str:
+    return format_size(int(float(f"{size_bytes:.3g}")))
+
+
 def spell_size(size_bytes: int) -> str:
     whole = (unit for unit, size in DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(whole, "B")

@@ -289,7 +289,9 @@ def test_how_long_each_setup_took_to_come_back(sentences):
 def test_one_full_recording_of_four_makes_a_busy_machine(recordings, is_said, sentences):
     analysis = make_analysis(Measured(FAST, ping_device="vm", relay_device="vm", connectivity="loopback"))
     full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
-    busy = replace(analysis, sessions=analysis.sessions[:1] * recordings, findings=(full,))
+    sample = analysis.details.host_samples.head(1)
+    samples = (sample.with_columns(session_id=pl.lit(n, dtype=pl.UInt64)) for n in range(recordings))
+    busy = replace(analysis, details=replace(analysis.details, host_samples=pl.concat(samples)), findings=(full,))
     where = Book(busy).answer.points[-1]
     assert numbers(where) == ([1, 1, 4] if is_said else [1])
     sentences(where)

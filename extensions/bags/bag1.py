@@ -59,8 +59,8 @@ _NEEDED: dict[int, dict[str, int]] = {
 """Fields of each kind of record, and their bytes."""
 _LENGTH, _HEADER_LENGTH = struct.Struct("<I"), struct.Struct("<HH")
 _TIME = struct.Struct("<II")
-_USUAL_BYTES = 42
-"""Of a message's header with its length: fields `op`, `conn` and `time`."""
+_USUAL_BYTES = len("op=.conn=....time=........") + 4 * _LENGTH.size
+"""Of a message's header with its length: three fields, each after its own."""
 _HEADER_START = re.compile(rb"(?=..\0\0..\0\0[a-z0-9_]{1,24}=)", re.DOTALL)
 """The lengths of a header and of its first field, both under 64 KiB, and the name of that field."""
 
@@ -154,12 +154,12 @@ class _Bag1Walk:
             self._look_ahead()
         log_ns = words[starts + run.time_at].astype(np.int64) * 10**9 + words[starts + run.time_at + 4]
         self._times_ns += log_ns.tolist()
-        is_known = np.array([number in self._topics for number in numbers.tolist()])
-        topics = [self._topics[number] for number in numbers[is_known].tolist()]
+        has_topic = np.array([number in self._topics for number in numbers.tolist()])
+        topics = [self._topics[number] for number in numbers[has_topic].tolist()]
         none, sizes = np.full(count, NONE), words[starts + run.data_at - _LENGTH.size].astype(np.int64)
-        index = (np.cumsum(is_known) - 1)[inverse]
+        index = (np.cumsum(has_topic) - 1)[inverse]
         batch = MessageBatch(topics, index, log_ns, none, none, data, starts + run.data_at, sizes)
-        yield batch.selected(is_known[inverse])
+        yield batch.selected(has_topic[inverse])
         if count < len(run.starts):
             self._budget.take()
 
@@ -296,7 +296,7 @@ def _with_alike(data: bytes, record: _Record) -> _Record:
         return record
     fixed = map(re.escape, (head[:conn_at], head[conn_at + _LENGTH.size : time_at], head[time_at + _TIME.size :]))
     alike = re.compile(b"%s.{4}%s.{8}%s(.{4})" % tuple(fixed), re.DOTALL)
-    while (found := alike.match(data, at)) and (end := found.end() + int.from_bytes(found[1], "little")) <= len(data):
+    while (match := alike.match(data, at)) and (end := match.end() + int.from_bytes(match[1], "little")) <= len(data):
         starts.append(at)
         at = end
     if starts and at < len(data):

@@ -127,8 +127,8 @@ def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
             if len(topic.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
                 break
             for first, follower in ((number, after), (after, number)):
-                of_both = partial(ranks, first, "log_ns"), partial(ranks, follower, "stamp_ns")
-                yield from _follows(ordered[first], ordered[follower], *of_both)
+                both_ranks = partial(ranks, first, "log_ns"), partial(ranks, follower, "stamp_ns")
+                yield from _follows(ordered[first], ordered[follower], *both_ranks)
 
 
 _Ranks = Callable[[bytes], "Int64 | None"]
@@ -136,12 +136,12 @@ _Ranks = Callable[[bytes], "Int64 | None"]
 
 def _follows(first: Stamped, follower: Stamped, logged: _Ranks, stamped: _Ranks) -> Iterator[Link]:
     at = np.searchsorted(first.log_ns, follower.stamp_ns[:PHASES], "right") - 1
-    known = np.flatnonzero(at >= 0)
-    steps = np.diff(at[known])
+    paired = np.flatnonzero(at >= 0)
+    steps = np.diff(at[paired])
     if len(steps) <= 2 * WINDOW or np.count_nonzero(steps == 1) / len(steps) < MOST:
         return
-    came, made = logged(at[known].tobytes()), stamped(known.tobytes())
-    if came is not None and made is not None and 2 * (came @ made) > came @ came:
+    came, sent = logged(at[paired].tobytes()), stamped(paired.tobytes())
+    if came is not None and sent is not None and 2 * (came @ sent) > came @ came:
         at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
         waits_ns = (follower.stamp_ns - first.stamp_ns[at])[at >= 0]
         yield _link(first, follower, waits_ns, at[at >= 0], stamps_again=True)

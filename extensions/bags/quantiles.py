@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-_NAMED = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
+_STATISTICS = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
 """Statistic -> quantile, and the values that it takes."""
 
 _NORMAL = 1 / NormalDist().inv_cdf(3 / 4)
@@ -41,7 +41,7 @@ def quantile(values: Values, share: float) -> float:
 
 
 def named_quantile(values: Values, statistic: str) -> float | None:
-    share, needs = _NAMED[statistic]
+    share, needs = _STATISTICS[statistic]
     return quantile(values, share) if len(values) >= needs else None
 
 

@@ -82,8 +82,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     if unseen and not health.readable:
         return f"No loss can be seen: {counted(unseen, 'topic')} {has} no steady rate."
     gaps = sum(row["missing_from"] == "period" and row["missing"] > 0 for row in rows)
-    known = f"No loss is certain: gaps of {counted(gaps, 'topic')} are losses or pauses." if gaps else "Whole."
-    return known + (
+    certain = f"No loss is certain: gaps of {counted(gaps, 'topic')} are losses or pauses." if gaps else "Whole."
+    return certain + (
         f" {counted(unseen, 'topic')} {has} no steady rate, so losses there cannot be seen." if unseen else ""
     )
 

@@ -107,8 +107,8 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
         more = f"; {counted(len(rows), 'message')} more from single pages" if rows else ""
         condition.damages.append(f"{fault}{more}")
     condition.topics |= set(topics.values())
-    found = (RawMessage(topics[at], time_ns, None, None, data) for _, at, time_ns, data in rows if at in topics)
-    yield from batched(found)
+    messages = (RawMessage(topics[at], time_ns, None, None, data) for _, at, time_ns, data in rows if at in topics)
+    yield from batched(messages)
 
 
 def _messages(
@@ -121,13 +121,13 @@ def _messages(
     read_bytes = 0
     for part in in_parts(rows):
         count = budget.take(len(part))
-        known = [row for row in part[:count] if row[1] in topics]
+        rows_of_topics = [row for row in part[:count] if row[1] in topics]
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
-        stored = [row for row in known if isinstance(row[3], bytes)]
+        stored = [row for row in rows_of_topics if isinstance(row[3], bytes)]
         seen.update(zip(map(itemgetter(0), stored), map(crc32, map(itemgetter(3), stored)), strict=True))
         timed = [row for row in stored if isinstance(row[2], int)]
-        if len(timed) < len(known):
-            others = (row for row in known if not isinstance(row[3], bytes) or not isinstance(row[2], int))
+        if len(timed) < len(rows_of_topics):
+            others = (row for row in rows_of_topics if not isinstance(row[3], bytes) or not isinstance(row[2], int))
             condition.unreadable.update(topics[row[1]].name for row in others)
         if timed:
             _, topic_ids, times_ns, contents = zip(*timed, strict=True)

@@ -94,8 +94,8 @@ def advise_command(
             raise OptionError("a plan has its own messages, link and devices; remove --size, --rate, --link and --host")
         requested = plan_of(plan, out)
         read_thresholds(requested, None, None, is_judged=False)
-        named = replace(flows_together(requested), name=f"{requested.name}-advice")
-        question = Question(named, limits, minutes)
+        combined = replace(flows_together(requested), name=f"{requested.name}-advice")
+        question = Question(combined, limits, minutes)
     elif rate is None:
         raise OptionError("give the messages, for example --size 502KB --rate 20, or a PLAN")
     else:

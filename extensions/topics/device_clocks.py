@@ -20,14 +20,11 @@ from dds_trace.analyzer.loading.event_index import EventPart
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
+from dds_trace.extensions.bags.bounds import FEW, NOTICED_NS
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import Stage
 
 from .clock_track import UNKNOWN_NS, ClockTrack, track_clock
-
-_SAME_ZERO_NS = 2_000_000_000
-_THINNED_NS = 100_000_000
-"""Only the fastest message of each such time shapes a fit."""
 
 
 class Machine(NamedTuple):
@@ -137,7 +134,7 @@ class DeviceClocks:
         if links:
             return all(link.track.same_clock for link in links)
         first_ns, second_ns = (int(self._zeros[machine][-1, 1]) for machine in (first, other))
-        return abs(first_ns - second_ns) < _SAME_ZERO_NS
+        return abs(first_ns - second_ns) < 2 * SECOND_NS
 
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
         """Return the links of the shortest way between machines; a step within one clock has no link."""
@@ -171,7 +168,9 @@ def _messages_by_pair(
         .select("run_id", "relay_id", *stamps, under_way.alias("under_way"))
         .filter(pl.all_horizontal(pl.col(stamps).is_not_null()), pl.col("under_way") >= 0)
         .sort("under_way")
-        .group_by("run_id", "relay_id", pl.col("publish_ns") // _THINNED_NS, maintain_order=True)
+        .group_by(
+            "run_id", "relay_id", pl.col("publish_ns") // NOTICED_NS, maintain_order=True
+        )  # only the fastest shapes a fit
         .agg(pl.col(name).first() if name != "publish_ns" else pl.col(name).first().alias("sent_ns") for name in stamps)
         .collect()
     )
@@ -197,12 +196,6 @@ def _joined(pair: tuple[Machine, Machine], messages: pl.DataFrame) -> RelayedMes
 
 
 _KEYS = ("stamped", "recorded", "topics")
-
-MOST_EARLY = 0.01
-"""Share of messages that may be received before they were stamped, if stamps are of the device."""
-
-
-MUCH_OLDER_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +278,7 @@ class StampClock:
             placed = self._place(stamp_ns, *machines)
             early = log_ns - placed.at_ns < -placed.bound_ns
             is_bounded = bool((placed.bound_ns < UNKNOWN_NS // 2).all())
-            if is_bounded and early.mean() <= MOST_EARLY and not self._is_local(log_ns, stamp_ns, placed.at_ns):
+            if is_bounded and early.mean() <= FEW and not self._is_local(log_ns, stamp_ns, placed.at_ns):
                 # Within the bound: nothing arrives before it is sent.
                 at_ns = np.where(early, placed.at_ns, np.minimum(placed.at_ns, log_ns))
                 placed_topics[name] = Instants(at_ns, placed.bound_ns)
@@ -293,8 +286,8 @@ class StampClock:
 
     def _is_local(self, log_ns: Int64, stamp_ns: Int64, placed_ns: Int64) -> bool:
         """Return whether stamps are of the recorder's clock: uncorrected ages are possible, and much smaller."""
-        is_possible = (log_ns < stamp_ns).mean() <= MOST_EARLY
-        return self._request.topics == "*" and is_possible and np.median(stamp_ns - placed_ns) > MUCH_OLDER_NS
+        is_possible = (log_ns < stamp_ns).mean() <= FEW
+        return self._request.topics == "*" and is_possible and np.median(stamp_ns - placed_ns) > SECOND_NS
 
     def _place(self, stamp_ns: Int64, stamped: Machine | None, recorded: Machine | None) -> Instants:
         assert stamped is not None

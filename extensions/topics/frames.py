@@ -30,9 +30,6 @@ from dds_trace.tracefile.format.json_fields import JsonObject, number_of
 from .device_clocks import DeviceClocks, Machine, follow_wall_clocks
 from .join import Delivery, deliver, find_streams, heard_by_taps, with_ages
 
-LEAST_CHAINED = 0.5
-"""Share of messages with a header stamp of an earlier topic, if made of its messages."""
-
 
 def origin_name(delivery: Delivery) -> str:
     return "unknown" if delivery.origin is None else delivery.origin.device
@@ -48,7 +45,7 @@ def find_sources(deliveries: Sequence[Delivery]) -> dict[int, int]:
             if earlier.heard.topic == later.heard.topic or not is_here:
                 continue
             times, _ = _processing_ns(earlier, later)
-            if len(times) and len(times) >= LEAST_CHAINED * len(later.messages) and np.median(times) >= 0:
+            if len(times) and 2 * len(times) >= len(later.messages) and np.median(times) >= 0:
                 earlier_ones.append((float(np.median(times)), other))
         if earlier_ones:
             sources[number] = min(earlier_ones)[1]

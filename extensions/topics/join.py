@@ -109,9 +109,6 @@ def _text(record: JsonObject, name: str) -> str:
     return value if isinstance(value, str) else ""
 
 
-LEAST_ALIKE = 0.5
-"""Share of the shorter of two streams that the other has, if a bridge made one of the other."""
-
 FASTEST = 0.05
 """Quantile of lateness that decides which tap is next to the publisher."""
 
@@ -184,7 +181,7 @@ def _shared_key(first: Stream, other: Stream) -> Key | None:
         if key is SOURCE and any((side["source_ns"] == 0).any() for side in sides):
             continue
         alike = len(sides[0].join(sides[1], on=key, how="semi"))
-        if alike >= LEAST_ALIKE * min(map(len, sides)) > 0:
+        if 2 * alike >= min(map(len, sides)) > 0:  # a bridge made one of the other
             return key
     return None
 

@@ -10,6 +10,7 @@ import polars as pl
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, mean_size
+from dds_trace.extensions.bags.bounds import SHOWN
 from dds_trace.extensions.bags.chains import TOGETHER_NS, Link, Stamped, chain_lines, find_links
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 MOST_SENTENCES = 6
 MOST_ROWS = 200
-MOST_CHAINS = 3
 
 CLOCK_WORDS = {
     "same": "one clock",
@@ -64,7 +64,7 @@ def topic_sentences(analysis: Analysis) -> list[str]:
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]
     if more := len(rows) - len(sentences):
         sentences.append(f"{counted(more, 'more topic is', 'more topics are')} in the table.")
-    return [*sentences, *map(printable, chain_lines(topic_links(analysis), MOST_CHAINS))]
+    return [*sentences, *map(printable, chain_lines(topic_links(analysis), SHOWN))]
 
 
 def topic_links(analysis: Analysis) -> list[Link]:

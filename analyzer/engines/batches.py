@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dds_trace.base.threads import InlineExecutor
+from dds_trace.tracefile.format.events import EventColumns
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
 from ..groups.frames import CAMPAIGN_MAKERS, DETAIL_MAKERS, MAKERS, Frames, concatenate_frames
@@ -133,10 +134,13 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
     pool, options = pool or InlineExecutor(), batch.options
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
-    events = {key: columns for key, (columns, _) in merged.items()}
     copies = {key: copied for key, (_, copied) in merged.items() if copied}
+    events = {key: columns for key, (columns, _) in merged.items()}
+    del merged
+    if is_large(batch):
+        _share_sequences(batch, events)
     rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
-    del merged, events  # gigabytes of a long run
+    del events  # gigabytes of a long run
     makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
     measures_whole = options.details and batch.whole
     if measures_whole:
@@ -158,6 +162,13 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
         return BatchResult(concatenate_frames([frames]), rows.counts, statistics, copies, values)
 
     return BatchOutput(rows if options.rows else None, result)
+
+
+def _share_sequences(batch: Batch, events: dict[EventKey, EventColumns]) -> None:
+    for sent, *others in (exchange.event_keys() for exchange in batch.exchanges):
+        for key in others:
+            if np.array_equal(events[key].sequence, events[sent].sequence):
+                events[key] = replace(events[key], sequence=events[sent].sequence)
 
 
 def process_elsewhere(batch: Batch, parts: Parts) -> BatchOutput:

@@ -52,7 +52,7 @@ class Engine(ExitStack):
             keep_freed_memory()
         with (
             ThreadPoolExecutor(self._count, thread_name_prefix="analyze") as threads,
-            ThreadPoolExecutor(self._count, thread_name_prefix="measure") as measuring,
+            ThreadPoolExecutor(1, thread_name_prefix="measure") as measuring,  # of a large batch, for its memory
         ):
 
             def begin(batch: Batch) -> Future[BatchOutput]:

@@ -18,7 +18,7 @@ from dds_trace.tracefile.format.events import Stage
 from ..model.metrics import frame_schema
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages
-from .batch import Batch
+from .batch import Batch, described_exchanges
 
 STAGES = (
     "waiting_ns",
@@ -58,6 +58,11 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         return pl.DataFrame(schema=BREAKDOWN_SCHEMA)
     messages, is_stamped = _messages(batch, roundtrips), roundtrips.stamp_names >= RECEPTION_STAMPS
     deliveries = pl.when("is_sound").then(pl.col(_ANCHORED[:2]))
+    # By exchange: a join would copy all columns.
+    anchors = described_exchanges(batch).join(
+        _anchors(messages).collect(), on="group", how="left", maintain_order="left"
+    )
+    anchored = {name: pl.lit(anchors[name]).gather("exchange") for name in ("is_sound", "anchor_ns", "with_clock_ns")}
     is_sound, clock_ns = pl.col("is_sound").first(), pl.col("clock_bound_ns").mean()
     anchor_ns, with_clock_ns = pl.col("anchor_ns").first(), pl.col("with_clock_ns").first()
     there, back = (pl.col(name) for name in _ANCHORED[:2])
@@ -75,7 +80,7 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     way_ns = pl.when(is_sound).then(with_clock_ns).otherwise(clock_ns)
     return (
         messages.filter("is_complete")
-        .join(_anchors(messages), on="group")
+        .with_columns(**anchored)
         .with_columns(deliveries)
         .group_by("group")
         .agg(
@@ -184,7 +189,7 @@ def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     responses = (
         pl.DataFrame([roundtrips.column(name) for name in names])
         .with_columns(
-            pl.Series("group", roundtrips.per_row(batch.group_of_exchange)),
+            pl.Series("group", roundtrips.per_row(batch.group_of_exchange)).set_sorted(),
             roundtrips.described["rate_hz"].gather(roundtrips.exchange_of_row()),
         )
         .drop_nulls("response_ns")

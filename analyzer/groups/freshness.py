@@ -39,6 +39,7 @@ OUTAGE_SCHEMA = frame_schema(
 """A run of lost messages, from T0 (else T1) of the first one to the next reception; null for a time that the run does not reach."""
 
 _KEYS = ("group", "run_id", "relay_id")
+_READ = ("sequence", "scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "outbound_ns", "clock_bound_ns")
 
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
@@ -56,7 +57,8 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     is_limited = batch.options.deadline_ns is not None
     loses = _may_have_outages(roundtrips)
     rows = _rows(batch, roundtrips, is_timed=is_limited or loses)
-    back, there = age_of_information(rows, "receive_ns"), age_of_information(rows, "arrived_ns")
+    # Collected one after the other: each copies some columns of all messages.
+    back, there = (age_of_information(rows, name).collect().lazy() for name in ("receive_ns", "arrived_ns"))
     outages = (
         find_outages(rows if loses else rows.head(0))
         .group_by("exchange")
@@ -77,7 +79,7 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         .join(_misses(rows, batch.options.deadline_ns), on="exchange", how="left")
         .join(back.select("exchange", pl.exclude("exchange").name.prefix("age_")), on="exchange", how="left")
         .join(there.select("exchange", pl.exclude("exchange").name.prefix("relay_age_")), on="exchange", how="left")
-        .join(_late(rows, batch), on="exchange", how="left")
+        .join(_late(rows, batch).collect().lazy(), on="exchange", how="left")
         .join(outages, on="exchange", how="left")
         .with_columns(
             pl.col("outages").fill_null(0),
@@ -115,7 +117,8 @@ def _rows(batch: Batch, roundtrips: RoundTrips, *, is_timed: bool = True) -> pl.
     deadline_ns, metric = batch.options.deadline_ns, batch.options.deadline_metric
     planned = pl.coalesce("scheduled_ns", "publish_ns")
     # A message without a schedule responds from T1 on.
-    value = pl.coalesce("response_ns", "rtt_ns") if metric == "response" else pl.col(f"{metric}_ns")
+    names = ("response_ns", "rtt_ns") if metric == "response" else (f"{metric}_ns",)
+    value = pl.coalesce(names)
     bound = pl.col("clock_bound_ns") if metric in ONE_WAY_METRICS else 0
     never = [OUTCOMES.index(Outcome(outcome)) for outcome in _NEVER.get(metric, LOSSES)]
     usual = pl.col("receive_ns") - planned
@@ -127,9 +130,10 @@ def _rows(batch: Batch, roundtrips: RoundTrips, *, is_timed: bool = True) -> pl.
     exchange, first_of = roundtrips.exchange_of_row(), _first_of_restarted(batch, roundtrips)
     for restarted, first in first_of.items():
         exchange[roundtrips.bounds[restarted] : roundtrips.bounds[restarted + 1]] = first
-    rows = roundtrips.measured.with_columns(pl.Series("exchange", exchange), pl.Series("code", roundtrips.outcome))
+    rows = roundtrips.select(list(dict.fromkeys((*_READ, *(names if deadline_ns is not None else ())))))
+    rows = rows.with_columns(pl.Series("exchange", exchange), pl.Series("code", roundtrips.outcome))
     return (rows.sort("exchange", "sequence") if first_of else rows).select(
-        "exchange",
+        pl.col("exchange").set_sorted(),
         "sequence",
         "receive_ns",
         "relay_in_ns",

@@ -36,12 +36,12 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     delayed, until the ping had caught up; `still` stand-stills, the longest of `still_ns` until `still_end_ns`, ping's clock.
     """
     rows = roundtrips.measured.lazy().select(
-        pl.lit(pl.Series(roundtrips.exchange_of_row())).alias("exchange"), "scheduled_ns", "publish_ns"
+        pl.lit(pl.Series(roundtrips.exchange_of_row()).set_sorted()).alias("exchange"), "scheduled_ns", "publish_ns"
     )
     frame = (
         described_exchanges(batch)
         .lazy()
-        .join(_schedule_lag(rows, batch), on="exchange", how="left")
+        .join(_schedule_lag(rows, batch).collect().lazy(), on="exchange", how="left")
         .join(_late(rows), on="exchange", how="left")
         .sort("exchange")
         .with_columns(pl.col("messages", "late", "still").fill_null(0))

@@ -35,9 +35,7 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     rows: list[dict[str, object]] = []
     # Filled for all runs at once: per run, the conversion takes longer than the median.
-    columns = {
-        name: filled(roundtrips.measured[name]) for name in {_metric_of(exchange) for exchange in batch.exchanges}
-    }
+    columns = {name: filled(roundtrips.column(name)) for name in {_metric_of(exchange) for exchange in batch.exchanges}}
     sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
         exchange_rows = slice(*roundtrips.bounds[number : number + 2].tolist())

@@ -31,8 +31,6 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What is kept of a metric of a group."""
-
     samples: int
     statistics: Mapping[str, float | None]
     histogram: Histogram

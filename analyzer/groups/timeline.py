@@ -16,6 +16,7 @@ ROWS_AT_ONCE = 4_000_000
 RUN_SCHEMA = frame_schema(
     "group:u32 run_id:u64 origin_ns:i64 last_ns:i64 published:u32 received:u32 p50_ns:f64 max_ns:i64"
 )
+_OF_RUNS = [pl.col(name).cast(kind) for name, kind in RUN_SCHEMA.items()]
 _READ = ("scheduled_ns", "publish_ns", "outcome", "latency_ns", "rtt_ns")
 
 
@@ -25,9 +26,12 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     `origin_ns` is the first T0 (else T1), `last_ns` the last T1; counts are times the relays; times are latencies, round trips
     without the relay's stamps.
     """
-    exchange = roundtrips.exchange_of_row()
-    names = (described_exchanges(batch)[name].gather(exchange) for name in ("group", "run_id"))
-    return _summarize(roundtrips.measured.select(_READ).with_columns(names))
+    # Relays of a run follow each other: ascending numbers are grouped without a copy.
+    runs = described_exchanges(batch).with_columns(run=pl.struct("group", "run_id").rle_id())
+    run = pl.Series("run", roundtrips.per_row(runs["run"].to_numpy())).set_sorted()
+    summarized = _summarize(roundtrips.select(_READ).with_columns(run), "run")
+    names = runs.unique("run", maintain_order=True).select("run", "group", "run_id")
+    return summarized.join(names, on="run", maintain_order="left").select(_OF_RUNS)
 
 
 def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
@@ -38,13 +42,14 @@ def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
     rows_before = runs["published"].cum_sum() - runs["published"]
     for _, read in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True):
         rows = roundtrips.filter(pl.col("run_id").is_in(read["run_id"].implode()))
-        parts.append(_summarize(rows.select(pl.lit(0).alias("group"), "run_id", *_READ).collect()))
+        summarized = _summarize(rows.select("run_id", *_READ).collect(), "run_id")
+        parts.append(summarized.with_columns(group=0).select(_OF_RUNS))
     return pl.concat(parts).drop("group").sort("run_id")
 
 
-def _summarize(rows: pl.DataFrame) -> pl.DataFrame:
+def _summarize(rows: pl.DataFrame, run: str) -> pl.DataFrame:
     time_ns = pl.coalesce("latency_ns", "rtt_ns")
-    runs = rows.group_by("group", "run_id", maintain_order=True).agg(
+    return rows.group_by(run, maintain_order=True).agg(
         origin_ns=pl.coalesce("scheduled_ns", "publish_ns").min(),
         last_ns=pl.col("publish_ns").max(),
         published=pl.len(),
@@ -52,7 +57,6 @@ def _summarize(rows: pl.DataFrame) -> pl.DataFrame:
         p50_ns=time_ns.median(),
         max_ns=time_ns.max(),
     )
-    return runs.select(pl.col(name).cast(kind) for name, kind in RUN_SCHEMA.items())
 
 
 _ALL_POINTS = 100_000
@@ -75,7 +79,7 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
     rows = _rows_to_draw(roundtrips, recorded, points_of_exchange(batch.all_exchanges))
     exchange = roundtrips.exchange_of_row()[rows]
-    drawn = roundtrips.measured.select(_DRAWN)[rows].with_columns(
+    drawn = roundtrips.select(_DRAWN)[rows].with_columns(
         pl.Series("group", batch.group_of_exchange[exchange]),
         *(roundtrips.described[name].gather(exchange) for name in ("run_id", "relay_id")),
         pl.Series("exchange", exchange),
@@ -116,9 +120,9 @@ def _rows_to_draw(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: in
     lost = np.flatnonzero(roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED))
     kind = np.searchsorted(starts, lost, side="right") * len(OUTCOMES) + roundtrips.outcome[lost]
     first_lost = np.unique(kind, return_index=True)[1]
-    times = roundtrips.measured["latency_ns"]
+    times = roundtrips.column("latency_ns")
     if not recorded.all():
-        times = times.zip_with(pl.Series(roundtrips.per_row(recorded)), roundtrips.measured["rtt_ns"])
+        times = times.zip_with(pl.Series(roundtrips.per_row(recorded)), roundtrips.column("rtt_ns"))
     drawn = [first[rows > 0], lost[first_lost]]
     for extreme, none_ns in ((np.minimum, _MOST_NS), (np.maximum, -_MOST_NS)):
         times_ns = filled(times, none_ns)

@@ -156,6 +156,5 @@ class Topics:
 
     @classmethod
     def none(cls) -> Topics:
-        """Return the frames of a campaign without a tap."""
         topics, messages, hops = (pl.DataFrame(schema=row) for row in (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA))
         return cls(topics, messages, hops)

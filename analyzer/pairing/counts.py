@@ -132,7 +132,6 @@ def count_all(t1: EventColumns, t3: EventColumns, warmup_messages: int) -> dict[
 
 def count_sizes(t1: EventColumns, t2: EventColumns, run: Run) -> dict[str, int | None]:
     """Count replies of a size of their own; in traces of earlier versions none, as their T2 repeat the size that was sent."""
-    t2 = t2.take(t2.sequence >= np.uint64(run.warmup_messages))
     requested = run.extra.get("reply_bytes")
     if isinstance(requested, int):
         is_other = t2.payload_bytes != requested
@@ -142,7 +141,7 @@ def count_sizes(t1: EventColumns, t2: EventColumns, run: Run) -> dict[str, int |
         order = np.argsort(t1.sequence, kind="stable")
         row = order[np.minimum(np.searchsorted(t1.sequence[order], t2.sequence), len(t1) - 1)]
         is_other = (t1.sequence[row] == t2.sequence) & (t1.payload_bytes[row] != t2.payload_bytes)
-    others = t2.payload_bytes[is_other]
+    others = t2.payload_bytes[is_other & (t2.sequence >= np.uint64(run.warmup_messages))]
     return {
         "resized": len(others),
         "least_reply_bytes": int(others.min()) if len(others) else None,

@@ -106,7 +106,13 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
         yield pa.Table.from_arrays([columns[name] for name in _WRITTEN_SCHEMA.names], schema=_WRITTEN_SCHEMA)
 
 
-def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array:
+def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array | pa.ChunkedArray:
+    rows, only = int(rows_of_exchange.sum()), int(rows_of_exchange.argmax())
+    if rows > _ROWS_PER_PAGE and rows == rows_of_exchange[only]:  # one page in memory stands for all
+        page = _repeated(values[only : only + 1], np.array([_ROWS_PER_PAGE]))
+        return pa.chunked_array(
+            [page.slice(0, min(rows - first, _ROWS_PER_PAGE)) for first in range(0, rows, _ROWS_PER_PAGE)]
+        )
     if values.null_count() == len(values):
         return pa.nulls(int(rows_of_exchange.sum()), values.to_arrow().type)
     if values.null_count():

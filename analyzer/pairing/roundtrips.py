@@ -18,7 +18,7 @@ from dds_trace.tracefile.format.events import EventColumns, Stage
 
 from ..loading.event_index import EventKey
 from ..model.columns import KEY_COLUMNS
-from ..model.metrics import schema_of, with_metrics
+from ..model.metrics import METRICS, schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from ..model.runs import MOST_MESSAGES
 from .counts import COUNT_SCHEMA, count_all, count_messages, count_sizes
@@ -79,9 +79,10 @@ class RoundTrips:
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         clock_knots: columns of `one_way.KNOT_SCHEMA` of the exchanges' own fits, `group` being the index of the exchange.
-        measured: `sequence`, `columns.MEASURED_COLUMNS` but `outcome`, and `UTC_COLUMNS`.
+        measured: `sequence`, `columns.MEASURED_COLUMNS` but `outcome`, and `UTC_COLUMNS`; of many rows without metrics and UTC.
         outcome: uint8, an index of `pair.OUTCOMES`.
         stamps: the columns of `MIDDLEWARE_STAMPS` that any event has.
+        exchanges: of many rows; else none.
     """
 
     described: pl.DataFrame
@@ -91,6 +92,7 @@ class RoundTrips:
     measured: pl.DataFrame
     outcome: NDArray[np.uint8]
     stamps: tuple[pl.Series, ...]
+    exchanges: tuple[Exchange, ...] = ()
 
     @property
     def stamp_names(self) -> frozenset[str]:
@@ -98,13 +100,23 @@ class RoundTrips:
 
     def column(self, name: str) -> pl.Series:
         stamps = [series for series in self.stamps if series.name == name]
-        return stamps[0] if stamps else self.measured[name]
+        return stamps[0] if stamps else self.select([name]).to_series()
+
+    def select(self, names: Sequence[str]) -> pl.DataFrame:
+        """Return columns without `stamps`; a metric that is not there is computed."""
+        there = self.measured.columns
+        lacking = [METRICS[name.removesuffix("_ns")].formula.alias(name) for name in names if name not in there]
+        return self.measured.select(*(name for name in names if name in there), *lacking)
 
     def frames(self) -> Iterator[pl.DataFrame]:
         """Yield the rows in frames of `ROWS_PER_FRAME`, at least one, with `outcome`, but without `stamps`."""
         for first in range(0, len(self.outcome) or 1, ROWS_PER_FRAME):
             outcome = pl.Series("outcome", self.outcome[first : first + ROWS_PER_FRAME])
-            yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
+            frame = self.measured[first : first + ROWS_PER_FRAME]
+            if self.exchanges:
+                bounds = self.bounds.clip(first, first + len(frame)) - first
+                frame = with_metrics(frame).with_columns(utc_columns(self.exchanges, bounds, frame))
+            yield frame.with_columns(outcome)
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         return np.repeat(values, np.diff(self.bounds))
@@ -123,6 +135,7 @@ class RoundTrips:
             counts=self.counts[begin:end],
             stamps=tuple(stamps[first:behind] for stamps in self.stamps),
             clock_knots=self.clock_knots.filter(is_here).with_columns(pl.col("group") - begin),
+            exchanges=self.exchanges[begin:end],
         )
 
 
@@ -205,9 +218,10 @@ def pair_exchanges(
         pl.Series("duplicates", columns["duplicates"]),
         pl.Series("reordered", columns["reordered"]),
     )
-    utc = utc_columns(exchanges, bounds, stamps)
     one_way = fitting.result() if fitting else OneWay.unknown(rows, len(exchanges))
-    measured = with_metrics(in_time.with_columns(*one_way.columns, *utc))
+    measured = in_time.with_columns(*one_way.columns)
+    if not (is_long := rows > ROWS_PER_FRAME):
+        measured = with_metrics(measured).with_columns(utc_columns(exchanges, bounds, measured))
     return RoundTrips(
         measured=measured,
         described=describe(exchanges),
@@ -218,6 +232,7 @@ def pair_exchanges(
         ),
         stamps=tuple(pl.Series(name, columns[name]) for name in STAMP_NAMES if name in columns),
         clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
+        exchanges=tuple(exchanges) if is_long else (),
     )
 
 

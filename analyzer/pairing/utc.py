@@ -5,7 +5,7 @@ UTC follows from a session's reading of both clocks at its start; it is as wrong
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
@@ -24,9 +24,7 @@ _STA_UNSYNC = 0x40
 """Bit of the clock's status: nothing has synchronized it (adjtimex(2))."""
 
 
-def utc_columns(
-    exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
-) -> list[pl.Series]:
+def utc_columns(exchanges: Sequence[Exchange], bounds: NDArray[np.int64], measured: pl.DataFrame) -> list[pl.Series]:
     """Return `columns.UTC_COLUMNS` of some exchanges' rows, null where the instant is missing or not of its session."""
     sessions: dict[str, list[Session | None]] = {
         "publish_ns": [exchange.ping for exchange in exchanges],
@@ -34,7 +32,7 @@ def utc_columns(
     }
     columns = []
     for column, (name, sessions_of_exchanges) in zip(UTC_COLUMNS, sessions.items(), strict=True):
-        instants_ns = stamps[name]
+        instants_ns = measured[name].fill_null(MISSING).to_numpy()
         utc_ns = np.full(len(instants_ns), MISSING)
         for session, first, after in zip(sessions_of_exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
             if session is None or abs(session.wall_ns(0)) >= _SANE_NS:

@@ -88,7 +88,6 @@ class Cells:
 
     @cached_property
     def messages(self) -> Int64:
-        """Messages of each series, at least 1, shape (series, 1)."""
         return np.maximum(self.lengths, 1)[:, None]
 
     @cached_property

@@ -25,8 +25,6 @@ HEAD_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """The start of a run that MSER-5 leaves out."""
-
     messages: int
     ratio: float
     p_value: float

@@ -228,7 +228,6 @@ class Statistic:
         return 1 if self.quantile is None else minimum_messages(self.quantile)
 
     def of_runs(self, runs: Runs) -> Float64:
-        """Return the statistic of each run, shape (runs,)."""
         if self.quantile is None:
             return np.array([run.values.mean() for run in runs], np.float64)
         return quantiles_of_runs(runs, [self.quantile])[0]

@@ -214,7 +214,6 @@ STATISTICS = (
 
 
 def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Return the statistics of ascending values, exact; None for a small sample."""
     n = len(ordered_ns)
     return {row.name: row.of_values(ordered_ns) if n >= row.needs else None for row in STATISTICS}
 

@@ -93,7 +93,6 @@ def _own_nodes(proven: Judgement, times_ns: Mapping[str, tuple[float | None, flo
 
 
 def judged_costs(bridge_costs: pl.DataFrame, interference: pl.DataFrame) -> Iterator[Judgement]:
-    """Return what bridges, other flows and loads cost as rows of the frame."""
     names = varying_parameters(bridge_costs, BRIDGE_MATCH_COLUMNS)
     for row in bridge_costs.iter_rows(named=True):
         yield _cost(judged_change(Claim.THROUGH, f"{row['bridge']}; {group_words(row, names)}", row, "the same domain"))
@@ -106,7 +105,6 @@ def _cost(change: Judgement) -> Judgement:
 
 
 def judged_candidates(recommendation: Recommendation) -> Iterator[Judgement]:
-    """Return which settings meet or miss a deadline as rows of the frame."""
     from .recommend import Fit
 
     job, settings = recommendation.job, [one.setting for one in recommendation.candidates]

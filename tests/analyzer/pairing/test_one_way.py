@@ -147,7 +147,7 @@ def utc_of(*of_exchanges):
     exchanges = [SimpleNamespace(ping=ping, relay=relay) for ping, relay, _ in of_exchanges]
     instants_ns = np.concatenate([np.array(each, np.int64) for *_, each in of_exchanges])
     bounds = np.cumsum([0, *(len(each) for *_, each in of_exchanges)])
-    columns = utc_columns(exchanges, bounds, {"publish_ns": instants_ns, "relay_in_ns": instants_ns})
+    columns = utc_columns(exchanges, bounds, pl.DataFrame({"publish_ns": instants_ns, "relay_in_ns": instants_ns}))
     return [column.to_physical().to_list() for column in columns]
 
 

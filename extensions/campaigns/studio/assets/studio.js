@@ -107,6 +107,7 @@ async function look() {
 }
 
 function show(state) {
+  for (const row of state.rows) if (!state.running && row.state === "running") row.state = "measured";
   const deadline = state.deadline_ms, axis = axisOf(state.rows, deadline);
   byId("progress").hidden = !state.rows.length && !state.running;
   byId("stop").hidden = !state.running;

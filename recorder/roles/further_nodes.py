@@ -65,7 +65,8 @@ def further_nodes(node: Node, number: int) -> Iterator[dict[str, Json]]:
         opened_s = time.monotonic()
         while (node.count_participants() or 0) < others + len(names) and time.monotonic() < opened_s + PATIENCE_S:
             time.sleep(0.01)
-        met_s = time.monotonic() - opened_s
+        are_met = (node.count_participants() or 0) >= others + len(names)
+        met_s = time.monotonic() - opened_s if are_met else None
         rates = _rates_until_rest(opened_s + PATIENCE_S)
         packets, size_bytes = map(round, rates[-1])
         yield {

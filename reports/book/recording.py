@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -155,12 +156,12 @@ def discovery_words(sessions: Sequence[Session]) -> str:
     words = []
     for (name, number), measured in sorted(by_setup.items()):
         met_s, packets, size_bytes = (
-            statistics.median(number_of(nodes.get(key)) or 0.0 for nodes in measured)
+            statistics.median(math.inf if (value := number_of(nodes.get(key))) is None else value for nodes in measured)
             for key in ("met_s", "packets_per_second", "bytes_per_second")
         )
         rest = f"at rest {packets:.0f} packets and {three_digits(size_bytes / 1000)} KB a second"
-        met = f"all met {met_s:.2g} s after the last one opened, " if number > 1 else ""
-        words.append(f"{name}, {counted(int(number), 'node')}: {met}{rest}")
+        met = f"all met {met_s:.2g} s after the last one opened, " if math.isfinite(met_s) else "not all met, "
+        words.append(f"{name}, {counted(int(number), 'node')}: {met if number > 1 else ''}{rest}")
     return "; ".join(words)
 
 

@@ -72,7 +72,7 @@ def test_a_system_that_forbids_the_call_gives_nothing(monkeypatch):
 def test_a_relay_in_another_time_namespace_has_another_clock_and_none_was_set(tmp_path, domain_id):
     ahead = ("unshare", "-T", "--monotonic", "1000", "--boottime", "1000", "-f")
     sides = ("--backend", "socket")
-    serving = ("--role", "relay", "--domain", domain_id, *sides, "--duration", "20", "--out", tmp_path / "relay.mcap")
+    serving = ("--role", "relay", "--domain", domain_id, *sides, "--duration", "40", "--out", tmp_path / "relay.mcap")
     relay = RunningCommand("dds-record", *serving, prefix=ahead)
     relay.wait_for_line("serves domain")
     done = ping(domain_id, tmp_path / "ping.mcap", *sides, "--messages", 20, "--size", "1KB")

@@ -16,10 +16,10 @@ slowest = """
 for row in duckdb.execute(slowest, {"file": roundtrips}).fetchall():
     print(*row)
 
-print("p99 by middleware, data and rate, and the share that came back:")
+print("p99 by middleware, bridge, data and rate, and the share that came back:")
 by_data = """
-    SELECT vendor, data_type, payload_bytes, rate_hz, latency_p99_ns / 1e6 AS p99_ms, received_ratio
-    FROM read_parquet($file) ORDER BY data_type, payload_bytes, rate_hz, vendor
+    SELECT vendor, bridge, data_type, payload_bytes, rate_hz, latency_p99_ns / 1e6 AS p99_ms, received_ratio
+    FROM read_parquet($file) ORDER BY data_type, payload_bytes, rate_hz, vendor, bridge
 """
 for row in duckdb.execute(by_data, {"file": summary}).fetchall():
     print(*row)

@@ -11,7 +11,7 @@ folder = Path(sys.argv[1])
 # Lazily: of a file of millions of messages only the columns that are asked for are read.
 tail = (
     pl.scan_parquet(folder / "roundtrips.parquet")
-    .filter(pl.col("outcome") == "completed")
+    .filter(pl.col("outcome") == "completed", pl.col("bridge") == "none")
     .group_by("vendor", "data_type", "payload_bytes")
     .agg(
         (pl.col("latency_ns").quantile(0.99, "linear") / 1e6).alias("latency_p99_ms"),

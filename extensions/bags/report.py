@@ -22,6 +22,7 @@ from dds_trace.base.units import (
 )
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
+    EVERYWHERE,
     MARKDOWN,
     PAGE,
     TERMINAL,
@@ -54,6 +55,7 @@ HOW_TO_READ = (
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
+_OWN = "/dds_trace/"
 
 
 def seconds_words(seconds: float) -> str:
@@ -294,7 +296,7 @@ class BagReport(blocks.Report):
         return [title, *parts, limits, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
-        topics = self._topics[health.path]
+        topics = sorted(self._topics[health.path], key=lambda topic: topic[0]["topic"].startswith(_OWN))
         rows = [row for row, _, _ in topics]
         yield Heading(printable(health.path))
         yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
@@ -309,7 +311,7 @@ class BagReport(blocks.Report):
         least = min(28, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]
         columns = [*names, *(Column(name, right=True) for name in numbers)]
-        yield Table(columns, [_row(health, *topic) for topic in topics], label="Table of the topics")
+        yield Table(columns, [_row(health, *topic) for topic in topics], label="Table of the topics", parted=EVERYWHERE)
         colors = [("there", "messages"), ("hole", "missing"), ("inside", "missing on all topics at once")]
         yield blocks.Key([("", f"00:00 to {_end(health)}"), *colors, ("some", "not periodic")], media=PAGE)
 
@@ -326,7 +328,8 @@ def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], stri
     text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)
     figure = blocks.Figure(text, _strip_svg(words, strip_parts(health, row, holes, strip)))
     with_qos = blocks.stack(Span(first, ""), Span(printable(row["qos"]), "soft"))
-    return Row([first, with_qos, *others], figure=figure, notes=lines)
+    part = "Of dds-trace itself: `dds-trace analyze` reads them" if row["topic"].startswith(_OWN) else ""
+    return Row([first, with_qos, *others], part=part, figure=figure, notes=lines)
 
 
 def _strip_svg(words: str, parts: Sequence[tuple[float, float, str, str]]) -> Markup:

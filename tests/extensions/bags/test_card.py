@@ -71,7 +71,7 @@ def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, sta
 
 def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):
     started = [(START_NS + n * MS // 2, START_NS + (n - 2) * MS // 2) for n in range(10)]
-    late = {name: timer(hz, 20, since_ns=START_NS + 2 * S) for name, hz in (("/" + 40 * "a", 60), ("/b", 10))}
+    late = {n: timer(hz, 20, since_ns=START_NS + 2 * S) for n, hz in (("/" + 40 * "a", 60), ("/dds_trace/t", 10))}
     report, health, rows = card(write(tmp_path / "x.mcap", {"/rosout": started, **late}))
     assert (health.verdict, health.pauses, health.coverage, health.notes) == ("whole", (), 1, ())
     assert rows["/rosout"]["missing"] is None  # a burst is no rhythm, and its rate none of the recording
@@ -79,6 +79,7 @@ def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert [word for word in (*COLUMNS, "0.409 Hz", "60 Hz") if word not in shown] == []
+    assert shown.index("/rosout") < shown.index("Of dds-trace") < shown.index("/dds_trace")
 
 
 ONE = [n for n in range(300) if n not in (5, 6, 200)]

@@ -355,7 +355,8 @@ class Search:
         compared = []
         for proof in self.proofs:
             if name in (proof["of"], proof["against"]):
-                is_base, verdict = name == proof["against"], proof["verdict"]
+                is_base = name == proof["against"]
+                verdict: str = proof["verdict"]
                 other = sides[proof["of"] if is_base else proof["against"]]
                 words = _VERDICTS[_OPPOSITES.get(verdict, verdict) if is_base else verdict]
                 if other.looks and (broken := other.excess(limits)[1]):

@@ -6,7 +6,7 @@
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
 a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a
-sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
+sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
-from stored_tables import LEARNING, RATIOS, learning_table, ratio_table, read_rows
+from stored_tables import EVIDENCE, LEARNING, RATIOS, evidence_table, learning_table, ratio_table, read_rows
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.bags.analyze import analyze_topics
@@ -73,14 +73,16 @@ def explained(plan_name: str, folder: Path) -> list[str]:
 @cache
 def quote(kind: str, campaign: str) -> str:
     """Return what is quoted: the block or the table, as it is on the page."""
-    if kind == "ratios":
-        return ratio_table(read_rows(RATIOS), is_throughput=campaign == "throughput")
-    if kind == "claims":
-        return claim_table(read_rows(CLAIMS))
-    if kind == "learned":
-        return learning_table(read_rows(LEARNING))
-    if kind == "needs":
-        return need_table(read_rows(CHOICES))
+    stored = {
+        "ratios": (RATIOS, lambda rows: ratio_table(rows, is_throughput=campaign == "throughput")),
+        "claims": (CLAIMS, claim_table),
+        "learned": (LEARNING, learning_table),
+        "evidence": (EVIDENCE, lambda rows: evidence_table(rows, campaign)),
+        "needs": (CHOICES, need_table),
+    }
+    if kind in stored:
+        rows, table = stored[kind]
+        return table(read_rows(rows))
     with tempfile.TemporaryDirectory() as scratch:
         folder = unpack(campaign, Path(scratch))
         if kind == "topics":

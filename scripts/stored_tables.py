@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TOP = Path(__file__).parents[1]
 RATIOS = TOP / "benchmarks" / "node.csv"
 LEARNING = TOP / "docs" / "results" / "learning.csv"
+EVIDENCE = TOP / "docs" / "results" / "evidence.csv"
 STUDY = TOP / "docs" / "results" / "study"
 
 
@@ -52,6 +53,19 @@ def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = Fals
             for ours, against, bar in contests
         ),
     )
+
+
+def evidence_table(rows: Sequence[Mapping[str, str]], table: str) -> str:
+    """Return what `benchmarks/bench_evidence.py` counted: of `harmless` recordings the share with exit code 30, of `losses` also right intervals."""
+
+    def share(row: Mapping[str, str], name: str) -> str:
+        return f"{int(row[name]) / int(row['recordings']):.1%}"
+
+    rows = [row for row in rows if row["table"] == table]
+    if table == "harmless":
+        return markdown(["nothing is lost", "exit 30"], ([row["kind"], share(row, "exit_30")] for row in rows))
+    head = ["losses", "shown by", "exit 30", "interval right"]
+    return markdown(head, ([row["kind"], row["shown_by"], share(row, "exit_30"), share(row, "within")] for row in rows))
 
 
 def learning_table(rows: Sequence[Mapping[str, str]]) -> str:

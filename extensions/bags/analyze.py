@@ -187,7 +187,6 @@ class _Recording:
 
 
 def _recordings(group: Sequence[Part], progress: Callable[[Path], None] | None) -> Iterator[_Recording]:
-    """Yield files with times that go on as one recording."""
     whole, spans = None, list[Span]()
     for part in group:
         if progress is not None:

@@ -142,6 +142,7 @@ OTHER_CLOCK_NS = DAY_NS
 """Median age of stamps of another clock (a simulation's, or of another day)."""
 
 STRIP_PARTS = 60
+"""Of the time of a recording, in its row of the table."""
 WHOLE, HOLES, EMPTY, DAMAGED = VERDICTS = "whole", "holes", "empty", "damaged"
 """The worst last."""
 

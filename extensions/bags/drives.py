@@ -77,7 +77,6 @@ class DriveComparison(blocks.Report):
         return overall_outcome([GateOutcome.PASSED, *(gated.result.outcome for gated in self.judged)])
 
     def judge(self, gates: Sequence[Gate], *, allow_missing: bool) -> None:
-        """Judge the topics of the new recording, and those that it lacks."""
         gone = [] if allow_missing else [name for name, (_, after) in self.topics.items() if after is None]
         before, after = self.reports
         failed = [result_of(_IS_THERE, name, GateOutcome.REGRESSED, reason="missing on the new side") for name in gone]

@@ -21,9 +21,9 @@ from .periods import (
     Regularity,
     find_grid,
     find_regularity,
+    is_explained,
     joined,
     levels_around,
-    still_holes,
     usual_steps,
 )
 from .quantiles import median, spread
@@ -204,10 +204,7 @@ class TopicTimes:
             paces = np.ones(len(steps), np.int64)
             paces[steps > 0] = usual
             least = np.minimum(lacking, np.maximum(steps[at] // np.maximum(paces[at], 1) - 1, 0))
-        off = exact - steps
-        wander = np.cumsum(off)
-        noise = max(spread(off), spread(wander[FEWEST:] - wander[:-FEWEST]))
-        least = np.where(still_holes(wander, at, steps[at], noise), 0, least)
+        least = np.where(is_explained(exact, steps, at), 0, least)
         net = max(int((steps[steps_ns > 0] - 1).sum()), 0)  # a stamp that is off by periods is extra elsewhere
         total = min(int(lacking.sum()), net)
         low = max(int(least.sum()) - int(lacking.sum()) + total, 0)
@@ -232,7 +229,9 @@ class TopicTimes:
         if self.is_command:
             best = best.unsure(np.ones(len(best.holes), np.bool_))
             best = replace(best, low=0)
-        return Reading.of("period", best.unsure(2 * best.holes.duration_ns > np.ptp(self.log_ns)))
+        after = np.clip(np.searchsorted(self.log_ns, best.holes.start_ns), 1, len(self.log_ns) - 1)
+        is_unsure = self.sequence[after] < self.sequence[after - 1]  # the publisher began again
+        return Reading.of("period", best.unsure(is_unsure | (2 * best.holes.duration_ns > np.ptp(self.log_ns))))
 
     def _rhythm(self) -> Regularity | None:
         best = find_regularity(self.log_ns)

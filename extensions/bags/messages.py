@@ -122,7 +122,6 @@ class TopicMessages:
         return numbers
 
     def count_copies(self, contents: Mapping[int, int]) -> None:
-        """Count them by the content of messages by number."""
         numbers = self.column("number")
         indices = np.flatnonzero(np.isin(numbers, np.array([*contents], np.int64)))
         keys = np.array([self.column("log_ns")[indices], [contents[number] for number in numbers[indices].tolist()]])

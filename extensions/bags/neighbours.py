@@ -123,8 +123,9 @@ def _went_on(reading: Reading) -> tuple[Holes, Holes]:
     if reading.name == "stamps":
         return holes.at(holes.low > 0), holes.at(is_still)
     within_ns, off_ns = _off_multiples(rhythm)
-    is_steady, is_off = within_ns < NEAR * rhythm.period_ns, off_ns > within_ns
-    return holes.at((holes.low > 0) & is_steady & ~is_off), holes.at(is_still & is_steady & is_off)
+    is_steady = within_ns < NEAR * rhythm.period_ns
+    is_lost = (holes.low > 0) & (off_ns <= within_ns / 2)  # a pause is near to a multiple by chance
+    return holes.at(is_steady & is_lost), holes.at(is_steady & is_still & (off_ns > within_ns))
 
 
 def _doubted(reading: Reading, witness: Holes) -> Reading:

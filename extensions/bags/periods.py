@@ -202,24 +202,23 @@ def usual_steps(steps: Int64) -> Int64 | None:
     Two of three, three of five, or a throttle's messages: steps that come again after some, or are never off by more than one. Losses at
     random are soon.
     """
+    gaps = int((steps > 1).sum())
+    if gaps >= PATTERN:
+        lengths, counts = np.unique(steps, return_counts=True)
+        is_rare = lengths[counts.argmax()] > 1  # after losses at random the shortest step is the most common
+        again = [float((steps[m:] == steps[:-m]).mean()) for m in range(1, PATTERN)]
+        is_again = again[0] < MOST <= max(again) and gaps * PATTERN > (1 - NEAR) * len(steps)
+        length = -(-len(steps) * PATTERN // gaps)
+        blocks = steps[: len(steps) // length * length].reshape(-1, length)
+        ahead = np.cumsum(blocks - blocks.mean(axis=1, keepdims=True), axis=1)
+        in_block = (blocks > 1).sum(axis=1)
+        is_even = median(np.abs(in_block - PATTERN)) <= 2 and median(np.ptp(ahead, axis=1)) <= 2
+        if is_rare or is_again or is_even:
+            return np.full(len(steps), lengths[counts >= min(FEW * len(steps), counts.max())].max())
     changes = _rate_changes(steps / max(median(steps), 1.0))
     parts = np.split(steps, changes)
     usual = np.repeat([round(median(part)) for part in parts], [len(part) for part in parts])
-    if changes and (len(changes) <= 2 or usual.max() > 2):
-        return usual
-    gaps = int((steps > 1).sum())
-    if gaps < PATTERN:
-        return None
-    lengths, counts = np.unique(steps, return_counts=True)
-    is_rare = lengths[counts.argmax()] > 1  # after losses at random the shortest step is the most common
-    again = [float((steps[m:] == steps[:-m]).mean()) for m in range(1, PATTERN + 1)]
-    is_again = again[0] < MOST <= max(again) and gaps * PATTERN > (1 - NEAR) * len(steps)
-    length = -(-len(steps) * PATTERN // gaps)
-    blocks = steps[: len(steps) // length * length].reshape(-1, length)
-    ahead = np.cumsum(blocks - blocks.mean(axis=1, keepdims=True), axis=1)
-    in_block = (blocks > 1).sum(axis=1)
-    is_even = median(np.abs(in_block - PATTERN)) <= 2 and median(np.ptp(ahead, axis=1)) <= 2
-    return np.full(len(steps), lengths[counts > FEW * len(steps)].max()) if is_rare or is_again or is_even else None
+    return usual if changes and (len(changes) <= 2 or usual.max() > 2) else None
 
 
 def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
@@ -276,19 +275,19 @@ def _is_single_with_stalls(ratio: Float64) -> bool:
 
 def _rate_changes(ratio: Float64) -> list[int]:
     """Return where stretches of another rate begin and end: losses at random leave unequal intervals."""
-    if len(ratio) <= WINDOW:
+    if len(ratio) <= PATTERN:
         return []
-    blocks = row_medians(np.lib.stride_tricks.sliding_window_view(ratio, WINDOW)[::WINDOW])
-    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(median(ratio[-WINDOW:]) - 1) <= NEAR:
+    blocks = row_medians(np.lib.stride_tricks.sliding_window_view(ratio, PATTERN)[::PATTERN])
+    if not (np.abs(blocks - 1) > NEAR).any() and np.abs(median(ratio[-PATTERN:]) - 1) <= NEAR:
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, WINDOW, mode="reflect"), 2 * WINDOW + 1)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, PATTERN, mode="reflect"), 2 * PATTERN + 1)
     typical = np.concatenate([row_medians(windows[at : at + PHASES]) for at in range(0, len(windows), PHASES)])
     is_other = np.abs(typical - 1) > NEAR
-    changes = np.flatnonzero(np.diff(is_other.astype(np.int8))) + 1
+    changes = np.flatnonzero((np.diff(is_other.astype(np.int8)) != 0) | (np.abs(np.diff(typical)) > NEAR)) + 1
     edges = []
     for start, stop in pairwise([0, *changes.tolist(), len(ratio)]):
         part = ratio[start:stop]
-        if is_other[start] and len(part) >= WINDOW:
+        if is_other[start] and len(part) >= PATTERN:
             is_equal = np.abs(part - median(part)) < REGULAR * median(part)
             if is_equal.mean() >= 1 - NEAR:
                 edges += [start, stop]
@@ -310,7 +309,7 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: b
     gaps = np.flatnonzero(is_gap)
     gaps = gaps[np.argsort(-ratios[gaps], kind="stable")]
     gaps = np.sort(gaps[: np.searchsorted(np.cumsum(steps[gaps] - 1), missing) + 1] if missing else gaps[:0])
-    least = np.where(_is_explained(ratios, steps, gaps, has_phase=has_phase), 0, steps[gaps] - 1)
+    least = np.where(is_explained(ratios, steps, gaps, has_phase=has_phase), 0, steps[gaps] - 1)
     still = int((steps[gaps] - 1 - least).sum())
     return Regularity(
         period_ns,
@@ -328,7 +327,7 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: b
     )
 
 
-def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -> Bools:
+def is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool = False) -> Bools:
     """Return which long intervals have another explanation than a loss: the publisher stood still, a clock was set, or it has no timer.
 
     A timer goes on in its phase. What is sent when a computation or a loop ends has intervals of any length: only those are losses that are
@@ -338,7 +337,7 @@ def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -
     lag, jitter = min(len(ratio) // FEWEST, WINDOW), spread(ratio - steps)
     noise = spread(wander[lag:] - wander[: len(wander) - lag])
     if has_phase or (noise <= 2 * jitter and jitter < NEAR / 2):
-        return still_holes(wander, at, steps[at], noise)
+        return _still_holes(wander, at, steps[at], noise)
     tail = ratio[(ratio > 1 + NEAR) & (ratio < 2 * 2)]
     is_multiple = np.abs(tail - np.rint(tail)) <= NEAR
     bound = np.maximum(FEW, 2 * jitter * np.sqrt(steps[at]))
@@ -349,7 +348,7 @@ def _is_explained(ratio: Float64, steps: Int64, at: Int64, *, has_phase: bool) -
     return is_off
 
 
-def still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools:
+def _still_holes(wander: Float64, at: Int64, steps: Int64, noise: float) -> Bools:
     """Return after which holes a timer goes on in another phase: it stood still, or a clock was set, and nothing was lost.
 
     One that lost its messages goes on in its phase, from the first on; one that was held up fires at once. `wander` is the phase of each

@@ -225,7 +225,6 @@ def _age_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
 
 
 _Topic: TypeAlias = tuple[TopicRow, Sequence[TopicRow], Sequence[float]]
-"""Row, holes, and strip."""
 
 
 def topics_by_recording(report: TopicReport) -> dict[str, list[_Topic]]:

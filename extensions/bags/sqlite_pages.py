@@ -87,7 +87,6 @@ class Image:
         return joined
 
     def leaf_pages(self) -> Iterator[int]:
-        """Yield the offsets of what begins as a leaf page."""
         for start in range(0, self._size, BLOCK_BYTES):
             for match in _LEAF_PAGE.finditer(self[start : start + BLOCK_BYTES + _LEAF_BYTES - 1]):
                 yield start + match.start()
@@ -237,7 +236,6 @@ class _Pages:
         self._moves: list[int] = []
 
     def cells(self) -> Iterator[_Cell]:
-        """Yield the rows on leaf pages, wherever these are."""
         for at in self._data.leaf_pages():
             page = self._data[at : at + self._page_bytes]
             (cells,) = _CELLS.unpack_from(page, 3)

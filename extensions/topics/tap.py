@@ -159,7 +159,6 @@ class Tap:
 
     @property
     def unseen(self) -> list[str]:
-        """Topics without a publisher now."""
         return sorted(
             {topic.name for topic in self._topics.values() if topic.subscription is not None and topic.is_unseen}
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,7 +30,6 @@ class Topic:
 class Made:
     topics: dict[str, Topic]
     lost: int = 0
-    words: list[str] = field(default_factory=list)
 
     def columns(self):
         """Yield name, is_command, and the columns that the rules take, by log time."""
@@ -42,11 +41,8 @@ class Made:
             numbers = none if topic.numbers is None else topic.numbers[order].astype(np.int64)
             publisher = np.zeros(count, np.int64) if topic.publisher is None else topic.publisher[order]
             sizes = np.full(count, 100, np.int64)
-            yield (
-                name,
-                topic.is_command,
-                (log_ns, log_ns, stamp_ns, sizes, numbers, publisher, np.zeros(count, np.int64)),
-            )
+            columns = log_ns, log_ns, stamp_ns, sizes, numbers, publisher, np.zeros(count, np.int64)
+            yield name, topic.is_command, columns
 
 
 def timer(rng, seconds=None, hz=None, *, start=None, jitter=None):
@@ -76,11 +72,8 @@ def with_companion(rng, topic, name="/topic"):
 def events(rng):
     mean = rng.choice([0.05, 0.2, 1.0])
     count = int(rng.integers(100, 800))
-    waits = (
-        rng.exponential(mean, count)
-        if rng.random() < 0.5
-        else rng.lognormal(np.log(mean), rng.uniform(0.5, 1.2), count)
-    )
+    is_even = rng.random() < 0.5
+    waits = rng.exponential(mean, count) if is_even else rng.lognormal(np.log(mean), rng.uniform(0.5, 1.2), count)
     log_ns = np.cumsum(waits) * S
     return with_companion(rng, Topic(log_ns, log_ns - 2 * MS if rng.random() < 0.5 else None))
 
@@ -89,9 +82,8 @@ def commands_by_hand(rng):
     hz, at, log = rng.choice([10, 20, 30, 50]), rng.uniform(0, 5), []
     for _ in range(int(rng.integers(3, 10))):
         length = rng.uniform(0.5, 6)
-        log.append(
-            at + np.cumsum(np.full(max(int(length * hz), 2), 1 / hz) * rng.normal(1, 0.02, max(int(length * hz), 2)))
-        )
+        count = max(int(length * hz), 2)
+        log.append(at + np.cumsum(rng.normal(1, 0.02, count) / hz))
         at += length + rng.uniform(0.4, 15)
     log_ns = np.concatenate(log) * S
     stamp_ns = log_ns - 2 * MS if rng.random() < 0.7 else None
@@ -102,27 +94,41 @@ def computed(rng):
     count = int(rng.integers(400, 2000))
     kind = rng.integers(3)
     at = np.arange(count)
-    drift = (
-        1
-        + rng.uniform(0, 0.1) * np.sin(at / rng.uniform(30, 200))
-        + rng.uniform(0, 0.06) * np.sin(at / rng.uniform(5, 10))
-    )
+    slow = rng.uniform(0, 0.1) * np.sin(at / rng.uniform(30, 200))
+    drift = 1 + slow + rng.uniform(0, 0.06) * np.sin(at / rng.uniform(5, 10))
     if kind == 0:  # two inputs in turn
         base = np.where(at % 2, rng.uniform(25, 35), rng.uniform(40, 50))
-        waits = np.maximum(base * drift + rng.normal(0, 3, count), 15) + (rng.random(count) < 0.02) * rng.uniform(
-            5, 20, count
-        )
+        waits = np.maximum(base * drift + rng.normal(0, 3, count), 15)
+        waits += (rng.random(count) < 0.02) * rng.uniform(5, 20, count)
     elif kind == 1:  # durations of a computation
         waits = rng.uniform(20, 80) * drift * rng.lognormal(0, rng.uniform(0.1, 0.5), count)
     else:  # mostly short, now and then long
-        waits = (
-            rng.uniform(20, 80)
-            * drift
-            * rng.normal(1, 0.06, count)
-            * np.where(rng.random(count) < 0.03, rng.uniform(1.2, 2.5, count), 1)
-        )
+        waits = rng.uniform(20, 80) * drift * rng.normal(1, 0.06, count)
+        waits *= np.where(rng.random(count) < 0.03, rng.uniform(1.2, 2.5, count), 1)
     log_ns = np.cumsum(waits) * MS
     return with_companion(rng, Topic(log_ns))
+
+
+def loop_with_work(rng):
+    """A loop that sleeps, and works, now and then for longer."""
+    now_and_then = (rng.random(800) < 0.03) * rng.uniform(0.02, 0.4, 800)
+    work = now_and_then if rng.random() < 0.5 else rng.lognormal(np.log(0.005), rng.uniform(0.3, 1.2), 800)
+    log_ns = np.cumsum(0.05 + work + rng.normal(0, 0.001, 800)) * S
+    return with_companion(rng, Topic(log_ns, log_ns - MS if rng.random() < 0.5 else None))
+
+
+def changed_rates(rng):
+    rates = rng.choice([10, 15, 20, 30], 3, replace=False)
+    due = np.cumsum(np.concatenate([np.full(int(rng.uniform(10, 30) * hz), 1 / hz) for hz in rates])) * S
+    log_ns = due + np.abs(rng.normal(0, 0.5 * MS, len(due)))
+    return with_companion(rng, Topic(log_ns, due if rng.random() < 0.5 else None))
+
+
+def two_rates(rng):
+    """Two publishers of one topic that nothing distinguishes."""
+    parts = [timer(rng, seconds=60, hz=hz) for hz in (rng.choice([10, 20]), rng.choice([3, 7, 15, 30]))]
+    due, log_ns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return with_companion(rng, Topic(log_ns, due if rng.random() < 0.5 else None))
 
 
 def thinned(rng):
@@ -152,6 +158,11 @@ def paused_simulation(rng):
         stamps = due - START_NS + 100 * S
         topics[name] = Topic(log_ns / speed + shift, stamps)
     return Made(topics)
+
+
+def paused_without_stamps(rng):
+    made = paused_simulation(rng)
+    return Made({name: Topic(topic.log_ns) for name, topic in made.topics.items()})
 
 
 def replay_in_a_loop(rng):
@@ -205,8 +216,12 @@ HARMLESS = {
     "events": events,
     "commands by hand": commands_by_hand,
     "computed topics": computed,
+    "loops with work": loop_with_work,
+    "rates that change": changed_rates,
+    "two rates on one topic": two_rates,
     "thinned topics": thinned,
     "paused simulations": paused_simulation,
+    "paused, without stamps": paused_without_stamps,
     "replays in a loop": replay_in_a_loop,
     "scripts": script,
     "clocks set": set_clock,

@@ -78,20 +78,19 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         ).alias(STAGES[order])
 
     way_ns = pl.when(is_sound).then(with_clock_ns).otherwise(clock_ns)
+    parts = [
+        part(0, "waiting_ns", pl.col("waiting_ns"), pl.lit(0.0)),
+        part(1, "outbound_ns", pl.col("outbound_ns") - there.fill_null(0), way_ns),
+        *([part(2, "", there, anchor_ns)] if is_stamped else []),
+        part(3, "relay_ns", pl.col("intermediate_ns"), pl.lit(0.0)),
+        part(4, "return_ns", pl.col("return_ns") - back.fill_null(0), way_ns),
+        *([part(5, "", back, anchor_ns)] if is_stamped else []),
+    ]
+    complete = messages.filter("is_complete").with_columns(**anchored).with_columns(deliveries).group_by("group")
+    together = [[each] for each in parts] if roundtrips.exchanges else [parts]  # of many rows one after the other
     return (
-        messages.filter("is_complete")
-        .with_columns(**anchored)
-        .with_columns(deliveries)
-        .group_by("group")
-        .agg(
-            part(0, "waiting_ns", pl.col("waiting_ns"), pl.lit(0.0)),
-            part(1, "outbound_ns", pl.col("outbound_ns") - there.fill_null(0), way_ns),
-            *([part(2, "", there, anchor_ns)] if is_stamped else []),
-            part(3, "relay_ns", pl.col("intermediate_ns"), pl.lit(0.0)),
-            part(4, "return_ns", pl.col("return_ns") - back.fill_null(0), way_ns),
-            *([part(5, "", back, anchor_ns)] if is_stamped else []),
-        )
-        .unpivot(index="group")
+        pl.concat([complete.agg(some).unpivot(index="group").collect() for some in together])
+        .lazy()
         .unnest("value")
         .drop_nulls("mean_ns")  # without a delivery
         .sort("group", maintain_order=True)

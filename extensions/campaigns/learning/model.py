@@ -43,6 +43,8 @@ SHARE = 0.9
 """Share of left-out results that the interval has to contain."""
 RIGHT, FACTOR = 0.85, 2.0
 """Share of left-out results that have to be within this factor of the estimate; sizes that no campaign has are the harder ones."""
+MOST_QUANTILE = 0.9
+"""Largest quantile with an estimate: of p99 too few left-out results were within their ranges (docs/results/learning.md)."""
 LEAST_ERRORS = 20
 """Left-out results below which nothing is estimated."""
 OUTSIDE, UNMEASURED = "it is outside of what was measured", "nobody measured "
@@ -272,6 +274,8 @@ class Estimator:
 
     def __call__(self, parameters: Parameters, why: str = "") -> Guess:
         """Return a guess of a result with these values of `SETTING_COLUMNS` and `CELL_COLUMNS`, none with a reason `why`."""
+        if self.job.reliability > MOST_QUANTILE:
+            why = why or f"estimates end at --reliability {MOST_QUANTILE:g}"
         answer = why if why or not can_learn() else self._learned.guess(question_of(parameters))
         if isinstance(answer, str):
             minutes = counted(minutes_to_measure(parameters, self.job.reliability), "minute")

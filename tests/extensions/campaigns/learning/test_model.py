@@ -89,6 +89,14 @@ def test_without_scikit_learn_nothing_is_guessed_and_the_order_stays(monkeypatch
     assert order(candidates, [campaign(1)], MEDIAN) == candidates
 
 
+@pytest.mark.parametrize("reliability", [0.91, 0.99, 0.999])
+def test_beyond_p90_nothing_is_guessed(reliability):
+    guess = Estimator(None, Job("binary", 10_000, 5.0, 10**7, reliability))(parameters())
+    assert guess.value_ns is None
+    assert "estimates end at --reliability 0.9" in guess.reason
+    assert guess.reason.startswith("not known: measure it (")
+
+
 @pytest.fixture(scope="module")
 def learned():
     pytest.importorskip("sklearn", reason="the extra learn is not installed")

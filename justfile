@@ -120,6 +120,10 @@ screenshots *names: setup
 studio-picture: setup
     {{bin}}/python scripts/studio_picture.py
 
+# Run the commands of pages as printed, each page in a fresh folder and home: `just walk docs/tutorials/bag.md`
+walk *pages: setup
+    for page in {{pages}}; do {{bin}}/python scripts/walk.py $page; done
+
 # All benchmarks: ratios measured side by side in one run
 bench: setup
     for script in benchmarks/bench_*.py; do {{bin}}/python $script; done

@@ -3,11 +3,13 @@ import os
 import random
 import struct
 
+import numpy as np
 import pytest
 from trace_files import ping_session
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.format import ring
+from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 from dds_trace.tracefile.format.ring import Ring, events_by_stage, read_ring, salvage_ring
 
 SLOTS = 4
@@ -193,3 +195,12 @@ def test_slots_at_no_place_of_the_file_are_not_salvaged(tmp_path, slots_at):
     struct.pack_into("<Q", data, 24, slots_at)
     path.write_bytes(data)
     assert salvage_ring(path, 0, ping_session(state="open")) is None
+
+
+def test_words_of_a_slot_are_where_it_is_packed_and_parts_of_events_join_in_order():
+    words = np.frombuffer(ring.SLOT_STRUCT.pack(1, 2, 30, 4, 50, 60, 7, 8, 90), np.int64)
+    assert words[[ring.TIME_WORD, ring.SOURCE_WORD, ring.RECEIVED_WORD, ring.MARK_WORD]].tolist() == [30, 50, 60, 90]
+    records = np.zeros(3, EVENT_DTYPE)
+    records["sequence"] = 1, 2, 3
+    whole = EventColumns.from_records(records)
+    assert EventColumns.concatenate([whole, whole]).sequence.tolist() == [1, 2, 3, 1, 2, 3]

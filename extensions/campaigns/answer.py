@@ -355,8 +355,7 @@ class Search:
         compared = []
         for proof in self.proofs:
             if name in (proof["of"], proof["against"]):
-                is_base = name == proof["against"]
-                verdict: str = proof["verdict"]
+                is_base, verdict = name == proof["against"], str(proof["verdict"])
                 other = sides[proof["of"] if is_base else proof["against"]]
                 words = _VERDICTS[_OPPOSITES.get(verdict, verdict) if is_base else verdict]
                 if other.looks and (broken := other.excess(limits)[1]):

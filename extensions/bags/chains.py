@@ -115,7 +115,7 @@ def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
     """
     ordered = sorted(topics, key=lambda topic: len(topic.log_ns))
 
-    @lru_cache(maxsize=8 * FEWEST)
+    @lru_cache(maxsize=FEWEST * FEWEST)
     def ranks(number: int, times: str, indices: bytes) -> Int64 | None:
         """Return the ranks of the differences of neighbouring steps; None where all are alike."""
         wander_ns = np.diff(getattr(ordered[number], times)[np.frombuffer(indices, np.int64)], 2)

@@ -87,9 +87,9 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         *([part(5, "", back, anchor_ns)] if is_stamped else []),
     ]
     complete = messages.filter("is_complete").with_columns(**anchored).with_columns(deliveries).group_by("group")
-    together = [[each] for each in parts] if roundtrips.exchanges else [parts]  # of many rows one after the other
+    queries = [[values] for values in parts] if roundtrips.exchanges else [parts]  # of many rows one after the other
     return (
-        pl.concat([complete.agg(some).unpivot(index="group").collect() for some in together])
+        pl.concat([complete.agg(query).unpivot(index="group").collect() for query in queries])
         .lazy()
         .unnest("value")
         .drop_nulls("mean_ns")  # without a delivery

@@ -147,7 +147,6 @@ def _rows(batch: Batch, roundtrips: RoundTrips, *, is_timed: bool = True) -> pl.
 
 
 def _first_of_restarted(batch: Batch, roundtrips: RoundTrips) -> dict[int, int]:
-    """Return exchange -> the first one of its relay, for relays that were restarted within the run."""
     relays = {
         at: exchange.relay
         for at, exchange in enumerate(batch.exchanges)

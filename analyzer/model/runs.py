@@ -27,7 +27,6 @@ MOST_ROWS = 1_000_000
 
 
 def tap_run_id(topic: str, sender: str, session_id: int) -> int:
-    """Return the run that a tap's messages of a topic from a device count as."""
     words = f"{topic} {sender} {session_id:016x}"
     return int.from_bytes(blake2b(words.encode(), digest_size=8).digest(), "little")
 

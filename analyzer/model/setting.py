@@ -150,6 +150,5 @@ _PART = re.compile(r"[^,()]*(?:\([^()]*\)[^,()]*)*")
 
 
 def _quoted(text: str, further: str = "") -> str:
-    """Escape `%`, and what would end a key or value, as URLs do."""
     special = "%" + further + ("" if _PART.fullmatch(text) else ",()")
     return "".join(f"%{ord(c):02X}" if c in special else c for c in text)

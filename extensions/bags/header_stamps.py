@@ -79,7 +79,6 @@ def _full_name(name: str, package: str) -> str:
 
 
 def _with_header(types: Mapping[str, Fields], name: str) -> frozenset[str]:
-    """Return a type and those that it is made of, as far as they contain a header."""
     pending, parts = [name], dict[str, Fields]()
     while pending:
         type_name = pending.pop()
@@ -121,7 +120,6 @@ class _MessageType(NamedTuple):
 
 
 def _stamped_type(name: str, definition: str, encoding: str) -> _MessageType | None:
-    """Return a type that has a stamp; the header is the encoding's, whatever the definition says."""
     if encoding not in _HEADERS:
         return None
     types = {**parse_definition(name, definition), _HEADER: _HEADERS[encoding]}

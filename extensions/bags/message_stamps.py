@@ -33,7 +33,6 @@ class StampReader(NamedTuple):
 
 
 def stamps_of(topic: RecordedTopic) -> StampReader | None:
-    """Return how stamps of a topic are read, None for a type without."""
     name, encoding = topic.message_type, topic.encoding
     if encoding == "protobuf":
         read = _protobuf_reader(name, topic.descriptors)

@@ -229,7 +229,6 @@ def _joined(parts: dict[str, list[Integers]], name: str) -> Integers:
 
 
 def _split(column: Integers, number: Int64, edges: Int64) -> list[Integers]:
-    """Return the column of each topic; of equal values there is one."""
     parts = np.split(column[number], edges)
     return [np.broadcast_to(part[:1].copy(), part.shape) if (part[:1] == part).all() else part for part in parts]
 

@@ -149,7 +149,6 @@ def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> 
 
 
 def _types_of(topic: RecordedTopic) -> Typestore:
-    """Return the recording's types of a topic, else the types of ROS 1 or 2 by their names."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415 - only bags need it
 
     if not topic.definition:

@@ -89,7 +89,6 @@ def _described(folder: Path) -> RecordingFiles:
 
 
 def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
-    """Return the listed files and the messages of each topic, nothing where the file cannot be read."""
     try:
         with open_regular(path) as file:
             text = file.read(MOST_TEXT_BYTES).decode(errors="replace")

@@ -160,8 +160,6 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
 
 
 class _NewChannels:
-    """Ids of channels in the new file, each declared once, up to `MOST_CHANNELS`; 0 beyond."""
-
     def __init__(self, copy: McapCopy, walked: McapItems, new: NewFile) -> None:
         self._copy, self._walked, self._new = copy, walked, new
         self._schemas: dict[tuple[int, str], int] = {}

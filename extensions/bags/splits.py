@@ -70,7 +70,6 @@ def lost_files(parts: Sequence[Part]) -> Iterator[str]:
 
 
 def shown_path(parts: Sequence[Part], files: Counter[Path]) -> str:
-    """Return the path of the files: their folder if there is nothing else."""
     first = parts[0].path
     if len(parts) == 1:
         return str(first)

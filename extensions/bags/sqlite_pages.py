@@ -377,7 +377,6 @@ def _size_bytes(kind: int) -> int:
 
 
 def _kinds(payload: bytes) -> tuple[list[int], int]:
-    """Return the kinds of a row's columns, and the offset of the first column."""
     head_end, at = _varint(payload, 0)
     kinds = []
     while at < head_end:

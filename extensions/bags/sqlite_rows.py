@@ -1,6 +1,6 @@
 """Messages of a rosbag2 database of any version; of a damaged one also the rows of pages that SQLite no longer reaches.
 
-In single pages a row of `messages` is known by its columns (no value, number, number, blob), one of `topics` by its texts.
+In single pages a row of `messages` is declared by its columns (no value, number, number, blob), one of `topics` by its texts.
 """
 
 from __future__ import annotations
@@ -181,7 +181,6 @@ def _unreached_rows(
 def _take_description(
     row_id: int, values: list[Any], topics: dict[int, RecordedTopic], definitions: dict[str, tuple[str, str]]
 ) -> None:
-    """Keep a row if its columns are as in `topics` or `message_definitions`."""
     kinds = [type(value) for value in values]
     if kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
         definitions[full_type(values[1])] = values[3], values[2]

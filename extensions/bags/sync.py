@@ -82,7 +82,6 @@ def _stamped(name: str, topics: dict[str, TopicTimes]) -> tuple[Int64, Int64]:
 
 
 def _by_part(log_ns: Int64, stamp_ns: Int64, edges: Float64) -> Float64:
-    """Return the median of log time - stamp in each part; NaN with too few messages."""
     at = np.searchsorted(log_ns, edges)
     parts = zip(at[:-1].tolist(), at[1:].tolist(), strict=True)
     ages_ns = log_ns - stamp_ns

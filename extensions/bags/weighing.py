@@ -108,7 +108,6 @@ def _take_history(evidence: Evidence, sources: Sequence[Source], start_ns: int) 
 
 
 def _name_writers(evidence: Evidence, sources: Sequence[Source], stamped: Collection[int]) -> None:
-    """Name publish times that are a writer's, and topics with nothing but history."""
     clocks = evidence.clocks
     for number, (source, topic) in enumerate(zip(sources, evidence.times, strict=True)):
         if number not in stamped and _is_of_writer(topic):

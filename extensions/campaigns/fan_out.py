@@ -55,7 +55,6 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
 
 
 def _joined_late(rows: pl.DataFrame) -> dict[int, int]:
-    """Return how many relays of each run began within it."""
     first = rows.group_by("run_id", "relay_id").agg(pl.col("sequence").min())
     late = first.filter(pl.col("sequence") > pl.col("sequence").min().over("run_id"))
     return dict(late.group_by("run_id").len().iter_rows())

@@ -124,7 +124,7 @@ WORST_FIRST = (
 
 def shown_changes(changes: Sequence[Row]) -> tuple[Row, ...]:
     first_metric = [row for row in changes if row["metric"] == changes[0]["metric"]]
-    return tuple(row for row in first_metric if row["statistic"] in SHOWN_STATISTICS) or tuple(of_first_metric[:1])
+    return tuple(row for row in first_metric if row["statistic"] in SHOWN_STATISTICS) or tuple(first_metric[:1])
 
 
 def verdict_of_result(delivery: Row, changes: Sequence[Row], *, is_busier: bool) -> str:

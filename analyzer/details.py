@@ -61,6 +61,8 @@ def collect_details(
     recoveries = pl.DataFrame(schema=RECOVERY_SCHEMA)
     if any("outage" in sample for trace in campaign.traces for sample in trace.host_samples):
         recoveries = load("details", "recoveries")(campaign.traces, grouping, rows)
+    # When an outage began, and when the first reply after it came; None where none came.
+    outages = recoveries.select("run_id", "began_ns", pl.col("ended_ns") + pl.col("back_ns")).iter_rows()
     recommendation = None
     if options.job is not None:
         messages = judged.frame(judged.groups.filter(data_type=options.job.data_type))
@@ -74,7 +76,7 @@ def collect_details(
             judged,
             passes=passes,
             wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
-            outages_ns=_outage_spans(recoveries),
+            outages_ns={run_id: (began_ns, ended_ns) for run_id, began_ns, ended_ns in outages},
             options=options.ranking,
         )
     was_captured = any(run.extra.get("wire") for run in campaign.runs.values())
@@ -133,13 +135,6 @@ def _is_crowded(exchange: Exchange) -> bool:
 
 def _empty_frames(*tables: Mapping[str, Any]) -> Frames:
     return {name: pl.DataFrame(schema=schema) for table in tables for name, schema in table.items()}
-
-
-def _outage_spans(recoveries: pl.DataFrame) -> dict[int, tuple[int, int | None]]:
-    """Return run_id -> when its outage began, and when the first reply after it came, ns; None where none came."""
-    back_ns = pl.col("ended_ns") + pl.col("back_ns")
-    rows = recoveries.select("run_id", "began_ns", back_ns.alias("back_ns")).iter_rows()
-    return {run_id: (began_ns, ended_ns) for run_id, began_ns, ended_ns in rows}
 
 
 def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:

@@ -123,11 +123,8 @@ def _machine() -> Iterator[Check]:
 def _permissions() -> Iterator[Check]:
     from dds_trace.recorder.host.process import HOW_TO_BE_PERMITTED, may_be_realtime
 
-    yield _permitted("-o realtime", may_be_realtime(), HOW_TO_BE_PERMITTED)
-
-
-def _permitted(name: str, is_permitted: bool, cure: str) -> Check:
-    return Check("permissions", name, is_permitted, "permitted" if is_permitted else cure)
+    is_permitted = may_be_realtime()
+    yield Check("permissions", "-o realtime", is_permitted, "permitted" if is_permitted else HOW_TO_BE_PERMITTED)
 
 
 def _costs(out: Path | None) -> Iterator[Check]:

@@ -151,7 +151,7 @@ def _positions(times: Sequence[SendTimes], bounds: Indices) -> Callable[[Indices
 
 
 def tails_of_all(groups: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[list[Tail]]]:
-    """Return `tails_of` each group; those with equal quantiles and lengths of runs share the work."""
+    """Return by group and quantile the tails of the runs; groups with equal quantiles and lengths of runs share the work."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for number, (runs, quantiles) in enumerate(groups):
         alike.setdefault((*quantiles, runs.lengths), []).append(number)
@@ -160,10 +160,6 @@ def tails_of_all(groups: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[li
         runs_of_all = [groups[number][0] for number in numbers]
         tails.update(zip(numbers, _tails_of_alike(runs_of_all, groups[numbers[0]][1]), strict=True))
     return [tails[number] for number in range(len(groups))]
-
-
-def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    return _tails_of_alike([runs], quantiles)[0]
 
 
 def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[list[list[Tail]]]:

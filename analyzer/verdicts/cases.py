@@ -152,7 +152,7 @@ def contender_names(groups: pl.DataFrame) -> ContenderNames:
     may_be = {
         setting: alike[0]
         for setting in cases
-        if _is_without_relay(setting)
+        if all(value is None for name, value in zip(CONTENDER_COLUMNS, setting, strict=True) if name in _RELAY_COLUMNS)
         and len(alike := [other for other in cases if other != setting and _fits(setting, other)]) == 1
         and cases[setting].isdisjoint(cases[alike[0]])
     }
@@ -162,10 +162,6 @@ def contender_names(groups: pl.DataFrame) -> ContenderNames:
 
 
 _RELAY_COLUMNS = frozenset({"relay_vendor", "relay_backend"})
-
-
-def _is_without_relay(setting: tuple[ParameterValue, ...]) -> bool:
-    return all(value is None for name, value in zip(CONTENDER_COLUMNS, setting, strict=True) if name in _RELAY_COLUMNS)
 
 
 def _fits(unknown: tuple[ParameterValue, ...], other: tuple[ParameterValue, ...]) -> bool:

@@ -38,7 +38,9 @@ def stamps_of(topic: RecordedTopic) -> StampReader | None:
         read = _protobuf_reader(name, topic.descriptors)
         return StampReader(read) if read else None
     if encoding == "json":
-        return StampReader(_json_stamp) if _may_have_stamp(topic.definition) else None
+        schema = topic.definition
+        may_have_stamp = '"properties"' not in schema or re.search(r'"(time)?stamp"', schema)
+        return StampReader(_json_stamp) if may_have_stamp else None
     is_text = topic.definition_encoding in _TEXTS.get(encoding, ())
     return _header_reader(name, topic.definition if is_text else "", encoding)
 
@@ -57,10 +59,6 @@ def _header_reader(name: str, definition: str, encoding: str) -> StampReader | N
 _JSON_TIME = re.compile(rb'(?<!\\)"(?:time)?stamp"\s*:\s*\{([^{}]*)\}')
 _JSON_SECONDS = re.compile(rb'"secs?"\s*:\s*(-?\d{1,10})\s*(?:,|$)')
 _JSON_NANOSECONDS = re.compile(rb'"n(?:ano)?secs?"\s*:\s*(\d{1,9})\s*(?:,|$)')
-
-
-def _may_have_stamp(schema: str) -> bool:
-    return '"properties"' not in schema or re.search(r'"(time)?stamp"', schema) is not None
 
 
 def _json_stamp(data: bytes) -> int | None:

@@ -44,7 +44,7 @@ def hdr_log(analysis: Analysis) -> str:
     histograms = list(_histograms(analysis))
     names = [name for name, *_ in histograms]
     for tag, (_, duration_s, value_ns, count) in zip(
-        distinct([_tag(name) for name in names], names), histograms, strict=True
+        distinct([re.sub(r"[^\w./:%+-]+", "_", name) for name in names], names), histograms, strict=True
     ):
         counted = value_ns >= 0
         if counted.any():
@@ -76,10 +76,6 @@ def _histograms(analysis: Analysis) -> Iterator[tuple[str, float, NDArray[np.flo
         for metric in TOPIC_METRICS:
             histogram = histogram_of(np.sort(part[f"{metric}_ns"].drop_nulls().to_numpy()))
             yield f"{topic} {sender} to {receiver} {metric}", lasted_s, histogram.value_ns, histogram.count
-
-
-def _tag(words: str) -> str:
-    return re.sub(r"[^\w./:%+-]+", "_", words)
 
 
 def encode_histogram(value_ns: NDArray[np.int64], count: NDArray[np.int64]) -> bytes:

@@ -35,10 +35,7 @@ _TRIES = 3
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The state of a recording, as `dds-trace record status --json` prints it.
-
-    `pid_start` is there as process ids are reused; `causes` are what a relay that nothing reached sees of itself.
-    """
+    """The state of a recording, as `dds-trace record status --json` prints it; `causes` are what a relay that nothing reached sees of itself."""
 
     role: str
     path: str

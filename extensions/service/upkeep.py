@@ -6,7 +6,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterable, MutableMapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -24,8 +24,6 @@ from .rotation import RotatedFiles, find_shortage
 from .running import RunningRecording
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from dds_trace.recorder.options import RecordOptions
 
 
@@ -80,7 +78,7 @@ class ServiceManager:
                 self._socket.sendto("\n".join(assignments).encode(errors="replace"), self._address)
 
 
-class Upkeep:
+class Upkeep(AbstractContextManager["Upkeep"]):
     """Opens a recording's sink, and closes it on exit; with `-o rotate` its session's `part` counts the files from 1."""
 
     def __init__(
@@ -108,9 +106,6 @@ class Upkeep:
         self._began_s = time.monotonic()
         self._manager = ServiceManager()
         self._running = RunningRecording(session, destination.path)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

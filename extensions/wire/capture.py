@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +29,6 @@ from .format import MESSAGE_ROW, MessageRows, row_texts
 from .packet_filter import PortRange
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from dds_trace.tracefile.writing.sink import TraceSink
 
 
@@ -90,7 +88,7 @@ class WireResult:
     rows: MessageRows
 
 
-class WireCapture:
+class WireCapture(AbstractContextManager["WireCapture"]):
     """A capture from its construction to `close`; an `OptionError` names what cannot be captured."""
 
     def __init__(self, options: WireOptions) -> None:
@@ -130,9 +128,6 @@ class WireCapture:
         if "error" in answer:
             raise OptionError(answer["error"])
         return answer
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.close()

@@ -110,11 +110,10 @@ def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]
     for site, cases in by_place.items():
         cut = tuple((stretch.outcome, stretch.sizes, stretch.setups) for stretch in stretches(cases))
         alike.setdefault(cut, []).append(site)
-    return sorted(alike.values(), key=lambda sites: (not _is_decided(by_place[sites[0]]), -len(sites)))
-
-
-def _is_decided(cases: Iterable[CaseAnswer]) -> bool:
-    return any(stretch.is_decided for stretch in stretches(cases))
+    return sorted(
+        alike.values(),
+        key=lambda sites: (not any(stretch.is_decided for stretch in stretches(by_place[sites[0]])), -len(sites)),
+    )
 
 
 def _shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:

@@ -17,7 +17,7 @@ from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find
 from dds_trace.analyzer.run_statistics.received import received_interval
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
 from dds_trace.analyzer.run_statistics.spread import spread_of_runs
-from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of
+from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of_all
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, paired_test, welch_test
 from dds_trace.analyzer.statistics.percentiles import order_statistic_ranks
 
@@ -92,7 +92,7 @@ def tails() -> list[Any]:
     found: list[Any] = []
     for runs in _groups():
         for quantile in (0.02, 0.4, 0.5, 0.9, 0.97, 0.99):
-            (of_runs,) = tails_of(Runs.of(runs), [quantile])
+            (of_runs,) = tails_of_all([(Runs.of(runs), [quantile])])[0]
             found.append(
                 [
                     episodes_of(of_runs),

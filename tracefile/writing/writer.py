@@ -6,7 +6,7 @@ import errno
 import os
 import struct
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +53,7 @@ _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of e
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 
 
-class TraceWriter:
+class TraceWriter(AbstractContextManager["TraceWriter"]):
     """Writer of one trace at a new path; every method leaves a readable file, even if it fails, as does the end of its context.
 
     The session's clock anchor turns monotonic times into log times. With `fsync` each chunk is on the disk on return.
@@ -181,9 +181,6 @@ class TraceWriter:
         if self._is_open:
             os.close(self._descriptor)
         self._is_open = False
-
-    def __enter__(self) -> TraceWriter:  # noqa: PYI034 - `Self` is Python 3.11's
-        return self
 
     def __exit__(self, *_exception: object) -> None:
         self.abandon()

@@ -19,7 +19,7 @@ from dds_trace.analyzer.run_statistics.between_runs import (
     scale_of,
 )
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic, joined_runs
-from dds_trace.analyzer.run_statistics.tails import tails_of
+from dds_trace.analyzer.run_statistics.tails import tails_of_all
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
 P50, P99 = Statistic(0.5), Statistic(0.99)
@@ -28,7 +28,7 @@ P50, P99 = Statistic(0.5), Statistic(0.99)
 def units_of(runs, statistic):
     group = Runs.of(runs)
     joined = _joined_where_short(group, statistic.needs)
-    tails = [] if statistic.quantile is None else tails_of(joined, [statistic.quantile])[0]
+    tails = [] if statistic.quantile is None else tails_of_all([(joined, [statistic.quantile])])[0][0]
     return _units(group, joined, statistic, tails)
 
 

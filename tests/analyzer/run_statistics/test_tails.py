@@ -15,12 +15,12 @@ from dds_trace.analyzer.run_statistics.tails import (
     inflations_of,
     level_below,
     limits_of,
+    tails_of_all,
 )
-from dds_trace.analyzer.run_statistics.tails import tails_of as tails_of_quantiles
 
 
 def tails_of(runs, quantile):
-    (tails,) = tails_of_quantiles(Runs.of(runs), [quantile])
+    (tails,) = tails_of_all([(Runs.of(runs), [quantile])])[0]
     return tails
 
 
@@ -67,7 +67,7 @@ def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
         return (beyond.indices.tolist(), beyond.positions.tolist(), beyond.offsets.tolist()), rows
 
     runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
-    beyond, tails = beyond_quantiles([runs], quantiles), tails_of_quantiles(runs, quantiles)
+    beyond, tails = beyond_quantiles([runs], quantiles), tails_of_all([(runs, quantiles)])[0]
     inflations, values = inflations_of(runs, quantiles), quantiles_of_runs(runs, quantiles)
     for row, quantile in enumerate(quantiles):
         alone = tails_of(runs, quantile)

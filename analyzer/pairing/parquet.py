@@ -107,8 +107,9 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
 
 
 def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array | pa.ChunkedArray:
-    rows, only = int(rows_of_exchange.sum()), int(rows_of_exchange.argmax())
-    if rows > _ROWS_PER_PAGE and rows == rows_of_exchange[only]:  # one page in memory stands for all
+    rows = int(rows_of_exchange.sum())
+    if rows > _ROWS_PER_PAGE and rows == rows_of_exchange.max():  # one page in memory is repeated
+        only = int(rows_of_exchange.argmax())
         page = _repeated(values[only : only + 1], np.array([_ROWS_PER_PAGE]))
         return pa.chunked_array(
             [page.slice(0, min(rows - first, _ROWS_PER_PAGE)) for first in range(0, rows, _ROWS_PER_PAGE)]

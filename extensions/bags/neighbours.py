@@ -129,7 +129,7 @@ def _went_on(reading: Reading) -> tuple[Holes, Holes]:
 
 
 def _doubted(reading: Reading, witness: Holes) -> Reading:
-    if reading.rhythm is None or not len(reading.holes):
+    if reading.rhythm is None or not len(reading.holes) or reading.name == "tap":  # counted, whatever its rhythm
         return reading
     holes = reading.holes
     middle_ns = witness.start_ns + witness.duration_ns // 2

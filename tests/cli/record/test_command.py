@@ -12,9 +12,10 @@ from trace_files import ping_session, run
 from typer.testing import CliRunner
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, OutputExistsError, TraceError
-from dds_trace.cli import doctor, recover
+from dds_trace.cli import doctor
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import describe_progress, print_result
+from dds_trace.extensions.bags import recover_command
 from dds_trace.extensions.bridges import BRIDGE_MODULES
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.recorder import choices
@@ -225,9 +226,9 @@ def test_a_whole_trace_has_nothing_to_recover_and_one_that_was_cut_off_is_closed
     for sequence in range(5):
         sink.record(1, 7, sequence, 1000 + sequence)
     sink.close()
-    assert "(5 events); nothing to recover" in CliRunner().invoke(recover.app, [str(path)]).output
+    assert "(5 events); nothing to recover" in CliRunner().invoke(recover_command.app, [str(path)]).output
     path.write_bytes(path.read_bytes()[:-200])  # into the summary
-    result = CliRunner().invoke(recover.app, [str(path)])
+    result = CliRunner().invoke(recover_command.app, [str(path)])
     assert result.exit_code == 0, result.output
     assert result.output.startswith("Wrote ")
     assert counts_in(result.output.splitlines()[1])[:2] == [5, 0]  # events in the file, in the ring

@@ -10,7 +10,7 @@ from dds_trace.tracefile.format.json_fields import object_of, objects_of
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` that are no interfaces."""
 
-_HEADERS_BYTES = 512
+_HEADERS_BYTES = 256
 """Most bytes around a payload: IP, UDP, RTPS submessages, our stamped header."""
 
 _LARGEST_PACKET_BYTES = 65_535

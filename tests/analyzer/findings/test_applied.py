@@ -163,13 +163,13 @@ def test_lost_fragments_are_found(tmp_path, sentences):
     ("path", "mtu", "payload_bytes", "is_blamed"),
     [
         ("eth0", {"eth0": 1500}, 33_000, True),
-        ("eth0", {"eth0": 1500}, 900, False),  # one packet holds it, so that others' datagrams failed
+        ("eth0", {"eth0": 1500}, 1000, False),  # one packet holds it, so that others' datagrams failed
         ("eth0", {"eth0": 9000}, 8_000, False),
         ("lo", {"lo": 65_536}, 4_000_000, False),  # which takes the largest datagram there is
         ("shm", {}, 33_000, False),
-        ("unknown", {"eth0": 1500}, 900, False),  # whichever it was
-        ("unknown", {"eth0": 1500}, 1100, True),
-        (None, {}, 900, True),  # an older recorder does not tell
+        ("unknown", {"eth0": 1500}, 1000, False),  # whichever it was
+        ("unknown", {"eth0": 1500}, 1300, True),
+        (None, {}, 1100, True),  # an older recorder does not tell
     ],
 )
 def test_fragments_of_others_are_not_blamed_on_a_run_that_sent_none(tmp_path, path, mtu, payload_bytes, is_blamed):

@@ -16,7 +16,6 @@ _HEADERS_BYTES = 256
 _LARGEST_PACKET_BYTES = 65_535
 """Largest IP packet (RFC 791): `lo`, with that MTU, cuts none."""
 
-
 _LEAST_MTU_BYTES = 1280
 """Of IPv6 (RFC 8200): no link that cuts smaller packets is met."""
 

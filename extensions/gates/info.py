@@ -244,10 +244,10 @@ def _place(words: str, group: ComparedGroup, groups: Sequence[ComparedGroup]) ->
 def _lost_words(
     groups: Sequence[ComparedGroup], changed: Sequence[ComparedGroup], word: str
 ) -> list[tuple[str, int, str]]:
-    rows = [
-        (word, len(changed), _place(f"received {received_words(group.delivery)}", group, groups)) for group in changed
+    return [
+        (word, len(changed), _place(f"received {received_words(group.delivery)}", group, groups))
+        for group in changed[:1]
     ]
-    return rows[:1]
 
 
 def _times_words(groups: Sequence[ComparedGroup], word: str) -> list[tuple[str, int, str]]:

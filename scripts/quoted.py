@@ -6,13 +6,15 @@
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
 a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a
-sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan.
+sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
+`dds-trace compare base new --paired` says of two sides.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import subprocess
 import sys
 import tarfile
 import tempfile
@@ -44,6 +46,7 @@ QUOTE = re.compile(
 )
 FOLDER_OF = {
     "robot-and-laptop": "two-machines",
+    "jazzy-kilted": "stacks/jazzy-kilted",
     **{f"paper-explain-{of}": f"study/explain-{of}" for of in ("size", "rates")},
 }
 """Folder that a person analyzes, or plan -> folder of docs/results/, where the two differ."""
@@ -92,6 +95,10 @@ def quote(kind: str, campaign: str) -> str:
                 lines = render(BagReport(analyze_topics([Path(campaign)]))).splitlines()
             finally:
                 os.chdir(here)
+        elif kind == "compared":
+            command = [Path(sys.executable).with_name("dds-trace"), "compare", "base", "new", "--paired"]
+            said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+            lines = said.stdout.splitlines()
         elif kind == "explained":
             lines = explained(campaign, folder)
         elif kind == "advice":

@@ -16,14 +16,14 @@ export PYTHONDONTWRITEBYTECODE := ""
 _default:
     @just --list
 
-# What measures and analyzes: the middlewares from pip and the analysis (0.8 GB; quick when nothing changed)
+# What measures and analyzes: the middlewares from pip, the analysis, and pip for more (0.8 GB; quick when nothing changed)
 install:
-    @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
+    @test -x {{bin}}/python || uv venv --quiet --seed --python '{{python}}' {{venv}}
     @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,analyze]'
 
 # Make .venv with all extras, those of tests, checks and pages too (1.9 GB), compiled as pip compiles them
 setup:
-    @test -x {{bin}}/python || uv venv --quiet --python '{{python}}' {{venv}}
+    @test -x {{bin}}/python || uv venv --quiet --seed --python '{{python}}' {{venv}}
     @uv pip install --quiet --compile-bytecode --python {{bin}}/python -e '.[ros2,cyclonedds,zenoh,connext,analyze,cluster,test,check,docs]'
 
 # The main job on this machine: every middleware from pip, same domain and domains 5 and 10 through the built-in bridges
@@ -120,9 +120,9 @@ screenshots *names: setup
 studio-picture: setup
     {{bin}}/python scripts/studio_picture.py
 
-# Run the commands of pages as printed, each page in a fresh folder and home: `just walk docs/tutorials/bag.md`
+# Run the commands of pages as printed, each page or kind of user (`boards`, ...: scripts/walk.py) in a fresh folder and home
 walk *pages: setup
-    for page in {{pages}}; do {{bin}}/python scripts/walk.py $page; done
+    for page in {{pages}}; do {{bin}}/python scripts/walk.py $page --log out/walks/$(basename $page .md).txt; done
 
 # All benchmarks: ratios measured side by side in one run
 bench: setup

@@ -51,11 +51,11 @@ class Device:
         )
         assert self._holder.stdout is not None
         assert self._holder.stdout.readline() == "ready\n"
+        self.enter = ["nsenter", "--target", str(self._holder.pid), "--mount", "--net"]
 
     def start(self, program: str, *arguments: object, **variables: str) -> RunningCommand:
         """One of our commands as it runs on this device, in its folder."""
-        enter = ["nsenter", "--target", str(self._holder.pid), "--mount", "--net"]
-        inside = [*enter, "sh", "-c", 'cd "$0" && exec "$@"', str(self.folder)]
+        inside = [*self.enter, "sh", "-c", 'cd "$0" && exec "$@"', str(self.folder)]
         return RunningCommand(program, *arguments, prefix=inside, environment={**SUBNET, **variables})
 
     def close(self) -> None:

@@ -36,7 +36,10 @@ CORE = {
         ("tracefile/writing/sink.py", "tracefile/writing/packing.py", "tracefile/writing/event_chunks.py"),
         ("tests/tracefile/writing",),
     ),
-    "gates": Part(("extensions/gates/gate.py", "extensions/gates/gates.py"), ("tests/extensions/gates",)),
+    "gates": Part(
+        ("extensions/gates/gate.py", "extensions/gates/gates.py"),
+        ("tests/extensions/gates", "tests/extensions/bags/test_drives.py"),
+    ),
     "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
     "headline": Part(
         tuple(f"reports/book/{name}.py" for name in ("answer", "fastest", "headline", "losses")),

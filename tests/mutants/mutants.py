@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -38,13 +38,15 @@ from mutations import Mutant, mutants_of
 ROOT = Path(__file__).parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.json")
 LEAST_KILLED = 0.95
-MOST_TEST_SECONDS = 10.0
+MOST_TEST_SECONDS = 60.0  # on a busy machine a part's own tests take so long
 """Tests that run through a mutant's line are taken, cheapest first, until they take this together, at least one."""
 SPARE_SECONDS = 5.0
 TIMES_LONGER = 3.0
 """A child whose tests take so many times as long as without the mutant, and this time to spare, has a loop without an end."""
 MOST_CALLS = 200
-WALL_FACTOR = 20.0  # of a child's processor time: other programs may share this machine
+WALL_FACTOR = 20.0
+WALL_SPARE_SECONDS = 20.0
+"""A test that waits so many times its processor time, and this time to spare, waits without an end; others may use this machine."""
 LONGEST_SECONDS = 100_000.0
 SURVIVED, KILLED = 0, 1
 
@@ -134,10 +136,13 @@ class LinesRun:
         return line
 
 
-def passes(items: Sequence[pytest.Item]) -> Iterator[tuple[int, bool]]:
+def passes(items: Sequence[pytest.Item], seconds: Sequence[float] = ()) -> Iterator[tuple[int, bool]]:
+    """Run tests; where their processor time is given, a test that waits for what never comes ends this process."""
     from _pytest.runner import runtestprotocol
 
     for number, item in enumerate(items):
+        if seconds:
+            signal.setitimer(signal.ITIMER_REAL, WALL_SPARE_SECONDS + WALL_FACTOR * seconds[number])
         after = items[number + 1] if number + 1 < len(items) else None
         yield number, not any(each.failed for each in runtestprotocol(item, log=False, nextitem=after))
 
@@ -215,6 +220,7 @@ class Trials:
         self.survivors: list[tuple[str, int]] = []
         self._kills: Counter[tuple[str, int]] = Counter()  # by module and number of the test
         self.failing: list[str] = []
+        self.cheapest: dict[str, str] = {}  # file of each test that tries a mutant of a line that runs at import
         self.computing: list[str] = []
         """Where the first query of polars ran while tests were collected: a forked child waits for its threads without end."""
 
@@ -243,14 +249,17 @@ class Trials:
         for path, number in self._chosen:
             module = self._modules[path]
             tests = self._tests_of(module, module.mutants[number], runs)
+            if module.mutants[number].runs_at_import:
+                self.cheapest = {items[each].nodeid: str(items[each].path) for each in tests}
             if not tests:
                 self.survivors.append((path, number))
                 continue
             if len(running) == self._jobs:
                 self._await_one(running)
             tests.sort(key=lambda each: seconds[each] / (1 + self._kills[path, each]))
-            longest = SPARE_SECONDS + TIMES_LONGER * sum(seconds[each] for each in tests)
-            running[forked(partial(self._try, module, number, items, tests), longest)] = path, number
+            took_each = [seconds[each] for each in tests]
+            longest = SPARE_SECONDS + TIMES_LONGER * sum(took_each)
+            running[forked(partial(self._try, module, number, items, tests, took_each), longest)] = path, number
         while running:
             self._await_one(running)
         return True
@@ -267,9 +276,10 @@ class Trials:
                 tests.append(number)
         return tests
 
-    def _try(self, module: Module, number: int, items: Sequence[pytest.Item], tests: Sequence[int]) -> int:
-        grafting.graft(sys.modules[module.name], module.mutated(number))
-        for place, passed in passes([items[each] for each in tests]):
+    def _try(self, module: Module, number: int, items: list[pytest.Item], tests: list[int], took: list[float]) -> int:
+        # A test may be the first to import it.
+        grafting.graft(importlib.import_module(module.name), module.mutated(number))
+        for place, passed in passes([items[each] for each in tests], took):
             if not passed:
                 (self._folder / f"killer-{os.getpid()}").write_text(str(tests[place]))
                 return KILLED
@@ -287,7 +297,7 @@ class Trials:
 def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:
     return [
         *("-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--timeout=0", f"--rootdir={ROOT}"),
-        *("-m", "not slow and not middleware and not browser", "--hypothesis-profile=mutants"),
+        *("-m", "not slow and not thorough and not middleware and not browser", "--hypothesis-profile=mutants"),
         *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # hypothesis is here already
         *(f"--basetemp={folder / 'pytest'}", *tests),
     ]
@@ -298,11 +308,11 @@ def try_part(part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str,
     quiet()
     trials = Trials(modules, chosen, folder, jobs)
     pytest.main(pytest_words(part.tests, folder), plugins=[trials])
-    (folder / "result").write_text(json.dumps([trials.survivors, trials.failing, trials.computing]))
+    (folder / "result").write_text(json.dumps([trials.survivors, trials.failing, trials.cheapest, trials.computing]))
     return 0
 
 
-def try_anew(tests: Sequence[str], module: Module, number: int, folder: Path) -> int:
+def try_anew(tests: Mapping[str, str], module: Module, number: int, folder: Path) -> int:
     quiet()
     code = module.mutated(number)
 
@@ -319,8 +329,13 @@ def try_anew(tests: Sequence[str], module: Module, number: int, folder: Path) ->
             spec.loader = Loader(spec.loader.name, spec.loader.path)
             return spec
 
+        @staticmethod
+        def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+            items[:] = (each for each in items if each.nodeid in tests)
+
     sys.meta_path.insert(0, Finder)
-    return int(pytest.main(pytest_words(tests, folder)))
+    code = pytest.main(pytest_words(sorted(set(tests.values())), folder), plugins=[Finder])
+    return int(code not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED))
 
 
 def quiet() -> None:
@@ -355,7 +370,7 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
         ended([forked(lambda: import_all(list(modules.values()), folder / "imported"), LONGEST_SECONDS)])
         imported = pickle.loads((folder / "imported").read_bytes())
         ended([forked(lambda: try_part(part, modules, chosen, folder, jobs), LONGEST_SECONDS)])
-        found, failing, computing = json.loads((folder / "result").read_text())
+        found, failing, cheapest, computing = json.loads((folder / "result").read_text())
         if computing:
             sys.exit(f"{computing[0]} runs a query of polars while it is collected; make its frames in the test")
         if failing:
@@ -364,7 +379,7 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
             (path, number)
             for path, number in found
             if imported.isdisjoint((modules[path].file, line) for line in modules[path].mutants[number].lines)
-            or _survives_anew(part.tests, modules[path], number, folder)
+            or _survives_anew(cheapest, modules[path], number, folder)
         }
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -379,7 +394,7 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
     return counts, lines
 
 
-def _survives_anew(tests: Sequence[str], module: Module, number: int, folder: Path) -> bool:
+def _survives_anew(tests: Mapping[str, str], module: Module, number: int, folder: Path) -> bool:
     return ended([forked(lambda: try_anew(tests, module, number, folder), 120)])[1] == SURVIVED
 
 

@@ -4,7 +4,7 @@ What is left out, each by a rule, because no test of behaviour could tell the tw
 
 - texts: docstrings, messages and names are no operators, and numbers within a message only shape it;
 - arguments of decorators: `frozen`, `slots` and the like change what a class costs or refuses, not what it computes;
-- annotations, `contravariant=` and what stands under `if TYPE_CHECKING`: they are for the type checker;
+- annotations, `contravariant=`, protocols and what stands under `if TYPE_CHECKING`: they are for the type checker;
 - `assert`, and `strict=` of `zip`: they guard against our own mistakes and change nothing for a caller who makes none;
 - `copy=`, `maxsize=`, `stacklevel=`, `daemon=` and `buffering=`: what they change is speed, or the line that a warning names;
 - module constants whose names say that they bound work, not results (`_AT_ONCE`, `_BLOCK_MESSAGES` and the like,
@@ -111,6 +111,8 @@ def _children(node: ast.AST) -> Iterator[tuple[object, object, ast.AST]]:
 def _is_left_out(node: ast.AST) -> bool:
     if isinstance(node, ast.JoinedStr | ast.Raise | ast.Assert | ast.Import | ast.ImportFrom):
         return True
+    if isinstance(node, ast.ClassDef):
+        return any("Protocol" in ast.unparse(base) for base in node.bases)
     if isinstance(node, ast.keyword):
         return node.arg in UNTOLD_KEYWORDS
     if isinstance(node, ast.If):

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.payloads.stamp import (
+    CALL_STAMP,
     HEADER_STAMP,
+    NO_REPLY,
     PROBE_RUN_ID,
     RAW_HEADER_STAMP,
     RAW_STRING_STAMP,
@@ -31,7 +33,7 @@ def header_message(frame_id):
 def test_text_is_what_the_format_page_says():
     assert stamp_text(0x0123456789ABCDEF, 0x102, 0xDEADBEEF) == TEXT
     assert len(TEXT) == STAMP_BYTES == 46
-    assert PROBE_RUN_ID == 0
+    assert (PROBE_RUN_ID, NO_REPLY) == (0, 0xFFFFFFFF)
 
 
 @given(UINT64, UINT64, UINT32)
@@ -113,6 +115,7 @@ def test_a_reply_differs_in_the_relay_alone():
     reply = RAW_HEADER_STAMP.reply(received, b"0000002a")
     assert received == header_message(TEXT)
     assert reply == header_message(TEXT[:38] + b"0000002a")
+    assert RAW_HEADER_STAMP.reply(received[:62], b"0000002a") == reply[:62]
 
 
 @pytest.mark.parametrize("message", [b"", b"\0\1\0\0", header_message(b"camera_frame"), header_message(b"x" * 46)])
@@ -133,8 +136,8 @@ def test_a_string_has_the_stamp_before_its_payload():
 
 def test_message_objects_carry_the_same_stamp():
     header = SimpleNamespace(frame_id="", stamp=SimpleNamespace(sec=0, nanosec=0))
-    image, text = SimpleNamespace(header=header), SimpleNamespace(data="." * 46 + "hello")
-    for place, message in ((HEADER_STAMP, image), (STRING_STAMP, text)):
+    image, text, call = SimpleNamespace(header=header), SimpleNamespace(data="." * 46 + "hello"), SimpleNamespace()
+    for place, message in ((HEADER_STAMP, image), (STRING_STAMP, text), (CALL_STAMP, call)):
         place.write(message, 1, 2)
         write_time(place, message, 3_000_000_004)
         assert place.read(message) == (1, 2, 0)

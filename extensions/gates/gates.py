@@ -89,8 +89,8 @@ class _Measured:
     key: Key
     degrees: float | None
     advice: _Advice
-    p_of_lost: float = 0.0
-    base_ns: float = 0.0
+    p_of_lost: float
+    base_ns: float
 
     def p_beyond(self, confidence: float, *, is_ratio: bool) -> float:
         limit, value, low, high = self.result.gate.limit, self.result.value, self.result.low, self.result.high

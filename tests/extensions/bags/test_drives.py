@@ -67,6 +67,7 @@ def test_limits_of_values_and_changes_decide(drives, limit, code):
         (("--fail-if", "rate(/imu) < -15%"), 20),  # /tf is gone
         (("--fail-if", "rate(/imu) < -5 points"), 2),
         (("--fail-if", "missing(/imu) > +5%"), 2),
+        (("--fail-if", "rate < 95 Hz"), 2),
         (("--paired",), 2),
         (("--report", "junit"), 2),
     ],

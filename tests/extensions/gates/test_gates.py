@@ -287,7 +287,7 @@ Z = 1.959963984540054  # standard errors that an interval of 95 % reaches
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
     gate = replace(parse_gate("latency_p50 > +10%"), limit=limit)
     result = result_of(gate, "", GateOutcome.REGRESSED, value, low, high)
-    judged = _Measured(result, (), None, _Advice(""))
+    judged = _Measured(result, (), None, _Advice(""), 0.0, 0.0)
     assert judged.p_beyond(0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
     few = replace(judged, degrees=2).p_beyond(0.95, is_ratio=is_ratio)
     assert few > p or p in {0.0, 0.025}

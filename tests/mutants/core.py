@@ -34,7 +34,7 @@ CORE = {
     ),
     "sink": Part(
         ("tracefile/writing/sink.py", "tracefile/writing/packing.py", "tracefile/writing/event_chunks.py"),
-        ("tests/tracefile/writing",),
+        ("tests/tracefile/writing", "tests/extensions/topics/test_taps.py"),
     ),
     "gates": Part(
         ("extensions/gates/gate.py", "extensions/gates/gates.py"),

@@ -281,6 +281,22 @@ UNKNOWN_BEGINNING = [
 ]
 
 
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_late_relay_counts_from_the_first_message_that_it_got_and_replaces_only_one_that_is_silent(tmp_path, goes_on):
+    messages = [Message(n, t0=1000 * n, t1=1000 * n + 10, t3=1000 * n + 509, t4=1000 * n + 511) for n in range(3)]
+    write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(messages))
+    for relay_id, began_ns, relayed in ((1, 0, messages[:: 2 if goes_on else 3]), (2, 1490, messages[2:])):
+        session = relay_session(session_id=relay_id, relay_id=relay_id, monotonic_anchor_ns=began_ns)
+        write_trace(tmp_path / f"relay{relay_id}.mcap", session, (), relay_events(relayed, relay_id=relay_id))
+    rows = values(analyze(tmp_path), "relay_id", "sequence", "outcome")
+    assert rows == [
+        (1, 0, "lost_return"),
+        (1, 1, "lost_outbound"),
+        *[(1, 2, "lost_return")] * goes_on,
+        (2, 2, "lost_return"),
+    ]
+
+
 def test_a_relay_restarted_under_its_old_id_gets_the_last_session_before_its_events(tmp_path):
     """Both sessions' events are paired, and a finding says that one of them stands for both."""
     messages = [

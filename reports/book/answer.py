@@ -15,7 +15,7 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
 from dds_trace.base.units import counted, format_duration, format_ratio, joined
 
-from .fastest import DRIFTS, Fastest, lowest_sentence, tail_sentence, winner_sentences
+from .fastest import ALIKE, Fastest, lowest_sentence, tail_sentence, winner_sentences
 from .groups import (
     LOST,
     METRIC_LABELS,
@@ -248,7 +248,7 @@ _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[
     Reason.IN_SEQUENCE: lambda *_: (
         "the setups were recorded one after the other (interleave them, or give --trust-order)"
     ),
-    Reason.DEPENDENT: lambda *_: f"{DRIFTS}, so the passes count for less than their number",
+    Reason.DEPENDENT: lambda *_: f"{ALIKE}, so the passes count for less than their number",
     Reason.FEW_RUNS: _few_runs,
     Reason.LOSSES: lambda *_: "the fastest one loses too much",
 }

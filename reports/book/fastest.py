@@ -17,7 +17,7 @@ from .verdicts import MODES, contender_labels, place_of
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
 
-DRIFTS = "results drift from pass to pass"
+ALIKE = "neighbouring passes are alike"
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,7 +329,7 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
         if not outcome.is_interleaved:
             repeats = "the setups were recorded one after the other"
         elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
-            repeats = DRIFTS
+            repeats = ALIKE
         if not any(setup.p50_ns is not None for case in stretch.cases for setup in case.contenders):
             return "no proven winner (no reply has a relay's time stamps, so the latency is unknown)"
         notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), repeats)))

@@ -27,7 +27,7 @@ CLEARLY = (
     "for it, at p99. A setup is called fastest only where it is below each other one by a test of their runs at 95 % over all "
     "messages together, and by at least the margin (5 %, --margin); lost messages count as later than any other, and a setup that loses "
     "more than 1 % of the messages, or significantly more than another, never leads where another does not. With fewer than three runs, "
-    "of setups recorded one after the other, and of results that drift from pass to pass there is no proven winner. A setup is advised "
+    "of setups recorded one after the other, and where neighbouring passes are alike there is no proven winner. A setup is advised "
     "against where surely more than 1 % is lost, by its runs and over all results. Plain sockets are not a middleware and not compared."
 )
 FEW_PASSES = " Three passes may not show that passes depend on each other."

@@ -40,9 +40,9 @@ def test_small_groups_share_a_batch_until_it_is_full():
 
 
 def test_many_small_groups_are_several_batches(monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_GROUPS", 2)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_GROUPS", 3)
     _, cut = plan(*([(run, 1)] for run in range(1, 6)))
-    assert cut == [([0, 1], [0, 1], True), ([2, 3], [2, 3], True), ([4], [4], True)]
+    assert cut == [([0, 1, 2], [0, 1, 2], True), ([3, 4], [3, 4], True)]
 
 
 def test_a_group_above_a_batch_stays_whole_up_to_its_own_bound():

@@ -53,16 +53,12 @@ PLOTTED_TOPICS = 12
 
 @dataclass(frozen=True, slots=True)
 class DerivedTrace:
-    """The written MCAP and Foxglove layout and their content.
-
-    Times of runs `without_wall_clock` (their ping has no clock anchor) count from the device's boot.
-    """
+    """The written MCAP and Foxglove layout and their content; times without a clock anchor count from the device's boot."""
 
     path: Path
     layout: Path
     topics: tuple[str, ...]
     messages: int
-    without_wall_clock: tuple[int, ...]
 
 
 def write_derived(
@@ -100,8 +96,7 @@ def write_derived(
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"
         ) from err
-    without_wall_clock = sorted(set(roundtrips["run_id"].unique()) - set(ping_wall or {}))
-    return DerivedTrace(path, layout, topics, len(rows), tuple(without_wall_clock))
+    return DerivedTrace(path, layout, topics, len(rows))
 
 
 def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.DataFrame:

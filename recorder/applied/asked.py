@@ -145,7 +145,6 @@ class ProfileRequest:
     protocols: tuple[str, ...] = ()
     receive_buffer_bytes: int = 0
     send_buffer_bytes: int = 0
-    replaces_builtin: bool = False
     interfaces: tuple[str, ...] = ()
     segment_bytes: int = 0
 
@@ -178,7 +177,6 @@ def read_profile_request(text: str) -> ProfileRequest:
         protocols=tuple(sorted({*kinds} - {""})),
         receive_buffer_bytes=_smallest(over_udp, "receiveBufferSize"),
         send_buffer_bytes=_smallest(over_udp, "sendBufferSize"),
-        replaces_builtin=_text(participants[0], "useBuiltinTransports").lower() == "false",
         interfaces=tuple(sorted({name for transport in transports for name in _whitelist(transport)})),
         segment_bytes=_smallest(in_memory, "segment_size"),
     )

@@ -19,28 +19,27 @@ PROFILE = """\
   </transport_descriptors>
   <participant profile_name="p" is_default_profile="{default}"><rtps>
     <userTransports>{transports}</userTransports>
-    <useBuiltinTransports>{builtin}</useBuiltinTransports>
+    <useBuiltinTransports>false</useBuiltinTransports>
   </rtps></participant>
 </profiles></dds>
 """
 BUFFERS = "<receiveBufferSize>4000000</receiveBufferSize><sendBufferSize>2000000</sendBufferSize>"
 
 
-def profile(*names, buffers="", default="true", builtin="false"):
+def profile(*names, buffers="", default="true"):
     transports = "".join(f"<transport_id>{name}</transport_id>" for name in names)
-    return PROFILE.format(buffers=buffers, default=default, transports=transports, builtin=builtin)
+    return PROFILE.format(buffers=buffers, default=default, transports=transports)
 
 
 @pytest.mark.parametrize(
     ("text", "expected", "transport"),
     [
-        (profile("a"), ProfileRequest(("udp",), replaces_builtin=True), "udp"),
-        (profile("a", builtin="true"), ProfileRequest(("udp",)), "udp"),
-        (profile("b"), ProfileRequest(("shm",), replaces_builtin=True), "shm"),
-        (profile("a", "b"), ProfileRequest(("shm", "udp"), replaces_builtin=True), "default"),
-        (profile("a", buffers=BUFFERS), ProfileRequest(("udp",), 4_000_000, 2_000_000, True), "udp"),
+        (profile("a"), ProfileRequest(("udp",)), "udp"),
+        (profile("b"), ProfileRequest(("shm",)), "shm"),
+        (profile("a", "b"), ProfileRequest(("shm", "udp")), "default"),
+        (profile("a", buffers=BUFFERS), ProfileRequest(("udp",), 4_000_000, 2_000_000), "udp"),
         (profile("a", default="false"), ProfileRequest(), "default"),
-        (profile(), ProfileRequest(replaces_builtin=True), "default"),
+        (profile(), ProfileRequest(), "default"),
         ("<dds>", ProfileRequest(), "default"),
         ("", ProfileRequest(), "default"),
     ],
@@ -52,12 +51,10 @@ def test_what_a_profile_asks_for(text, expected, transport):
 
 def test_a_profile_of_our_own_is_read_as_what_it_was_written_from():
     text = fastdds_profile.localhost_profile(Transport.UDP, 4_000_000)
-    assert read_profile_request(text) == ProfileRequest(
-        ("udp",), 4_000_000, replaces_builtin=True, interfaces=("127.0.0.1",)
-    )
+    assert read_profile_request(text) == ProfileRequest(("udp",), 4_000_000, interfaces=("127.0.0.1",))
     assert read_profile_request(
         fastdds_profile.requested_profile(Transport.DEFAULT, tuned=True, is_local=False)
-    ) == ProfileRequest(("udp",), 4_000_000, replaces_builtin=True)
+    ) == ProfileRequest(("udp",), 4_000_000)
 
 
 SIZED = {"receive_buffer_bytes": 5000, "buffer_is_exact": True}

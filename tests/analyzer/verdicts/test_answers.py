@@ -1,12 +1,13 @@
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
 import pytest
 from roundtrip_frames import MS, S, in_runs, rows_by_group, steady
 
-from dds_trace.analyzer.verdicts.answers import Clarity, find_answers
+from dds_trace.analyzer.verdicts.answers import Clarity, _outside, find_answers
 from dds_trace.analyzer.verdicts.judgements import exceeds_lossy_share
 from dds_trace.analyzer.verdicts.ranking import RankingOptions
 from dds_trace.reports.book.groups import VendorLabels
@@ -17,6 +18,20 @@ VENDORS = VendorLabels({})
 
 def noisy(centre_ns, messages=60, seed=0):
     return (centre_ns * (1 + 0.1 * np.random.default_rng(seed).uniform(-1, 1, messages))).astype(int).tolist()
+
+
+@pytest.mark.parametrize(("outage_ns", "kept"), [((10, 20), [9, 20, 30]), ((None, 20), [20, 30]), ((10, None), [9])])
+def test_messages_of_an_outage_are_those_from_its_begin_and_before_its_end(outage_ns, kept):
+    sent_ns = np.array([9, 10, 19, 20, 30])
+    run = SimpleNamespace(received=sent_ns, rows=pl.DataFrame({"publish_ns": sent_ns}))
+    assert _outside(run, outage_ns).tolist() == kept
+
+
+def test_a_setup_that_loses_too_much_does_not_lead_though_no_other_is_shown_to_lose_less():
+    lossy = steady([None] * 10 + noisy(5 * MS, 50), vendor="zenoh", relay_vendor="zenoh", run_id=299)
+    whole = in_runs(noisy(5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2)
+    (answer,) = find_answers(rows_by_group(pl.concat([in_runs(noisy(10 * MS), runs=4), whole, lossy])))
+    assert (answer.leader_p50, [one.loses_more for one in answer.contenders]) == ("", [False, False])
 
 
 def test_a_clear_leader():

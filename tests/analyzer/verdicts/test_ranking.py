@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from dds_trace.analyzer.run_statistics.between_runs import Estimate, Units
+from dds_trace.analyzer.statistics.distributions import student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.statistics.power import runs_to_decide
 from dds_trace.analyzer.verdicts.judgements import OPEN, PROVEN
 from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, judge_losers, rank_setups
 from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
@@ -53,6 +55,17 @@ def test_the_lead_is_one_claim_and_each_pair_another():
     assert (barred["p50"].leader, set(barred["p50"].letters.values())) == ("", {"a"})
     assert barred["p50"].lead.p == pytest.approx(0.04, abs=0.001)
     assert barred["p50"].lead.needs > 3
+
+
+@pytest.mark.parametrize("t", [1.0, 3.0])
+def test_a_pair_has_the_ratio_of_its_means_with_its_interval_and_the_repeats_that_would_decide(t):
+    (ranking,) = rank_setups([kind(a=runs(SAME), b=runs(estimate(step(t))))], options=NO_MARGIN)
+    lead, reach = ranking["p50"].lead, step(student_quantile(0.975, 4))
+    ends = np.exp([step(t), step(t) - reach, step(t) + reach])
+    assert [lead.value, lead.low, lead.high] == pytest.approx(ends.tolist())
+    assert lead.basis == "between runs"
+    assert lead.p == pytest.approx(2 * student_cdf(-t, 4) / 0.9)
+    assert lead.needs == (runs_to_decide(step(t), 0.05, 0.05, 0.95) if t < 3 else None)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 from pinned import assert_pinned
 from plain_clock_fit import plain_fit
 from roundtrip_frames import MS, S
+from trace_files import relay_session, run
 
 from dds_trace.analyzer.clocks import fit as fit_module
 from dds_trace.analyzer.clocks import windows
+from dds_trace.analyzer.clocks.boots import machine_of, session_of_run
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
 
@@ -213,6 +215,12 @@ def test_on_one_machine_the_fit_is_zero_within_its_bound():
 def test_two_devices_of_one_name_are_not_taken_for_one_machine():
     fit, _ = fit_clock(*draw(Truth(offset_ns=5 * S)).stamps, ping_device="raspberrypi", relay_device="raspberrypi")
     assert not fit.same_clock
+
+
+@pytest.mark.parametrize(("boot_id", "machine"), [("one", "one"), ("", "beta"), (7, "beta"), (None, "beta")])
+def test_a_machine_is_known_by_its_boot_else_by_its_name(boot_id, machine):
+    assert machine_of(relay_session(extra={"boot_id": boot_id})) == machine
+    assert session_of_run(run(extra={})) == -1
 
 
 def test_the_boot_id_tells_one_machine_whatever_the_names_are():

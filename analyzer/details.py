@@ -19,7 +19,7 @@ from .clocks.boots import ping_boots, ping_wall_offsets
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
-from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, one_way_rows, rows_of_groups
+from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, measure_whole, one_way_rows, rows_of_groups
 from .loading.campaign import Campaign
 from .model.detail_frames import COST_FRAMES, FAN_OUT_FRAMES, RECOVERY_SCHEMA, WIRE_FRAMES
 from .model.runs import pass_numbers
@@ -107,6 +107,7 @@ def details_not_requested() -> Details:
     no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
     no_roundtrips = pair_exchanges([], {}, details=False)
     frames = {name: make(no_batch, no_roundtrips) for name, make in DETAIL_MAKERS.items()}
+    _, frames["intervals"], frames["one_way"] = measure_whole(no_batch, no_roundtrips)
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=segment_table(()),

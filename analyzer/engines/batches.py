@@ -142,11 +142,9 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
     rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
     del events  # gigabytes of a long run
     makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
-    measures_whole = options.details and batch.whole
-    if measures_whole:
-        whole = pool.submit(measure_whole, batch, rows)
-        makers = {name: make for name, make in makers.items() if name not in ("intervals", "one_way")}
-    else:
+    if options.details:
+        measuring_whole = pool.submit(measure_whole, batch, rows)
+    if not (options.details and batch.whole):
         measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
     begun = {name: pool.submit(make, batch, rows).result for name, make in makers.items()}
     values = None
@@ -155,9 +153,9 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
 
     def result() -> BatchResult:
         frames = {name: wait() for name, wait in begun.items()}
-        if measures_whole:
-            statistics, frames["intervals"], frames["one_way"] = whole.result()
-        else:
+        if options.details:
+            statistics, frames["intervals"], frames["one_way"] = measuring_whole.result()
+        if not (options.details and batch.whole):
             statistics = measuring.result()
         return BatchResult(concatenate_frames([frames]), rows.counts, statistics, copies, values)
 

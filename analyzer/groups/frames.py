@@ -15,7 +15,7 @@ from ..pairing.roundtrips import RoundTrips
 from .batch import Batch
 from .breakdown import breakdown_frame, response_frame
 from .freshness import freshness_frame, outage_frame
-from .intervals import interval_frame, knot_frame, one_way_frame
+from .intervals import knot_frame
 from .sending import sending_frame
 from .shapes import shape_frame
 from .timeline import run_frame, timeline_frame
@@ -35,13 +35,11 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
     "freshness": freshness_frame,
     "outages": outage_frame,
     "shapes": shape_frame,
-    "intervals": interval_frame,
-    "one_way": one_way_frame,
     "breakdown": breakdown_frame,
     "responses": response_frame,
     "clock_knots": knot_frame,
 }
-"""Frames that take more time than rows and summary together: made only on request."""
+"""Frames that take more time than rows and summary together: made only on request, with those of `measure_whole`."""
 
 _BY_RUN_ID = ("freshness", "outages")
 """Frames that order the runs of a group by `run_id`, not by their start."""

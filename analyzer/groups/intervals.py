@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import polars as pl
@@ -13,7 +14,7 @@ from ..model.metrics import METRICS, frame_schema
 from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.between_runs import estimates_of_groups
 from ..run_statistics.runs import Runs, SendTimes, Statistic
-from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
+from ..run_statistics.spread import SMALL_GROUP, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, STATISTICS, quantile_of, summarize_values
 from .batch import Batch, columns_by_group, is_present, present
@@ -39,18 +40,14 @@ _STATISTICS = [Statistic(percentile.quantile) for percentile in PERCENTILES]
 _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_statistics"}
 
 
-def interval_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Compute every percentile of every metric with its 95 % interval: between runs from three runs on, else within one.
-
-    `estimate_ns` (the summary's), `low_ns` and `high_ns` are null where the sample does not support them, `method`
-    (`student_t_of_runs` or `order_statistics`) without both ends; `typical_ns` is of a typical run. Others as in
-    `statistics.intervals.Interval` and `run_statistics.spread.Spread`.
-    """
-    return measure_whole(batch, roundtrips)[1]
-
-
 def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.DataFrame, pl.DataFrame]:
-    """Return `measure_batch`, `interval_frame` and `one_way_frame`; each value is sorted once."""
+    """Return `measure_batch` and the frames `intervals` and `one_way` of whole groups; each value is sorted once.
+
+    Every percentile of every metric has its 95 % interval: between runs from three runs on, else within one. `estimate_ns` (the
+    summary's), `low_ns` and `high_ns` are null where the sample does not support them, `method` (`student_t_of_runs` or
+    `order_statistics`) without both ends; `typical_ns` is of a typical run. Others as in `statistics.intervals.Interval` and
+    `run_statistics.spread.Spread`.
+    """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
@@ -77,8 +74,8 @@ def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.
     return statistics, pl.DataFrame(rows, schema=INTERVAL_SCHEMA), pl.DataFrame(one_way, schema=ONE_WAY_SCHEMA)
 
 
-_MetricOfGroup = tuple[int, str, Runs, "list[Spread]", float]
-"""Group, metric, its runs, their spreads, and the error of a quantile, ns."""
+_Measured = tuple[int, dict[str, Runs], float]
+"""Group, the runs of some of its metrics, and the error of a quantile of a one-way time, ns."""
 
 
 def rows_of_groups(
@@ -86,12 +83,13 @@ def rows_of_groups(
     take: Callable[[int, str, NDArray[np.int64]], object] = lambda *_: None,
 ) -> Iterator[dict[str, object]]:
     """Yield the rows of groups, small ones measured together; `take` gets the ascending values of each group and metric."""
-    together: list[_MetricOfGroup] = []
+    together: list[_Measured] = []
     messages = 0
     for group, column, run_of_row in groups:
-        for metric in _measured(group, column, run_of_row):
-            together.append(metric)
-            messages += len(run_of_row)
+        for runs, bound_ns in _measured(column, run_of_row):
+            messages += len(runs) * len(run_of_row)
+            together.append((group, runs, bound_ns))
+            del runs  # of a long run, before the next metric is read
             if messages > len(_METRICS) * SMALL_GROUP:
                 yield from _rows_of(together, take)
                 together, messages = [], 0
@@ -99,8 +97,9 @@ def rows_of_groups(
 
 
 def _measured(
-    group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
-) -> Iterator[_MetricOfGroup]:
+    column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
+) -> Iterator[tuple[dict[str, Runs], float]]:
+    """Yield the runs of a small group's metrics together, of a large one's one after the other; those that no message has are left out."""
     sent_ns = column("publish_ns").to_numpy()
     all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
@@ -119,19 +118,24 @@ def _measured(
 
     is_small = len(run_of_row) <= SMALL_GROUP
     for metrics in [_METRICS] if is_small else [(metric,) for metric in _METRICS]:
-        runs = {metric: runs for metric in metrics if (runs := runs_of(metric))}
-        spreads = spreads_of_groups(list(runs.values()), _STATISTICS)
-        for metric, spreads_of_metric in zip(list(runs), spreads, strict=True):
-            # No quantile of one-way times has a larger error than its worst message.
-            yield group, metric, runs.pop(metric), spreads_of_metric, bound_ns if metric in ONE_WAY_METRICS else 0.0
+        if any(has_runs := [runs_of(metric) for metric in metrics]):
+            yield {metric: runs for metric, runs in zip(metrics, has_runs, strict=True) if runs}, bound_ns
+        del has_runs
 
 
 def _rows_of(
-    together: Sequence[_MetricOfGroup], take: Callable[[int, str, NDArray[np.int64]], object]
+    together: Sequence[_Measured], take: Callable[[int, str, NDArray[np.int64]], object]
 ) -> Iterator[dict[str, object]]:
-    estimates_of_all = estimates_of_groups([runs for _, _, runs, _, _ in together], _STATISTICS)
-    for (group, metric, runs, spreads, off_ns), estimates in zip(together, estimates_of_all, strict=True):
-        ordered = runs.ordered
+    metrics = [
+        (group, metric, runs, off_ns) for group, by_metric, off_ns in together for metric, runs in by_metric.items()
+    ]
+    spreads_of_all = chain.from_iterable(spreads_of_groups([[*runs.values()] for _, runs, _ in together], _STATISTICS))
+    estimates_of_all = estimates_of_groups([runs for _, _, runs, _ in metrics], _STATISTICS)
+    for (group, metric, runs, bound_ns), spreads, estimates in zip(
+        metrics, spreads_of_all, estimates_of_all, strict=True
+    ):
+        # No quantile of one-way times has a larger error than its worst message.
+        ordered, off_ns = runs.ordered, bound_ns if metric in ONE_WAY_METRICS else 0.0
         take(group, metric, ordered)
         for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):
             interval = estimate.interval
@@ -183,10 +187,6 @@ class _Sending:
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
         return Runs.split(values if self.order is None else values[self.order], self.times)
-
-
-def one_way_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    return measure_whole(batch, roundtrips)[2]
 
 
 def one_way_rows(

@@ -101,7 +101,8 @@ def _units_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) ->
             continue
         shortest = min(group.lengths)
         parts.append((number, [statistic for statistic in statistics if statistic.needs <= shortest], group))
-        long = (statistic for statistic in statistics if statistic.needs > shortest)
+        most = sum(group.lengths) // MIN_RUNS  # that a unit may need
+        long = (statistic for statistic in statistics if shortest < statistic.needs <= most)
         parts += ((number, [statistic], _joined_where_short(group, statistic.needs)) for statistic in long)
     units: list[dict[Statistic, Units | None]] = [dict.fromkeys(statistics) for _ in groups]
     requests = [(runs, [s.quantile for s in supported if s.quantile is not None]) for _, supported, runs in parts]

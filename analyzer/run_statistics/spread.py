@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
-from ..statistics.intervals import Interval, mean_and_variance
+from ..statistics.intervals import Interval
 from ..statistics.power import runs_to_decide
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, Float64, long_run_variance
 from .change import Change
 from .runs import Run, Runs, Statistic, quantiles_at, quantiles_of_runs
-from .tails import inflations_of
+from .tails import alike, inflations_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,34 +26,35 @@ class Spread:
     within: float | None
 
 
-def spread_of_runs(
-    runs: Runs | Sequence[Run], statistic: Statistic, errors: Float64 | None = None, values: Float64 | None = None
-) -> Spread:
+def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
     """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
 
     The part within is each run's own error, so `between**2 = max(0, variance - within**2)`. Runs that do not support the
-    statistic are left out. `errors` are the group's `log_errors`, `values` its statistics; None computes them.
+    statistic are left out.
     """
-    runs = Runs.of(runs)
     needs = max(statistic.needs, 2 * COSINES + 1)
-    if any(messages < needs for messages in runs.lengths):
-        runs, errors, values = Runs(tuple(run for run in runs if len(run) >= needs)), None, None
-    if not len(runs):
-        return Spread(None, None)
-    values = statistic.of_runs(runs) if values is None else values
-    if scale_of(values) is not Scale.LOGARITHM:
+    runs = Runs(tuple(run for run in runs if len(run) >= needs))
+    values = statistic.of_runs(runs) if len(runs) else np.empty(0)
+    if not len(runs) or scale_of(values) is not Scale.LOGARITHM:
         return Spread(None, None)
     if statistic.quantile is None:
         errors = np.array([_log_error_of_mean(run, v) for run, v in zip(runs, values.tolist(), strict=True)])
-    elif errors is None:
+    else:
         (errors,) = log_errors(runs, [statistic.quantile])
-    within_squared = float(np.add.reduce(errors * errors) / len(errors))
-    if math.isnan(within_squared):
-        return Spread(None, None)
-    between = None
-    if len(runs) > 1:
-        between = math.sqrt(max(0.0, mean_and_variance(np.log(values))[1] - within_squared))
-    return Spread(between, math.sqrt(within_squared))
+    return _spreads(values[None], errors[None])[0]
+
+
+def _spreads(values: Float64, errors: Float64) -> list[Spread]:
+    """Return the spread of each row of values of runs and of their errors."""
+    runs = values.shape[1]
+    within_squared = np.add.reduce(errors * errors, axis=1) / runs
+    has_spread = (values > 0).all(axis=1) & np.isfinite(values).all(axis=1) & ~np.isnan(within_squared)
+    logs = np.log(np.where(has_spread[:, None], values, 1.0))
+    apart = logs - (np.add.reduce(logs, axis=1) / runs)[:, None]
+    between_squared = np.add.reduce(apart * apart, axis=1) / max(runs - 1, 1) - within_squared
+    between = np.sqrt(np.maximum(between_squared, 0.0)).tolist() if runs > 1 else [None] * len(values)
+    pairs = zip(between, np.sqrt(within_squared).tolist(), has_spread.tolist(), strict=True)
+    return [Spread(*parts) if has_own else Spread(None, None) for *parts, has_own in pairs]
 
 
 def _log_error_of_mean(run: Run, mean: float) -> float:
@@ -60,13 +62,15 @@ def _log_error_of_mean(run: Run, mean: float) -> float:
     return math.sqrt(variance / len(run)) / mean
 
 
-def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
+def log_errors(runs: Runs, quantiles: Sequence[float], groups: int = 1) -> list[Float64]:
     """Return the standard error of the logarithm of each run's quantiles, NaN where not finite; each of shape (runs,).
+
+    `groups` follow each other in the runs, with equal lengths.
 
     Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, JASA 47, 1952).
     """
     share, n = np.array(quantiles)[:, None], np.array(runs.lengths)
-    inflations = np.array(inflations_of(runs, quantiles))
+    inflations = np.array(inflations_of(runs, quantiles, groups)).reshape(len(quantiles), -1)
     errors = np.sqrt(share * (1 - share) * np.maximum(1.0, inflations) / n)
     steps = np.minimum(np.maximum([share - errors, share + errors], 0.5 / n), 1 - 0.5 / n)
     low, high = quantiles_at(runs.ordered_by_run, runs.offsets, (n + 1 / 3) * steps + 1 / 3)
@@ -109,18 +113,23 @@ SMALL_GROUP = 20_000
 """Messages of a group up to which batching saves time."""
 
 
-def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -> list[list[Spread]]:
-    if not groups:
-        return []
-    quantiles = [statistic.quantile for statistic in statistics if statistic.quantile is not None]
-    together = groups[0] if len(groups) == 1 else Runs(tuple(run for group in groups for run in group))
-    columns = list(
-        zip(statistics, log_errors(together, quantiles), quantiles_of_runs(together, quantiles), strict=True)
-    )
-    spreads, end = [], 0
-    for group in groups:
-        start, end = end, end + len(group)
-        spreads.append(
-            [spread_of_runs(group, s, errors[start:end], values[start:end]) for s, errors, values in columns]
-        )
-    return spreads
+def spreads_of_groups(groups: Sequence[Sequence[Runs]], statistics: Sequence[Statistic]) -> list[list[list[Spread]]]:
+    """Return the spreads of each series of each group, one at least; groups with equal lengths of runs share the work."""
+    spreads: dict[int, list[list[Spread]]] = {}
+    for numbers in alike([runs.lengths for runs in group] for group in groups):
+        series = [runs for number in numbers for runs in groups[number]]
+        together = Runs(tuple(run for runs in series for run in runs))
+        longest = max(together.lengths)
+        supported = [s for s in statistics if s.needs <= longest]
+        quantiles = [s.quantile for s in supported if s.quantile is not None]
+        columns = log_errors(together, quantiles, len(numbers)), quantiles_of_runs(together, quantiles)
+        shape = (len(series), -1) if len(set(map(len, series))) == 1 else None
+        by_statistic = dict.fromkeys(statistics, [Spread(None, None)] * len(series))
+        for statistic, errors, values in zip(supported, *columns, strict=True):
+            if shape and min(together.lengths) >= max(statistic.needs, 2 * COSINES + 1):
+                by_statistic[statistic] = _spreads(values.reshape(shape), errors.reshape(shape))
+            else:
+                by_statistic[statistic] = [spread_of_runs(runs, statistic) for runs in series]
+        rows = iter(zip(*by_statistic.values(), strict=True))
+        spreads |= {number: [list(row) for row in islice(rows, len(groups[number]))] for number in numbers}
+    return [spreads[number] for number in range(len(groups))]

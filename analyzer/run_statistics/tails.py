@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, pairwise
@@ -20,6 +20,7 @@ from .bursts import (
     Float64,
     Indices,
     Int64,
+    cells_of,
     episode_ends,
     equal_episodes,
     gap_of,
@@ -150,13 +151,18 @@ def _positions(times: Sequence[SendTimes], bounds: Indices) -> Callable[[Indices
     return lambda indices, offsets: together.positions(indices, np.diff(offsets))
 
 
+def alike(keys: Iterable[Sequence[object]]) -> list[list[int]]:
+    """Return the indices of equal keys, by key."""
+    indices: dict[tuple[object, ...], list[int]] = {}
+    for index, key in enumerate(keys):
+        indices.setdefault(tuple(key), []).append(index)
+    return list(indices.values())
+
+
 def tails_of_all(groups: Sequence[tuple[Runs, Sequence[float]]]) -> list[list[list[Tail]]]:
     """Return by group and quantile the tails of the runs; groups with equal quantiles and lengths of runs share the work."""
-    alike: dict[tuple[object, ...], list[int]] = {}
-    for number, (runs, quantiles) in enumerate(groups):
-        alike.setdefault((*quantiles, runs.lengths), []).append(number)
     tails: dict[int, list[list[Tail]]] = {}
-    for numbers in alike.values():
+    for numbers in alike((*quantiles, runs.lengths) for runs, quantiles in groups):
         runs_of_all = [groups[number][0] for number in numbers]
         tails.update(zip(numbers, _tails_of_alike(runs_of_all, groups[numbers[0]][1]), strict=True))
     return [tails[number] for number in range(len(groups))]
@@ -181,8 +187,7 @@ def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[
     sizes, episodes = sizes_between(ends), ends.searchsorted(offsets)
     squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes]).tolist()
     spans = pairwise(episodes.tolist())
-    # By group: a product with more rows may be rounded differently.
-    bounds = np.arange(count)[:, None] * len(first) + np.arange(len(first) + 1)
+    bounds = _bounds(count, len(first))
     inflations = share_inflations(
         first.cells,
         np.concatenate([first.cells.counts(beyond.indices, count) for beyond in tails]),
@@ -236,14 +241,21 @@ def _may_be_bursts(beyond: Beyond, runs: int, messages: int) -> list[bool]:
     ]
 
 
-def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
+def inflations_of(runs: Runs, quantiles: Sequence[float], groups: int = 1) -> list[list[float]]:
+    """Return by quantile and group the inflation of each run's tail; the groups have equal lengths of runs."""
     limits = limits_of([run.ordered for run in runs], quantiles)
     indices = indices_beyond(runs.values, runs.offsets, limits, quantiles)
+    cells = runs.cells if groups == 1 else cells_of(runs.lengths[: len(runs) // groups])
     return share_inflations(
-        runs.cells,
-        np.concatenate([runs.cells.counts(tail) for tail in indices]),
-        np.array([tail.searchsorted(runs.offsets) for tail in indices]),
+        cells,
+        np.concatenate([cells.counts(tail, groups) for tail in indices]),
+        np.concatenate([tail.searchsorted(runs.offsets)[_bounds(groups, len(runs) // groups)] for tail in indices]),
     )
+
+
+def _bounds(groups: int, runs: int) -> Indices:
+    """Return the first run of each group, its others, and the first of the next: a product with more rows may be rounded differently."""
+    return np.arange(groups)[:, None] * runs + np.arange(runs + 1)
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:

@@ -16,7 +16,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage
 
 from ..model.metrics import frame_schema
-from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
+from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages
 from .batch import Batch, described_exchanges
 
@@ -56,7 +56,7 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """
     if not batch.whole:
         return pl.DataFrame(schema=BREAKDOWN_SCHEMA)
-    messages, is_stamped = _messages(batch, roundtrips), roundtrips.stamp_names >= RECEPTION_STAMPS
+    messages, is_stamped = _messages(batch, roundtrips), bool(roundtrips.stamps)
     deliveries = pl.when("is_sound").then(pl.col(_ANCHORED[:2]))
     # By exchange: a join would copy all columns.
     anchors = described_exchanges(batch).join(
@@ -102,7 +102,7 @@ def breakdown_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 def _messages(batch: Batch, roundtrips: RoundTrips) -> pl.LazyFrame:
     """Return the parts of each message; stamps prove nothing unless both devices have reception stamps."""
-    stamps = roundtrips.stamp_names if roundtrips.stamp_names >= RECEPTION_STAMPS else frozenset[str]()
+    stamps = roundtrips.stamp_names
     exchanges = pl.DataFrame(
         {
             "group": batch.group_of_exchange,

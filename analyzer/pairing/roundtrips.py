@@ -81,7 +81,7 @@ class RoundTrips:
         clock_knots: columns of `one_way.KNOT_SCHEMA` of the exchanges' own fits, `group` being the index of the exchange.
         measured: `sequence`, `columns.MEASURED_COLUMNS` but `outcome`, and `UTC_COLUMNS`; of many rows without metrics and UTC.
         outcome: uint8, an index of `pair.OUTCOMES`.
-        stamps: the columns of `MIDDLEWARE_STAMPS` that any event has.
+        stamps: the columns of `MIDDLEWARE_STAMPS` that any event has, if these are among them: `RECEPTION_STAMPS`.
         exchanges: of many rows; else none.
     """
 
@@ -99,6 +99,8 @@ class RoundTrips:
         return frozenset(series.name for series in self.stamps)
 
     def column(self, name: str) -> pl.Series:
+        if name in self.measured.columns:
+            return self.measured.get_column(name)
         stamps = [series for series in self.stamps if series.name == name]
         return stamps[0] if stamps else self.select([name]).to_series()
 
@@ -123,20 +125,6 @@ class RoundTrips:
 
     def exchange_of_row(self) -> NDArray[np.uint32]:
         return self.per_row(np.arange(len(self.described), dtype=np.uint32))
-
-    def part(self, begin: int, end: int) -> RoundTrips:
-        first, behind = self.bounds[[begin, end]].tolist()
-        is_here = pl.col("group").is_between(begin, end, closed="left")
-        return RoundTrips(
-            measured=self.measured[first:behind],
-            described=self.described[begin:end],
-            outcome=self.outcome[first:behind],
-            bounds=self.bounds[begin : end + 1] - first,
-            counts=self.counts[begin:end],
-            stamps=tuple(stamps[first:behind] for stamps in self.stamps),
-            clock_knots=self.clock_knots.filter(is_here).with_columns(pl.col("group") - begin),
-            exchanges=self.exchanges[begin:end],
-        )
 
 
 def pair_exchanges(
@@ -230,7 +218,11 @@ def pair_exchanges(
         counts=pl.DataFrame(
             [count.result() | more for count, more in zip(counts, of_all, strict=True)], schema=COUNT_SCHEMA
         ),
-        stamps=tuple(pl.Series(name, columns[name]) for name in STAMP_NAMES if name in columns),
+        stamps=tuple(
+            pl.Series(name, columns[name])
+            for name in STAMP_NAMES
+            if name in columns and columns.keys() >= RECEPTION_STAMPS
+        ),
         clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
         exchanges=tuple(exchanges) if is_long else (),
     )

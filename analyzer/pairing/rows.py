@@ -50,9 +50,9 @@ class RowStore(ABC):
     @abstractmethod
     def moved_to(self, path: Path) -> None: ...
 
-    @abstractmethod
     def load(self) -> pl.DataFrame:
         """Return all rows; those in a file are read at every call."""
+        return self.scan().collect()
 
     @abstractmethod
     def scan(self) -> pl.LazyFrame: ...
@@ -92,9 +92,6 @@ class RowsInMemory(RowStore):
     def moved_to(self, path: Path) -> None:
         self._path = path
 
-    def load(self) -> pl.DataFrame:
-        return self._rows
-
     def scan(self) -> pl.LazyFrame:
         return self._rows.lazy()
 
@@ -111,9 +108,6 @@ class RowsInFile(RowStore):
 
     def moved_to(self, path: Path) -> None:
         self._path = path
-
-    def load(self) -> pl.DataFrame:
-        return pl.read_parquet(self._path)
 
     def scan(self) -> pl.LazyFrame:
         written = self._path.stat()

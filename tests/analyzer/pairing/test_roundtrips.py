@@ -108,7 +108,7 @@ def test_stamps_of_the_middleware_lie_beside_their_rows():
     assert without.measured["outbound_ns"].null_count() == 4
 
 
-def test_a_part_of_the_rows_is_what_is_paired_of_its_exchanges_alone():
+def test_exchanges_are_paired_as_each_alone():
     exchanges = [exchange(1), exchange(2), exchange(3, state="started"), exchange(4)]
     events = []
     for number in range(4):
@@ -123,19 +123,18 @@ def test_a_part_of_the_rows_is_what_is_paired_of_its_exchanges_alone():
         )
     whole = pair(exchanges, events)
     for begin, end in ((0, 4), (0, 1), (1, 3), (3, 4)):
-        part, alone = whole.part(begin, end), pair(exchanges[begin:end], events[begin:end])
-        for name in ("measured", "described", "counts", "clock_knots"):
-            assert_frame_equal(getattr(part, name), getattr(alone, name))
-        assert part.clock_knots["group"].unique().sort().to_list() == list(range(end - begin))
-        assert part.outcome.tolist() == alone.outcome.tolist()
-        assert part.bounds.tolist() == alone.bounds.tolist()
-        assert part.stamp_names == alone.stamp_names == set(STAMP_NAMES)
-        for name in (*STAMP_NAMES, "sequence", "latency_ns"):
-            assert part.column(name).name == name
-            assert part.column(name).to_list() == alone.column(name).to_list()
-        held = {series.name: series for series in alone.stamps}
-        assert part.column("relay_received_ns").to_list() == held["relay_received_ns"].to_list()
-        assert part.column("rtt_ns").to_list() == alone.measured["rtt_ns"].to_list()
+        alone = pair(exchanges[begin:end], events[begin:end])
+        first, after = whole.bounds[[begin, end]].tolist()
+        assert_frame_equal(whole.measured[first:after], alone.measured)
+        for name in ("described", "counts"):
+            assert_frame_equal(getattr(whole, name)[begin:end], getattr(alone, name))
+        knots = whole.clock_knots.filter(pl.col("group").is_between(begin, end - 1))
+        assert_frame_equal(knots.with_columns(pl.col("group") - begin), alone.clock_knots)
+        assert whole.outcome[first:after].tolist() == alone.outcome.tolist()
+        assert whole.stamp_names == alone.stamp_names == set(STAMP_NAMES)
+        for name in (*STAMP_NAMES, "sequence", "rtt_ns"):
+            assert alone.column(name).name == name
+            assert whole.column(name)[first:after].to_list() == alone.column(name).to_list()
 
 
 def test_a_message_has_the_stamps_of_the_event_that_it_was_paired_with():

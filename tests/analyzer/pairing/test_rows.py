@@ -36,7 +36,6 @@ def test_a_file_gives_what_memory_gives(analysis, tmp_path):
     stored = RowStore.of(path, analysis.summary)
     assert stored.has_rows
     assert_frame_equal(stored.load(), analysis.rows.load())
-    assert_frame_equal(stored.scan().collect(), analysis.rows.load())
     assert_frame_equal(stored.frame(stored.groups[1]), analysis.rows.load()[3:])
 
 

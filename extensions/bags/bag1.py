@@ -23,7 +23,7 @@ from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from dds_trace.tracefile.mcapfile.chunks import DamagedChunkError, unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
-from dds_trace.tracefile.mcapfile.scan import unaligned
+from dds_trace.tracefile.mcapfile.scan import linked, unaligned
 from dds_trace.tracefile.reading.source import (
     NONE,
     Budget,
@@ -289,19 +289,31 @@ class _Bag1Walk:
 
 def _with_alike(data: bytes, record: _Record) -> _Record:
     """Join a message of a usual header with those after it that have one alike, each whole and with another one, or the end, after it."""
-    at, data_at, starts = record.at, record.data_at - record.at, list[int]()
+    at, data_at = record.at, record.data_at - record.at
     head = data[at : at + _USUAL_BYTES]
     conn_at, time_at = (head.find(name) + len(name) for name in (b"conn=", b"time="))
-    if data_at != _USUAL_BYTES + _LENGTH.size or time_at < conn_at:
+    is_usual = data_at == _USUAL_BYTES + _LENGTH.size and conn_at < time_at
+    if not is_usual or not data.startswith(head[:conn_at], record.end):
         return record
-    fixed = map(re.escape, (head[:conn_at], head[conn_at + _LENGTH.size : time_at], head[time_at + _TIME.size :]))
-    alike = re.compile(b"%s.{4}%s.{8}%s(.{4})" % tuple(fixed), re.DOTALL)
-    while (match := alike.match(data, at)) and (end := match.end() + int.from_bytes(match[1], "little")) <= len(data):
-        starts.append(at)
-        at = end
-    if starts and at < len(data):
-        at = starts.pop()
-    return record._replace(end=at, run=_Run(np.array(starts), conn_at, time_at, data_at)) if starts else record
+    spans = (0, conn_at), (conn_at + _LENGTH.size, time_at), (time_at + _TIME.size, _USUAL_BYTES)
+    offsets = [min(offset, end - _LENGTH.size) for first, end in spans for offset in range(first, end, _LENGTH.size)]
+    firsts, words = np.frombuffer(data, np.uint8), unaligned(data, "<u4")
+    parts, size, begin, stop = [np.empty(0, np.int64)], 16 * (record.end - at), at, at
+    while stop < len(data) and 2 * (at - begin) >= stop - begin:  # in windows that grow while messages fill them
+        begin, stop, size = at, min(at + size, len(data)), 2 * 2 * size
+        starts = at + np.flatnonzero(firsts[at : stop - data_at + 1] == head[0])
+        for offset in offsets:
+            starts = starts[words[starts + offset] == words[record.at + offset]]
+        ends = starts + data_at + words[starts + _USUAL_BYTES]
+        starts, ends = starts[ends <= stop], ends[ends <= stop]
+        if len(starts) and starts[0] == at:
+            is_linked = linked(starts, ends)
+            parts.append(starts[is_linked])
+            at = int(ends[is_linked][-1])
+    starts = np.concatenate(parts)
+    if len(starts) and at < len(data):
+        at, starts = int(starts[-1]), starts[:-1]
+    return record._replace(end=at, run=_Run(starts, conn_at, time_at, data_at)) if len(starts) else record
 
 
 def _number(record: _Record, field: str) -> int:

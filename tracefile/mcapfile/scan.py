@@ -210,17 +210,22 @@ def _linked_messages(data: Buffer, at: int, stop: int) -> tuple[Int64, int]:
     starts, ends = starts[is_inside], ends[is_inside]
     if not len(starts) or starts[0]:
         return starts[:0], at
+    is_linked = linked(starts, ends)
+    return starts[is_linked] + at, at + int(ends[is_linked][-1])
+
+
+def linked(starts: Int64, ends: Int64) -> NDArray[np.bool_]:
+    """Return which pieces follow one another from the first on, by their ascending starts: bytes in one may look like others."""
     following = np.searchsorted(starts, ends)
     is_followed = following < len(starts)
     is_followed[is_followed] = starts[following[is_followed]] == ends[is_followed]
     breaks = np.flatnonzero((following != np.arange(1, len(starts) + 1)) | ~is_followed)
     is_linked, index = np.ones(len(starts), np.bool_), 0
-    for at_break in breaks.tolist():  # the bytes of a message may look like others
+    for at_break in breaks.tolist():
         if at_break >= index:
             index = int(following[at_break]) if is_followed[at_break] else len(starts)
             is_linked[at_break + 1 : index] = False
-    starts, ends = starts[is_linked], ends[is_linked]
-    return starts + at, at + int(ends[-1])
+    return is_linked
 
 
 def single_record(opcode: int, length: int, *, is_trace: bool) -> Scan:

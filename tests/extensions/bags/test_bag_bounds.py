@@ -1,3 +1,4 @@
+import bz2
 import random
 import re
 import struct
@@ -18,7 +19,7 @@ from dds_trace.extensions.bags.read import read_messages
 from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile.mcapfile import blocks, chunks
 from dds_trace.tracefile.mcapfile.file import RecordFile
-from dds_trace.tracefile.reading.source import Condition
+from dds_trace.tracefile.reading.source import Condition, UnreadableError
 
 KB = 1000
 TYPE = "std_msgs/msg/String"
@@ -127,6 +128,38 @@ def test_reading_on_after_damage_is_linear(tmp_path, seed, monkeypatch):
     assert costs[1][1] < 2.5 * costs[0][1] + 100 * KB
     assert costs[1][0] < 40 * KB
     assert costs[1][1] < 400 * 40 * KB  # a few pieces of 4 KB for each record
+
+
+def drawn_bag(draw):
+    """Messages with fields in any order, contents that look like records, packed or not, with damages, perhaps cut off."""
+    data = bytearray(bag1.BAG1_MAGIC + CONNECTION * draw.randrange(2))
+    for _ in range(draw.randrange(1, 6)):
+        order = draw.choice([["op", "conn", "time"], draw.sample(["op", "conn", "time", "seq"], draw.randrange(3, 5))])
+        records = [CONNECTION] * draw.randrange(2)
+        for number in range(draw.randrange(30)):
+            conn, time = bytes([draw.choice([0, 0, 1]), 0, 0, 0]), struct.pack("<II", number, draw.randrange(9))
+            fields = {"op": b"\2", "conn": conn, "time": time, "seq": b"\1\2"}
+            content = draw.choice([bytes(draw.randrange(99)), MESSAGE, MESSAGE[:-4], chunk(MESSAGE)])
+            records += [draw.choice(PIECES)] * (draw.random() < 0.05)
+            records.append(record(content, **{name: fields[name] for name in order}))
+        inner = b"".join(records)
+        packed = {"op": b"\5", "compression": b"bz2", "size": struct.pack("<I", len(inner))}
+        data += draw.choice([chunk(inner), record(bz2.compress(inner), **packed), inner])
+    for _ in range(draw.choice([0, 0, 1, 5])):
+        data[draw.randrange(13, len(data))] = draw.randrange(256)
+    return bytes(data[: draw.choice([len(data), draw.randrange(14, len(data) + 1)])])
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_messages_read_together_are_those_of_a_walk_one_by_one(tmp_path, seed, monkeypatch):
+    (tmp_path / "x.bag").write_bytes(drawn_bag(random.Random(seed)))
+    found = []
+    for with_alike in (bag1._with_alike, lambda _data, alone: alone):
+        monkeypatch.setattr(bag1, "_with_alike", with_alike)
+        found.append(([], Condition()))
+        with suppress(UnreadableError):
+            found[-1][0].extend(bag1.bag1_messages(tmp_path / "x.bag", found[-1][1]))
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])

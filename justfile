@@ -135,6 +135,13 @@ bench-full: setup
     {{bin}}/python benchmarks/bench_analyze.py --full --huge
     {{bin}}/python benchmarks/bench_analyze.py --growth
 
+# The table of speed in benchmarks/performance.md, in turn with the checkout in DIR (half an hour; `--rounds 1`: a quarter)
+bench-speed dir *args: setup
+    {{bin}}/python benchmarks/bench_startup.py --against '{{dir}}' --csv benchmarks/speed.csv || true
+    for script in bench_bag.py bench_analyze.py; do \
+        {{bin}}/python benchmarks/$script --full --against '{{dir}}' --csv benchmarks/speed.csv {{args}} || true; done
+    {{bin}}/python scripts/quoted.py
+
 # A relay serves run after run for MINUTES: growth of its memory, open files and shared memory for 1000 runs
 soak minutes="30" *args: setup
     nice -n 10 {{bin}}/python benchmarks/soak.py {{minutes}} {{args}}

@@ -2,7 +2,7 @@
 
     python benchmarks/bench_analyze.py            the campaigns at a tenth of their size: a quick look, held against no bar
     python benchmarks/bench_analyze.py --full     at full size, which the bars are for
-    python benchmarks/bench_analyze.py --full --against DIR    in turn with the checkout in DIR, without its cache
+    python benchmarks/bench_analyze.py --full --against DIR    in turn with the checkout in DIR, without its cache (`--csv`: `just bench-speed DIR`)
     python benchmarks/bench_analyze.py --huge     peak memory of 200 M events in 200 files, too
     python benchmarks/bench_analyze.py --growth   500 runs in 1,000 files and 10,000 groups, and a quarter and a sixteenth of each
 
@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import zstandard
 from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign
-from commands import Ran, run_command
+from commands import Ran, SpeedRow, keep_row, run_command
 from timing import packed_chunks, read_rows, seconds, unpack_job
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
@@ -49,6 +49,13 @@ ROUNDS = 3
 QUICK_PART = 0.1
 MOST_TIMES_FLOOR = {"study": 3.0, "one_run": 2.5}
 MOST_TIMES_BEFORE = 1.15
+ASKED = {
+    "study": "over_peer=1.8 over_before=0.5 peak_mb=450",
+    "one_run": "over_peer=1.5 peak_mb=900",
+    "two_files": "over_before=0.4",
+    "short_runs": "over_before=0.5",
+}
+"""Against 413bda57 and the floor, by campaign."""
 MOST_BYTES = {"one_run": 2e9, "short_runs": 1.4e9}
 MOST_BYTES_OF_OTHERS, MOST_BYTES_OF_HUGE = 1e9, 3e9
 MOST_CLOCK_MS = 15.0
@@ -116,7 +123,7 @@ def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], N
 
 
 def time_shape(
-    folder: Path, key: str, shape: Shape, rounds: int, against: Path | None, *, is_full: bool
+    folder: Path, key: str, shape: Shape, rounds: int, against: Path | None, stored: Path | None, *, is_full: bool
 ) -> Iterator[Bar]:
     """Yield the figures of one campaign; bars hold at full size only."""
     traces = write_campaign(folder / "runs", shape)
@@ -148,6 +155,15 @@ def time_shape(
     def bar(most: float) -> float:
         return most if is_full else math.inf
 
+    if key in ASKED and is_full:
+        name = f"`analyze`, {shape.name}: {shape.events:,} events"
+        before_ratio = median(cpu_over_before) if cpu_over_before else None
+        keep_row(
+            stored,
+            SpeedRow(
+                name, ran.cpu_s, max(peaks) * 1e3, "the floor, wall time", median(floors), before_ratio, ASKED[key]
+            ),
+        )
     yield Bar(f"{shape.name}: times the floor", median(floors), bar(MOST_TIMES_FLOOR.get(key, math.inf)))
     if over_before:
         yield Bar(f"{shape.name}: times before", median(over_before), bar(MOST_TIMES_BEFORE))
@@ -214,6 +230,7 @@ def main() -> int:
     parser.add_argument("--huge", action="store_true", help="check memory with 200 M events, too")
     parser.add_argument("--growth", action="store_true", help="show the growth with runs and groups instead")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
+    parser.add_argument("--csv", type=Path, help="keep the rows of full size there, for `python scripts/quoted.py`")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bench-analyze-") as name:
         if options.growth:
@@ -222,7 +239,8 @@ def main() -> int:
             bars = [clock_bar(is_full=options.full)]
             for key in [options.only] if options.only else SHAPES:
                 shape = SHAPES[key] if options.full else SHAPES[key].times(QUICK_PART)
-                bars += time_shape(Path(name) / key, key, shape, options.rounds, options.against, is_full=options.full)
+                folder, others = Path(name) / key, (options.rounds, options.against, options.csv)
+                bars += time_shape(folder, key, shape, *others, is_full=options.full)
                 shutil.rmtree(Path(name) / key)
             if options.huge:
                 bars.append(huge_bar(Path(name) / "huge"))

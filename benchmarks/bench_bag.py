@@ -2,7 +2,7 @@
 
     python benchmarks/bench_bag.py                  at a tenth of the size: a quick look, held against no bar
     python benchmarks/bench_bag.py --full           at full size, which the bars are for
-    python benchmarks/bench_bag.py --full --against DIR    in turn with the checkout in DIR
+    python benchmarks/bench_bag.py --full --against DIR --csv benchmarks/speed.csv    in turn with the checkout in DIR: `just bench-speed DIR`
 
 Every figure is processor time of a process from its start to its end, less that of the same command for a recording of a few
 messages. The loop is `for _ in make_reader(stream).iter_messages(): pass`. A ratio is the median over the rounds.
@@ -11,6 +11,8 @@ messages. The loop is `for _ in make_reader(stream).iter_messages(): pass`. A ra
 - *camera*: the same with images of 300 KB at 30 Hz, not packed.
 - *many*: 4,000 topics of 100 messages.
 - *sqlite*, *ros1*: three tenths of *topics* in a database of rosbag2, and in a ROS 1 bag, against `bag` of the same in MCAP.
+
+What is held against the loop or against MCAP is read by the other checkout with `--all` only: 413bda57 takes six minutes for *topics*.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from commands import Ran, run_command
+from commands import Ran, SpeedRow, keep_row, run_command
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Writer1
 
@@ -50,6 +52,16 @@ BARS = {
     "bag ros1": 1.5,
     "recover topics": 0.6,
     "recover cut": 0.6,
+}
+BEFORE_BARS = {"bag many": 0.33}
+WORDS = {
+    "bag topics": "`bag`, three topics of 100 to 1,000 Hz",
+    "bag camera": "`bag`, a camera of 300 KB among them, 0.94 GB",
+    "bag many": "`bag`, 4,000 topics of 100 messages",
+    "recover topics": "`recover` of the first",
+    "recover cut": "`recover` of the first, cut in the middle",
+    "bag sqlite": "`bag` of a database of rosbag2",
+    "bag ros1": "`bag` of a ROS 1 bag",
 }
 MOST_BYTES_A_MESSAGE, MOST_BYTES_BESIDES = 100, 150e6
 LOOP = "import sys; from mcap.reader import make_reader; [None for _ in make_reader(open(sys.argv[1], 'rb')).iter_messages()]"
@@ -144,6 +156,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true", help="recordings of full size")
     parser.add_argument("--against", type=Path, metavar="DIR", help="a checkout to measure in turn with this one")
+    parser.add_argument(
+        "--all", action="store_true", help="rows that are held against the loop or MCAP in turn with it, too"
+    )
+    parser.add_argument("--csv", type=Path, help="keep the rows there, for `python scripts/quoted.py`")
     parser.add_argument("--only", default="", help="rows with this in their name")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
@@ -170,11 +186,29 @@ def main() -> int:
         rows["bag ros1"] = write_ros1(folder / "like.bag", seconds, like)
         for row, recording in rows.items():
             if options.only in row:
-                missed += measure(row, recording, few, options.rounds, options.against, is_full=options.full)
+                against = options.against if options.all or row in BEFORE_BARS else None
+                missed += measure(
+                    row,
+                    recording,
+                    few,
+                    options.rounds,
+                    against,
+                    options.csv if options.full else None,
+                    is_full=options.full,
+                )
     return min(missed, 1)
 
 
-def measure(row: str, recording: Recording, few: Recording, rounds: int, against: Path | None, *, is_full: bool) -> int:
+def measure(
+    row: str,
+    recording: Recording,
+    few: Recording,
+    rounds: int,
+    against: Path | None,
+    stored: Path | None = None,
+    *,
+    is_full: bool,
+) -> int:
     """Print a row; return how many bars it misses."""
     command, out = row.split(maxsplit=1)[0], few.path.with_name("out.mcap" if row.startswith("recover") else "out")
     over_loop, over_before, ran_last, of_before = [], [], None, ""
@@ -202,7 +236,13 @@ def measure(row: str, recording: Recording, few: Recording, rounds: int, against
         f"{ratio:.2f} of {peer}{f' (at most {bar})' if bar else ''}{of_before}",
         flush=True,
     )
-    return is_full * ((bar is not None and ratio > bar) + (ran_last.peak_bytes > most_bytes))
+    over, over_bar = statistics.median(over_before) if over_before else None, BEFORE_BARS.get(row)
+    bars = {"over_peer": bar, "over_before": over_bar, "peak_mb": round(most_bytes / 1e6)}
+    name = f"{WORDS[row]}: {recording.messages:,} messages"
+    asked = " ".join(f"{figure}={most}" for figure, most in bars.items() if most)
+    keep_row(stored, SpeedRow(name, ran_last.cpu_s, ran_last.peak_bytes / 1e6, peer, ratio, over, asked))
+    is_slower = over is not None and over_bar is not None and over > over_bar
+    return is_full * ((bar is not None and ratio > bar) + is_slower + (ran_last.peak_bytes > most_bytes))
 
 
 if __name__ == "__main__":

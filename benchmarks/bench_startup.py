@@ -2,7 +2,7 @@
 
     python benchmarks/bench_startup.py             fifteen rounds: about a minute
     python benchmarks/bench_startup.py --rounds 5
-    python benchmarks/bench_startup.py --against DIR    the analysis of the checkout in DIR, too
+    python benchmarks/bench_startup.py --against DIR --csv benchmarks/speed.csv    the analysis of the checkout in DIR, too
 
 Every round starts each command once, one after the other, beside `python -c pass`; a row has the median of its wall and
 CPU time, and the median ratio of its wall time to that of the bare interpreter in the same round. Bytecode is at hand, as pip leaves
@@ -23,6 +23,8 @@ import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
+
+from commands import SpeedRow, keep_row, run_command
 
 BIN = Path(sys.executable).parent
 SAMPLE = Path(__file__).parents[1] / "sample_traces" / "losses"
@@ -132,8 +134,16 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--against", type=Path, metavar="DIR", help="a checkout whose analysis is measured in turn")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
+    parser.add_argument("--csv", type=Path, help="keep the row of the analysis there, for `python scripts/quoted.py`")
     options = parser.parse_args()
     startups = measure(options.rounds, options.against)
+    by_name = {startup.command: startup for startup in startups}
+    if options.csv and BEFORE in by_name:
+        with tempfile.TemporaryDirectory(prefix="bench-startup-") as name:
+            peak_mb = run_command(analysis_of(SAMPLE.parents[1], Path(name)), {}).peak_bytes / 1e6
+        cpu_s, before_s = (by_name[command].cpu_s for command in (ANALYSIS, BEFORE))
+        row = "`analyze` of a small folder (`sample_traces/losses`)"
+        keep_row(options.csv, SpeedRow(row, cpu_s, peak_mb, "", None, cpu_s / before_s, "over_before=0.6"))
     if options.json:
         print(json.dumps([{**asdict(startup), "passed": startup.passed} for startup in startups], indent=1))
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import subprocess
@@ -9,7 +10,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,3 +89,43 @@ def _bytes_of_children(pid: int) -> int:
                 lines = Path(f"/proc/{child.pid}/smaps_rollup").read_text().splitlines()
                 total += 1024 * int(next(line for line in lines if line.startswith("Pss:")).split()[1])
     return total
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRow:
+    """A row of the table of speed in `benchmarks/performance.md`; ratios are medians over rounds, with start-up taken off unless it is all.
+
+    Attributes:
+        row: what a user types, and of what.
+        peer: what `over_peer` is of.
+        over_before: processor time over that of the other checkout.
+        asked: bar of each figure that has one, by name: `over_peer=0.2 peak_mb=250`.
+    """
+
+    row: str
+    cpu_s: float
+    peak_mb: float
+    peer: str = ""
+    over_peer: float | None = None
+    over_before: float | None = None
+    asked: str = ""
+
+
+def keep_row(path: Path | None, row: SpeedRow) -> None:
+    """Write a row into a CSV file in the place of an earlier one, for `python scripts/quoted.py`; a ratio that was not measured stays."""
+    if path is None:
+        return
+    values = {
+        name: "" if value is None else f"{value:.3g}" if isinstance(value, float) else value
+        for name, value in asdict(row).items()
+    }
+    rows: dict[str, dict[str, str]] = {}
+    if path.exists():
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = {earlier["row"]: earlier for earlier in csv.DictReader(file)}
+    before = rows.get(row.row, {})
+    rows[row.row] = {name: value if value != "" else before.get(name, "") for name, value in values.items()}
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, values, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows.values())

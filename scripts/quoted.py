@@ -5,7 +5,7 @@
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
 a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `ratios
-node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `claims study` and `needs study` those of a
+node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `speed rows` that of `just bench-speed DIR`, `claims study` and `needs study` those of a
 sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
 `dds-trace compare base new --paired` says of two sides.
 """
@@ -23,7 +23,17 @@ from pathlib import Path
 from unittest.mock import patch
 
 from claims import CHOICES, CLAIMS, claim_table, keep_claims, need_table
-from stored_tables import EVIDENCE, LEARNING, RATIOS, evidence_table, learning_table, ratio_table, read_rows
+from stored_tables import (
+    EVIDENCE,
+    LEARNING,
+    RATIOS,
+    SPEED,
+    evidence_table,
+    learning_table,
+    ratio_table,
+    read_rows,
+    speed_table,
+)
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.bags.analyze import analyze_topics
@@ -82,6 +92,7 @@ def quote(kind: str, campaign: str) -> str:
         "learned": (LEARNING, learning_table),
         "evidence": (EVIDENCE, lambda rows: evidence_table(rows, campaign)),
         "needs": (CHOICES, need_table),
+        "speed": (SPEED, speed_table),
     }
     if kind in stored:
         rows, table = stored[kind]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 TOP = Path(__file__).parents[1]
 RATIOS = TOP / "benchmarks" / "node.csv"
+SPEED = TOP / "benchmarks" / "speed.csv"
 LEARNING = TOP / "docs" / "results" / "learning.csv"
 EVIDENCE = TOP / "docs" / "results" / "evidence.csv"
 STUDY = TOP / "docs" / "results" / "study"
@@ -51,6 +52,33 @@ def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = Fals
         (
             [ours, against, *(cell(ratios.get((ours, against, *load))) for load in loads), bar]
             for ours, against, bar in contests
+        ),
+    )
+
+
+def speed_table(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the rows of `benchmarks/speed.csv`, what was asked in brackets, misses bold."""
+
+    def cell(row: Mapping[str, str], figure: str, unit: str = "") -> str:
+        asked = dict(bar.split("=") for bar in row["asked"].split()).get(figure)
+        if not row[figure]:
+            return ""
+        shown = f"{float(row[figure]):.3g}{unit}"
+        is_missed = asked is not None and float(row[figure]) > float(asked)
+        return (f"**{shown}**" if is_missed else shown) + (f" ({asked})" if asked else "")
+
+    return markdown(
+        ["what a user types", "processor", "over the peer", "", "over 413bda57", "peak, MB"],
+        (
+            [
+                row["row"],
+                cell(row, "cpu_s", " s"),
+                cell(row, "over_peer"),
+                row["peer"],
+                cell(row, "over_before"),
+                cell(row, "peak_mb"),
+            ]
+            for row in rows
         ),
     )
 

@@ -14,7 +14,7 @@ from dds_trace.base.threads import InlineExecutor
 from dds_trace.tracefile.format.events import EventColumns
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
-from ..groups.frames import CAMPAIGN_MAKERS, DETAIL_MAKERS, MAKERS, Frames, concatenate_frames
+from ..groups.frames import DETAIL_MAKERS, MAKERS, Frames, concatenate_frames
 from ..groups.intervals import measure_whole
 from ..groups.summary import Statistics, measure_batch, metric_values
 from ..loading.event_index import Copies, EventKey, EventPart, merge_parts
@@ -141,7 +141,7 @@ def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOu
         _share_sequences(batch, events)
     rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
     del events  # gigabytes of a long run
-    makers = {**CAMPAIGN_MAKERS, **MAKERS, **(DETAIL_MAKERS if options.details else {})}
+    makers = {**MAKERS, **(DETAIL_MAKERS if options.details else {})}
     if options.details:
         measuring_whole = pool.submit(measure_whole, batch, rows)
     if not (options.details and batch.whole):

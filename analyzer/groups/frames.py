@@ -1,7 +1,7 @@
 """The table of frames that are computed group by group.
 
-Frames of batches, made on one machine or many, are concatenated. So a row may depend on its own group only (in
-`CAMPAIGN_MAKERS` also on the number of exchanges).
+Frames of batches, made on one machine or many, are concatenated. So a row may depend on its own group only (of the timeline
+also on the number of exchanges).
 """
 
 from __future__ import annotations
@@ -24,11 +24,9 @@ if TYPE_CHECKING:
     Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
 Frames = dict[str, pl.DataFrame]
-"""Name in `CAMPAIGN_MAKERS`, `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
+"""Name in `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
 
-CAMPAIGN_MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame}
-
-MAKERS: Mapping[str, Maker] = {"run_times": run_frame, "sending": sending_frame}
+MAKERS: Mapping[str, Maker] = {"timeline": timeline_frame, "run_times": run_frame, "sending": sending_frame}
 """Makers of the frames of a batch; an empty frame has its columns, too."""
 
 DETAIL_MAKERS: Mapping[str, Maker] = {

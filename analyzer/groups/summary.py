@@ -18,6 +18,7 @@ from ..model.metrics import METRICS
 from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import RoundTrips
+from ..run_statistics.runs import ascending
 from ..statistics.percentiles import STATISTICS, Histogram, histogram_of, summarize_values
 from .batch import Grouping, present
 
@@ -68,7 +69,7 @@ def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first, len(group_of_exchange))[1:]
     return measure_groups(
-        (group, metric, np.sort(metric_values(roundtrips, metric, start, stop)))
+        (group, metric, ascending(metric_values(roundtrips, metric, start, stop)))
         for group, start, stop in zip(groups.tolist(), first.tolist(), after.tolist(), strict=True)
         for metric in METRICS
     )

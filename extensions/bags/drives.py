@@ -17,6 +17,7 @@ from dds_trace.reports import blocks
 from dds_trace.reports.blocks import MARKDOWN, Column, Heading, Points, Row, Section, Sentence, Table
 
 from .analyze import TopicReport, analyze_topics
+from .card import DAMAGED, EMPTY
 from .limits import JudgedTopic, judge_topics
 from .messages import find_recordings
 from .recover import is_of_others
@@ -24,6 +25,7 @@ from .report import TopicRow, age_words, facts_words, gate_rows, judged_blocks, 
 
 _COLUMNS = ("Topic", "Type", "Messages", "Rate", "Missing", "Age")
 _IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=", Against.NEW, 0.0)
+_IS_WHOLE = Gate("the new recording is not damaged", "received_ratio", "", "<=", Against.NEW, 0.0)
 
 
 def are_drives(*sides: Path) -> bool:
@@ -80,6 +82,8 @@ class DriveComparison(blocks.Report):
         gone = [] if allow_missing else [name for name, (_, after) in self.topics.items() if after is None]
         before, after = self.reports
         failed = [result_of(_IS_THERE, name, GateOutcome.REGRESSED, reason="missing on the new side") for name in gone]
+        if after.verdict in (DAMAGED, EMPTY):  # limits see what can still be read
+            failed.append(result_of(_IS_WHOLE, str(self.paths[1]), GateOutcome.REGRESSED, reason="it is damaged"))
         self.judged = [JudgedTopic(result.subject, result, "") for result in failed]
         self.judged += judge_topics(after.topics, after.holes, gates, before)
 

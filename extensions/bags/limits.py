@@ -48,11 +48,11 @@ def judge_topics(
     topic_rows, names, are_several = topics.rows(named=True), {*topics["topic"]}, topics["recording"].n_unique() > 1
     chosen = rows_of_gates(gates, [{"data_type": row["topic"]} for row in topic_rows])
     for gate, rows in zip(gates, ([topic_rows[n] for n in indices] for indices in chosen), strict=True):
-        if not rows and gate.topic:
+        if not rows and gate.topic and not fits_any(gate.topic, before):
             raise OptionError(
                 f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}; {nearest(gate.topic, names)}"
             )
-        if not fits_any(gate.topics or "*", names):  # a file of limits names what there has to be
+        if not fits_any(gate.topics or "*", {*names, *before}):  # a file of limits names what there has to be
             missing = result_of(gate, gate.topics, GateOutcome.REGRESSED, reason="no recording has this topic")
             yield JudgedTopic(gate.topics, missing, "")
         for row in rows:

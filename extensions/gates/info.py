@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import group_words
-from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
+from dds_trace.analyzer.model.parameters import MATCH_COLUMNS, SERIES_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.judgements import Judgement
@@ -138,6 +138,8 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     is_whole = not only_base and not has_failed
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
+    if ignore:  # with those that are ignored already
+        ignore = tuple(name for name in MATCH_COLUMNS if name in ignore or name not in comparison.options.match)
     return ComparisonInfo(
         answer=("Both sides are the same recordings: nothing can have changed.",)
         if comparison.same_recordings
@@ -338,7 +340,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
     parts = (
         ("Sides", ["base {}, new side {}".format(*comparison.names)] if comparison.names else []),
         ("Not matched", comparison.ignored),
-        ("Measured in turns", comparison.interleaved),
+        ("Unlike settings" if comparison.order else "Measured in turns", comparison.interleaved),
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
         ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),

@@ -236,10 +236,11 @@ def change_percent(ratio: float) -> str:
 
 
 def _few_runs(judged: Sequence[tuple[Judgement, CaseAnswer]], _: Mapping[str, str]) -> str:
-    fewest = min(answer.fewest_runs for _, answer in judged)
+    fewest, *more = sorted({answer.fewest_runs for _, answer in judged})
     if fewest >= MIN_RUNS:
         return f"a verdict needs {MIN_RUNS} runs with a latency of each"
-    return f"a verdict needs {MIN_RUNS} runs of each, there {'is' if fewest == 1 else 'are'} {fewest}"
+    runs = f"{fewest} to {more[-1]}" if more else fewest
+    return f"a verdict needs {MIN_RUNS} runs of each, there {'is' if runs == 1 else 'are'} {runs}"
 
 
 _WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[str, str]], str]] = {

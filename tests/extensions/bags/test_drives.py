@@ -1,6 +1,7 @@
 """Two bags side by side: what differs is shown, limits of values and changes decide, and the exit codes are those of `compare`."""
 
 import json
+from pathlib import Path
 
 import pytest
 from card_bags import timer, write
@@ -52,6 +53,7 @@ def test_both_sides_are_shown_by_topic(drives):
         ("missing(/*) > +1 points", 20),
         ("age_p99(/imu) > +10%", 0),
         ("jitter(/odom) > +10%", 0),  # on one side: undecided
+        ("rate(/t*) < -10%", 0),  # gone
         ("hole(/camera) > 1s", 20),
         ("hole(/camera) > +10%", 0),  # of a base of 0 there is no ratio
     ],
@@ -65,6 +67,8 @@ def test_limits_of_values_and_changes_decide(drives, limit, code):
     [
         (("--fail-if", "jitter(/odom) > +10%", "--allow-missing", "--strict"), 21),
         (("--fail-if", "rate(/imu) < -15%"), 20),  # /tf is gone
+        (("--fail-if", "rate(/t*) < -10%"), 20),
+        (("--fail-if", "rate(/scan) < -10%"), 2),
         (("--fail-if", "rate(/imu) < -5 points"), 2),
         (("--fail-if", "missing(/imu) > +5%"), 2),
         (("--fail-if", "rate < 95 Hz"), 2),
@@ -74,6 +78,12 @@ def test_limits_of_values_and_changes_decide(drives, limit, code):
 )
 def test_exit_codes_are_those_of_compare(drives, words, code):
     assert code_of(compared(*drives, *words)) == code
+
+
+def test_of_a_damaged_side_no_limit_passes(tmp_path, drives):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(Path(drives[0]).read_bytes()[:-1000])
+    assert compared(drives[0], cut, "--fail-if", "missing(/*) > 1%", "--allow-missing").exit_code == 20
 
 
 def test_without_a_common_topic_there_is_nothing_to_compare(tmp_path, drives):

@@ -166,13 +166,13 @@ def test_all_figures_are_saved_as_one_zip(reader, pages):
     tab = reader.open(pages("demo"))
     for kind, first in (("svg", b"<svg"), ("png", b"\x89PNG")):
         name, path = saved_by(tab, tab.locator(f"[data-save-all={kind}]").click)
-        assert name == f"dds-trace-figures-{kind}.zip"
+        assert name == f"figures-{kind}.zip"
         with ZipFile(path) as archive:
             assert archive.testzip() is None
             assert len(archive.namelist()) == tab.locator("[data-figure]").count()
             assert all(archive.read(one).startswith(first) for one in archive.namelist())
     name, boxes, _, _ = printed_by(tab, tab.locator("[data-save-all=pdf]").click)
-    assert (name, len(boxes)) == ("dds-trace-figures", tab.locator("[data-figure]").count())
+    assert (name, len(boxes)) == ("figures", tab.locator("[data-figure]").count())
     assert reader.complaints == []
 
 
@@ -181,7 +181,7 @@ def test_latex_has_a_caption_for_each_page_of_the_pdf_and_its_signs_escaped(read
     assert tab.evaluate("latexOf", "%_&#{}$\\→") == r"\%\_\&\#\{\}\$\textbackslash{}$\to$"
     name, path = saved_by(tab, tab.locator("[data-save-all=tex]").click)
     text = path.read_text(encoding="utf-8")
-    assert name == "dds-trace-figures.tex"
+    assert name == "figures.tex"
     assert [*map(int, re.findall(r"page=(\d+)\]", text))] == [*range(1, 1 + tab.locator("[data-figure]").count())]
     captions = re.findall(r"\\caption\{(.*)\}\n", text)
     assert len(captions) == len(set(re.findall(r"\\label\{(.+)\}", text)))

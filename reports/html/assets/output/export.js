@@ -203,7 +203,7 @@ async function savePicture(name, block, format) {
 async function savePictures(name, format, figures, options) {
   if (format === "pdf") {
     const pictures = figures.flatMap(([, own]) => own);
-    const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height)}px; margin: 0`;
+    const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height) + 1}px; margin: 0`; // a page is whole points high
     const sheets = pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] }));
     return printSheets(name, sheets, options);
   }
@@ -293,21 +293,21 @@ async function saveAll(format, options) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
   const figures = drawn.map((block) => [block.fileName(), picturesOf(block, "", options)]);
-  if (format !== "tex") return savePictures("dds-trace-figures", format, figures, options);
+  if (format !== "tex") return savePictures("figures", format, figures, options);
   const pages = figures.flatMap(([name, pictures], at) =>
     pictures.map((_, part) => ({ name: part ? `${name}-${part + 1}` : name, caption: captionOf(drawn[at]) })),
   );
   const lines = pages.map(
     ({ name, caption }, at) => `
 \\begin{figure}
-  \\includegraphics[width=\\linewidth,page=${at + 1}]{dds-trace-figures.pdf}
+  \\includegraphics[width=\\linewidth,page=${at + 1}]{figures.pdf}
   \\caption{${latexOf(caption)}}
   \\label{fig:${name}}
 \\end{figure}
 `,
   );
   const head = `% Pages of the PDF that "Save all: PDF" makes. ${latexOf(measuredWith())}\n`;
-  saveBlob("dds-trace-figures.tex", new Blob([head, ...lines], { type: "application/x-tex" }));
+  saveBlob("figures.tex", new Blob([head, ...lines], { type: "application/x-tex" }));
 }
 
 /** What LaTeX would take for commands, escaped; signs that its fonts lack are in its mathematics. */

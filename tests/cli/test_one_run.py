@@ -66,6 +66,7 @@ def every_output(folder, slow, capsys):
     return outputs
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize("runs", [1, 2])
 def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, runs):
     outputs = every_output(record(tmp_path / "runs", runs), record(tmp_path / "slow", runs, slower=3), capsys)
@@ -85,6 +86,7 @@ def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, r
     assert "meets" not in outputs["recommend"]
 
 
+@pytest.mark.thorough
 def test_with_three_runs_the_same_outputs_do_tell(tmp_path, capsys):
     outputs = every_output(record(tmp_path / "runs", 3), record(tmp_path / "slow", 3, slower=3), capsys)
     for name in ("terminal", "html", "md", "json", "compare terminal", "compare json", "compare html"):

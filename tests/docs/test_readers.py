@@ -25,6 +25,7 @@ def outputs(tmp_path_factory):
     return [readers.make_outputs(traces, folder / str(number)) for number, traces in enumerate(sources)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "reader", [pytest.param(each, id=f"{each.output}-{each.package}") for each in readers.READERS if each.package != "hdr-histogram-js"]
 )  # fmt: skip

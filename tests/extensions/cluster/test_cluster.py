@@ -117,6 +117,7 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
         assert together.outputs[kind].read_bytes() == path.read_bytes()
 
 
+@pytest.mark.thorough
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):
     alone = analyze(runs)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
@@ -126,6 +127,7 @@ def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypa
     assert together.load_roundtrips().equals(alone.load_roundtrips())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("in_parts", [False, True])
 def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_parts):
     alone = analyze(runs, out=tmp_path / "out")
@@ -152,6 +154,7 @@ def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_p
     assert sketch.distributions.equals(alone.distributions)
 
 
+@pytest.mark.thorough
 def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_path):
     import s3fs
 
@@ -164,6 +167,7 @@ def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_pat
         assert remote.sources == alone.sources
 
 
+@pytest.mark.thorough
 def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
     """The last test: one of the workers is gone after it."""
     address, workers = cluster

@@ -195,13 +195,12 @@ def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | N
     return is_end.nonzero()[0]
 
 
-def episode_sizes(indices: Indices, messages: int, sent_ns: Int64 | None = None) -> Int64:
+def episode_sizes(indices: Indices, messages: int) -> Int64:
     """Return the number of events in each episode of a series.
 
     Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994), with a gap of `EPISODE_GAP_SHARE`.
     """
-    positions = positions_of(indices, sent_ns)
-    return sizes_between(episode_ends(positions, gap_of(len(indices), messages, EPISODE_GAP_SHARE)))
+    return sizes_between(episode_ends(positions_of(indices), gap_of(len(indices), messages, EPISODE_GAP_SHARE)))
 
 
 def gap_of(events: int, messages: int, share: float) -> float:

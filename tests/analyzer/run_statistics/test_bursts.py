@@ -110,15 +110,6 @@ def test_positions_are_counted_in_mean_distances():
     assert positions_of(np.arange(1), np.array([5])).tolist() == [0.0]
 
 
-def test_a_gap_is_one_of_time():
-    at_once = places("xx........")
-    evenly_ns = np.arange(10) * 1_000
-    # Ten messages in 9 us; the first two are 4 us apart: more than a mean step.
-    apart_ns = np.array([0, 4_000, 4_500, 5_000, 5_500, 6_000, 6_500, 7_000, 7_500, 9_000])
-    assert episode_sizes(at_once, 10, evenly_ns).tolist() == [2]
-    assert episode_sizes(at_once, 10, apart_ns).tolist() == [1, 1]
-
-
 @given(marks=st.lists(st.booleans(), min_size=1, max_size=300))
 def test_every_event_is_in_one_episode(marks):
     found = episode_sizes(np.flatnonzero(marks), len(marks))

@@ -12,9 +12,8 @@ from ..pairing.pair import chosen_of
 from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import MODES_MIN_MESSAGES, find_modes, find_trend, find_warm_up
-from ..run_statistics.runs import ascending
 from ..statistics.percentiles import quantile_of
-from .batch import Batch, filled
+from .batch import Batch, ascending, filled
 
 Int64 = NDArray[np.int64]
 

@@ -18,9 +18,8 @@ from ..model.metrics import METRICS
 from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import RoundTrips
-from ..run_statistics.runs import ascending
 from ..statistics.percentiles import STATISTICS, Histogram, histogram_of, summarize_values
-from .batch import Grouping, present
+from .batch import Grouping, ascending, present
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

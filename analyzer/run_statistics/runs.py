@@ -16,9 +16,6 @@ from .bursts import Cells, Float64, Indices, Int64, cells_of, mean_distance, pos
 
 Values = NDArray[Any]  # int64 or float64
 
-LEAST_FOR_POLARS = 2_000
-"""Values from which on polars sorts them in less than half of numpy's time."""
-
 
 class Run:
     """The values of one run in the order of time, infinity for a lost message; int64 `sent_ns`, None where evenly spaced."""
@@ -33,15 +30,7 @@ class Run:
 
     @cached_property
     def ordered(self) -> Values:
-        return merged([part.ordered for part in self.parts]) if self.parts else ascending(self.values)
-
-
-def ascending(values: Values) -> Values:
-    if len(values) < LEAST_FOR_POLARS:
-        return np.sort(values)
-    import polars as pl  # noqa: PLC0415 - few values need none
-
-    return pl.Series(values).sort(multithreaded=False).to_numpy()
+        return merged([part.ordered for part in self.parts]) if self.parts else np.sort(self.values)
 
 
 def merged(ascending: Sequence[Values]) -> Values:

@@ -8,6 +8,8 @@ import time
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
+import psutil
+
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..backends import load_backend
@@ -15,7 +17,7 @@ from ..host.child import ending_with_parent
 from ..kernel.counters import read_interfaces
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from dds_trace.tracefile.format.json_fields import Json
 
@@ -26,8 +28,10 @@ REST_S, PATIENCE_S = 3.0, 120.0
 AT_REST = 0.9
 """Share of the packets of the seconds before, from which on they no longer become fewer."""
 _PROGRAM = """
-import sys
+import os, sys
 from contextlib import ExitStack
+opened = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)  # a middleware prints its errors there
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
@@ -35,7 +39,7 @@ backend, domain, discovery, *names = sys.argv[1:]
 with ExitStack() as stack:
     for name in names:
         stack.enter_context(open_node(backend, NodeOptions(int(domain), name, Discovery(discovery)))).start()
-    print("open", flush=True)
+    print("open", file=opened, flush=True)
     sys.stdin.read()
 """
 
@@ -59,36 +63,45 @@ def further_nodes(node: Node, number: int) -> Iterator[dict[str, Json]]:
         ]
         for program in programs:
             stack.callback(program.terminate)
-            # A middleware may print there, too.
-            if not program.stdout or "open\n" not in program.stdout:
-                raise BackendUnavailableError(f"-o nodes={number}: not all could be opened here; give less")
+            if not program.stdout or not program.stdout.readline():
+                raise BackendUnavailableError(
+                    f"-o nodes={number}: not all could be opened here (a program of {IN_ONE_PROCESS} ended with {program.wait()}); give less"
+                )
         opened_s = time.monotonic()
         while (node.count_participants() or 0) < others + len(names) and time.monotonic() < opened_s + PATIENCE_S:
             time.sleep(0.01)
         are_met = (node.count_participants() or 0) >= others + len(names)
         met_s = time.monotonic() - opened_s if are_met else None
-        rates = _rates_until_rest(opened_s + PATIENCE_S)
-        packets, size_bytes = map(round, rates[-1])
+        processes = [psutil.Process(program.pid) for program in programs]
+        rates = _rates_until_rest(processes, opened_s + PATIENCE_S)
+        packets, size_bytes, cpu_percent = rates[-1]
         yield {
             "number": number,
             "met_s": met_s,
             "rest_s": (len(rates) - 1) * REST_S,
-            "packets_per_second": packets,
-            "bytes_per_second": size_bytes,
+            "packets_per_second": round(packets),
+            "bytes_per_second": round(size_bytes),
+            "cpu_percent": round(cpu_percent, 1),
+            "memory_bytes": sum(process.memory_info().rss for process in processes),
         }
 
 
-def _rates_until_rest(end_s: float) -> list[tuple[float, float]]:
-    rates = [_sent_per_second()]
+def _rates_until_rest(processes: Sequence[psutil.Process], end_s: float) -> list[tuple[float, ...]]:
+    rates = [_rates(processes)]
     while len(rates) < 2 or (rates[-1][0] < AT_REST * rates[-2][0] and time.monotonic() < end_s):
-        rates.append(_sent_per_second())
+        rates.append(_rates(processes))
     return rates
 
 
-def _sent_per_second() -> tuple[float, float]:
-    before = read_interfaces()
+def _rates(processes: Sequence[psutil.Process]) -> tuple[float, ...]:
+    """Return packets and bytes a second that all interfaces sent, and the processes' share of a core in percent."""
+    before = _totals(processes)
     time.sleep(REST_S)
-    sent = [(now.sent_packets - was.sent_packets, now.sent_bytes - was.sent_bytes)
-            for name, now in read_interfaces().items() if (was := before.get(name))]  # fmt: skip
-    packets, size_bytes = (sum(column) / REST_S for column in zip(*sent, strict=True))
-    return packets, size_bytes
+    return tuple((total - was) / REST_S for total, was in zip(_totals(processes), before, strict=True))
+
+
+def _totals(processes: Sequence[psutil.Process]) -> tuple[float, ...]:
+    interfaces, times = read_interfaces().values(), [process.cpu_times() for process in processes]
+    used_s = sum(spent.user + spent.system for spent in times)
+    counts = [(interface.sent_packets, interface.sent_bytes) for interface in interfaces]
+    return *map(sum, zip(*counts, strict=True)), 100 * used_s

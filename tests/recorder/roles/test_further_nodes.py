@@ -26,10 +26,10 @@ def test_nodes_that_do_not_discover_each_other_are_refused(domain_id):
 @pytest.mark.parametrize("patience_s", [100.0, -1.0])
 def test_nodes_are_at_rest_once_they_send_no_less_than_before(monkeypatch, patience_s):
     packets = [3400, 900, 300, 290, 280] if patience_s > 0 else [3400, 900]
-    rates = iter([(number, 100 * number) for number in packets])
-    monkeypatch.setattr(further_nodes_module, "_sent_per_second", lambda: next(rates))
-    found = further_nodes_module._rates_until_rest(further_nodes_module.time.monotonic() + patience_s)
-    assert found[-1] == ((290, 29_000) if patience_s > 0 else (900, 90_000))
+    rates = iter([(number, 100 * number, 0.0) for number in packets])
+    monkeypatch.setattr(further_nodes_module, "_rates", lambda _: next(rates))
+    found = further_nodes_module._rates_until_rest([], further_nodes_module.time.monotonic() + patience_s)
+    assert found[-1][:2] == ((290, 29_000) if patience_s > 0 else (900, 90_000))
 
 
 @pytest.mark.middleware
@@ -45,5 +45,6 @@ def test_all_are_met_and_what_they_send_at_rest_is_recorded(tmp_path, domain_id)
     assert nodes["number"] == 12
     assert nodes["met_s"] >= 0
     assert nodes["packets_per_second"] >= 0
+    assert nodes["memory_bytes"] > 2 * 20e6  # of two programs
     assert nodes["rest_s"] >= further_nodes_module.REST_S
     assert trace.runs[-1].extra["settings"]["nodes"] == 12

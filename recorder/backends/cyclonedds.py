@@ -68,7 +68,7 @@ _MAKING_TOPIC = threading.Lock()  # the package spoils a type if two threads mak
 
 class CycloneNode(ThreadedNode):
     def __init__(self, options: NodeOptions) -> None:
-        from cyclonedds.core import DDSException, WaitSet
+        from cyclonedds.core import DDSException, GuardCondition, WaitSet
         from cyclonedds.domain import DomainParticipant
         from cyclonedds.qos import Policy
         from cyclonedds.qos import Qos as CycloneQos
@@ -94,6 +94,7 @@ class CycloneNode(ThreadedNode):
                 "and its settings in CYCLONEDDS_URI"
             ) from err
         self._waitset = WaitSet(self._participant)
+        self._waitset.attach(GuardCondition(self._participant))  # never set: without a condition a wait returns at once
         self._builtin = _BuiltinReaders(self._participant, self.strangers)
         self._readers: dict[int, Any] = {}
         # Address by which the waitset reports a condition -> reader, callback, callback of a tap.

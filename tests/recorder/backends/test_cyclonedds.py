@@ -9,6 +9,7 @@ from waiting import wait_until
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import cyclonedds, open_node
 from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_loopback
+from dds_trace.recorder.backends.node import ROUND_S
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import IMU, data_types
 from dds_trace.tracefile.format.descriptions import Qos
@@ -36,6 +37,13 @@ def test_tuned_is_applied_and_recorded(domain_id):
         settings = node.middleware.settings
     assert settings["tuned"] == "true"
     assert "<FragmentSize>60000B</FragmentSize>" in settings["CYCLONEDDS_URI"]
+
+
+def test_a_node_without_subscriptions_waits_and_does_not_spin(domain_id):
+    with open_node("cyclonedds", options(domain_id)) as node:
+        began_s = time.monotonic()
+        node._make_round()()
+    assert time.monotonic() - began_s > ROUND_S / 2
 
 
 @pytest.mark.parametrize("data_type", data_types().values(), ids=lambda data_type: data_type.name)

@@ -94,10 +94,6 @@ def _read_acknack(memory: memoryview, at: int, flags: int, length: int, order: _
     return submessage._replace(asks=bits > 0)
 
 
-def _read_nack_frag(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
-    return _read_numbered(memory, at, flags, length, order)._replace(asks=True)
-
-
 _READERS: dict[int, tuple[_Read, int]] = {
     # kind -> reader, and bytes that it needs, header included
     DATA: (_read_data, 24),
@@ -106,7 +102,7 @@ _READERS: dict[int, tuple[_Read, int]] = {
     HEARTBEAT_FRAG: (_read_numbered, 24),
     GAP: (_read_numbered, 20),
     ACKNACK: (_read_acknack, 24),
-    NACK_FRAG: (_read_nack_frag, 28),
+    NACK_FRAG: (lambda *head: _read_numbered(*head)._replace(asks=True), 28),
 }
 _PLAIN: tuple[_Read, int] = (
     lambda memory, at, _flags, length, _order: Submessage(memory[at], length),

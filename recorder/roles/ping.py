@@ -276,7 +276,8 @@ class Ping(Generic[SentT, ReceivedT]):
         names = dict.fromkeys(name for times in described for name in times)
         times_ns = {name: round(median(times[name] for times in described if name in times)) for name in names}
         timeout_s, measured = self.plan.call_timeout_s, slice(self.plan.warmup, self._published)
-        timed_out = self._replies.without_reply_within(timeout_s * SECOND_NS, measured)
+        in_time = self._replies.received_of(measured, timeout_s * SECOND_NS)
+        timed_out = max(measured.stop - measured.start, 0) - in_time
         return {"timeout_s": timeout_s, "timed_out": timed_out, "first_ns": self._first_echo_ns, **times_ns}
 
     def _send(self, sink: TraceSink, stop: threading.Event) -> None:
@@ -365,7 +366,7 @@ class Ping(Generic[SentT, ReceivedT]):
         expected = self.plan.pinged(self._published if self._ended else replies.highest + 1)
         lost = max(expected - received, 0)
         warmup = self.plan.pinged(self.plan.warmup)
-        warmed_up = replies.received_before(self.plan.warmup)
+        warmed_up = replies.received_of(slice(self.plan.warmup))
         return PingProgress(
             self._published if self.plan.is_timed else self.plan.total,
             self._published,

@@ -196,11 +196,8 @@ class Replies:
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 
-    def received_before(self, sequence: int) -> int:
-        return sum(rtt_ns >= 0 for rtt_ns in self._rtt_ns[:sequence])
-
-    def without_reply_within(self, timeout_ns: float, messages: slice) -> int:
-        return sum(not 0 <= rtt_ns <= timeout_ns for rtt_ns in self._rtt_ns[messages])
+    def received_of(self, messages: slice, timeout_ns: float = math.inf) -> int:
+        return sum(0 <= rtt_ns <= timeout_ns for rtt_ns in self._rtt_ns[messages])
 
     def percentiles_ns(self) -> tuple[int | None, int | None]:
         values = np.frombuffer(self._rtt_ns, np.int64)

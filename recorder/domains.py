@@ -14,7 +14,7 @@ from dds_trace.base.errors import OptionError
 from .kernel.counters import PROC, bound_udp_ports, ephemeral_ports
 
 PARTICIPANTS_PER_DOMAIN = 120
-_PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
+_PORT_BASE, _DOMAIN_GAIN, FIRST_PARTICIPANT = 7400, 250, 10
 _PORTS_END = 65_536
 
 
@@ -80,9 +80,9 @@ def domain_port_range(domain_id: int) -> range:
 
 
 def participants_that_fit(domain_id: int) -> int:
-    return (len(domain_port_range(domain_id)) - _FIRST_PARTICIPANT) // 2
+    return (len(domain_port_range(domain_id)) - FIRST_PARTICIPANT) // 2
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
-    first = first_port(domain_id) + _FIRST_PARTICIPANT
+    first = first_port(domain_id) + FIRST_PARTICIPANT
     return [number for number in range(participants_that_fit(domain_id)) if first + 2 * number in ports]

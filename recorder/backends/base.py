@@ -58,7 +58,7 @@ class Backend:
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
         variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
-        own_causes: yields for a ROS middleware and variables what keeps this process from meeting others.
+        own_causes: yields for a node, a ROS middleware and variables what keeps this process from meeting others.
         profile_of: returns for a ROS middleware and environment variables the path of the profile in effect, and in words what is not read.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.
@@ -86,7 +86,7 @@ class Backend:
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
     describe_installed: Callable[[], str] | None = None
-    own_causes: Callable[[str | None, Mapping[str, str]], Iterable[str]] = lambda *_: ()
+    own_causes: Callable[[NodeOptions, str | None, Mapping[str, str]], Iterable[str]] = lambda *_: ()
     profile_of: Callable[[str | None, Mapping[str, str]], tuple[str, str]] = lambda _rmw, _environment: ("", "")
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None

@@ -11,7 +11,8 @@ import os
 import re
 import socket
 import struct
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -27,6 +28,10 @@ _LISTEN = 10
 _ALL_STATES = 0xFFFFFFFF
 _TIMEOUT_S = 2.0
 """For a kernel that does not answer; an answer takes less than a millisecond."""
+
+ASK_S, _BETWEEN_S = 3.5, 0.1
+"""The kernel knows after 3 s that no device has an address, and a host refuses datagrams once a second."""
+_IP_RECVERR = 11  # linux/in.h
 
 INFO, _CONGESTION, _MEMORY = 2, 4, 7
 """INET_DIAG_INFO, INET_DIAG_CONG and INET_DIAG_SKMEMINFO."""
@@ -239,3 +244,27 @@ def _attributes(body: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _aligned(length: int) -> int:
     return (length + 3) & ~3
+
+
+def closed_ports(addresses: Iterable[tuple[str, int]]) -> list[str]:
+    """Return which hosts and UDP ports nothing is at, with the reason that the network gives for an empty datagram."""
+    answers, faults = [_answers(*address) for address in addresses], list[str]()
+    for _ in range(round(ASK_S / _BETWEEN_S)):
+        faults += filter(None, (next(answer, "") for answer in answers))
+        if len(faults) == len(answers):
+            break
+        time.sleep(_BETWEEN_S)
+    return faults
+
+
+def _answers(host: str, port: int) -> Iterator[str]:
+    try:
+        family, _, _, _, there = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)  # else no device at all is no error
+            probe.connect(there)
+            while True:
+                probe.send(b"")
+                yield ""
+    except OSError as err:
+        yield f"UDP port {port} of {host} cannot be reached ({err.strerror})"

@@ -28,7 +28,7 @@ def look_at_self(node: Node) -> Iterator[str]:
     """Yield, the surest first, what keeps messages of this process from arriving, with what to do."""
     backend, rmw = load_backend(node.middleware.backend), node.middleware.rmw
     sockets = read_sockets() or ()
-    yield from backend.own_causes(rmw, os.environ)
+    yield from backend.own_causes(node.options, rmw, os.environ)
     yield from _stuck_connections(sockets)
     if backend.speaks_dds and node.options.discovery is not Discovery.LOCALHOST:
         yield from _one_of_several_interfaces(node.middleware.vendor, sockets)

@@ -26,7 +26,9 @@ from dds_trace.base.printable import printable
 from ...applied.asked import file_text, read_profile_request
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
+from ...domains import FIRST_PARTICIPANT, domain_port_range
 from ...host.child import Child
+from ...kernel.sockets import closed_ports
 from ...security.keys import enclave
 from ..base import has_package
 from ..node import Middleware, NodeOptions
@@ -245,7 +247,7 @@ def profile_of(rmw: str | None, environment: Mapping[str, str]) -> tuple[str, st
     return "", f"{ignored[0]} is ignored: Fast DDS {version} reads {names}" if ignored else ""
 
 
-def own_causes(rmw: str | None, environment: Mapping[str, str]) -> Iterator[str]:
+def own_causes(options: NodeOptions, rmw: str | None, environment: Mapping[str, str]) -> Iterator[str]:
     """Yield what in these variables keeps a node from others, with what to do."""
     named = environment.get("RMW_IMPLEMENTATION", "")
     if named and named != WHEELS_RMW:
@@ -253,11 +255,12 @@ def own_causes(rmw: str | None, environment: Mapping[str, str]) -> Iterator[str]
     if ros_middleware(rmw or WHEELS_RMW).vendor != "fastdds":
         return
     if server := environment.get("ROS_DISCOVERY_SERVER"):
-        nobody = "" if any(map(_may_listen, server.split(";"))) else ", and nothing on this machine listens there"
-        variables = " and ".join(name for name in ("ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT") if environment.get(name))
+        servers = filter(None, map(_SERVER.fullmatch, server.split(";")))
+        closed = closed_ports((match[1], int(match[2] or 11811)) for match in servers)
+        variables = " ".join(name for name in ("ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT") if environment.get(name))
         yield (
-            f"ROS_DISCOVERY_SERVER is {server} here{nobody}: this process only meets those that ask the same server; "
-            f"`unset {variables.replace(' and', '')}`, or set it on both sides and start the server"
+            f"ROS_DISCOVERY_SERVER is {server} here{', and '.join(['', *closed])}: this process only meets those that ask the same server; "
+            f"`unset {variables}`, or set it on both sides and start the server"
         )
     path, _ = profile_of(rmw, environment)
     interfaces = read_profile_request(file_text(path)).interfaces if path else ()
@@ -267,20 +270,19 @@ def own_causes(rmw: str | None, environment: Mapping[str, str]) -> Iterator[str]
             f"the whitelist of the profile {Path(path).name} only has {', '.join(interfaces)}, and no interface here has that name or "
             "address: correct it, or unset the variable that names the profile"
         )
+    peers = environment.get("ROS_STATIC_PEERS", "")
+    port = domain_port_range(options.domain_id)[FIRST_PARTICIPANT]
+    if closed := closed_ports((peer.strip(), port) for peer in peers.split(";") if peer.strip()):
+        yield (
+            f"ROS_STATIC_PEERS is {peers} here, and {', and '.join(closed)}, where the first node of domain {options.domain_id} on a "
+            "device listens: name the other side's device, and start its node"
+        )
+    has_profile = options.tuned or options.transport is not Transport.DEFAULT
+    if peers and has_profile and options.discovery is Discovery.LOCALHOST:
+        yield f"ROS_STATIC_PEERS is {peers} here, which -o transport and --tuned ignore under --discovery localhost: give --discovery subnet"
 
 
-def _may_listen(server: str) -> bool:
-    """Return whether a UDP socket of this machine has the server's port, or the server is elsewhere."""
-    host, _, port = server.strip().removeprefix("UDPv4:").strip("[]").rpartition(":")
-    host, port = (host, port) if host else (port, "11811")
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((host, int(port)))
-    except (OSError, ValueError):  # it is in use, or of another machine
-        return True
-    return False
-
-
+_SERVER = re.compile(r"\s*(?:UDPv4:)?\[?([^\[\]:]+)\]?(?::(\d{1,4}|[1-5]\d{4}|6[0-4]\d{3}))?\s*")
 _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-9]{0,99}")
 
 

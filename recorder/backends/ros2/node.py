@@ -65,7 +65,8 @@ class Ros2Node(ThreadedNode):
         except Exception as err:
             rclpy.shutdown(context=self._context)
             if options.keys is None:
-                raise BackendUnavailableError(f"ROS 2 cannot open a node: {str(err).splitlines()[0]}") from err
+                reason = str(err).splitlines()[0].replace("peer ", "ROS_STATIC_PEERS ")
+                raise BackendUnavailableError(f"ROS 2 cannot open a node: {reason}") from err
             raise BackendUnavailableError(
                 f"-o security={options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
                 f"({str(err).splitlines()[0]}); use a ROS 2 from apt, or --backend cyclonedds, zenoh or socket"
@@ -437,14 +438,6 @@ def qos_profile(qos: Qos) -> Any:
 
 def _endpoint(info: Any) -> Endpoint:
     profile = info.qos_profile
-    return Endpoint(
-        info.node_name,
-        info.topic_type,
-        Qos(
-            profile.reliability.name.lower(),
-            profile.durability.name.lower(),
-            profile.history.name.lower(),
-            profile.depth,
-            duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES}),
-        ),
-    )
+    kinds = (getattr(profile, policy).name.lower() for policy in ("reliability", "durability", "history"))
+    durations = duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES})
+    return Endpoint(info.node_name, info.topic_type, Qos(*kinds, profile.depth, durations))

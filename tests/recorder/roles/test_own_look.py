@@ -5,13 +5,15 @@ import socket
 
 import pytest
 from middlewares import needs
-from namespaces import needs_namespaces, network_with
 from processes import RunningCommand
 from two_devices import needs_devices
 
 from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip
 from dds_trace.extensions.campaigns.station.namespaces import NamespacePair
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import installation
+from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.kernel import sockets
 
 WHITELIST = """<dds><profiles><transport_descriptors><transport_descriptor><transport_id>u</transport_id><type>UDPv4</type>
 <interfaceWhiteList><address>{}</address></interfaceWhiteList></transport_descriptor></transport_descriptors>
@@ -19,26 +21,35 @@ WHITELIST = """<dds><profiles><transport_descriptors><transport_descriptor><tran
 <useBuiltinTransports>false</useBuiltinTransports></rtps></participant></profiles></dds>"""
 
 
-def causes(variables, rmw="rmw_fastrtps_cpp"):
-    return [*installation.own_causes(rmw, variables)]
+def causes(variables, rmw="rmw_fastrtps_cpp", **options):
+    node = NodeOptions(5, "own", **{"discovery": Discovery.SUBNET, **options})
+    return [*installation.own_causes(node, rmw, variables)]
 
 
-def test_variables_that_keep_a_node_from_others_are_named(sentences):
+def test_variables_that_keep_a_node_from_others_are_named(sentences, monkeypatch):
+    monkeypatch.setattr(sockets, "ASK_S", 0.2)
     assert causes({}) == causes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == []
-    given = {"ROS_DISCOVERY_SERVER": "192.0.2.1:11811;192.0.2.2", "ROS_SUPER_CLIENT": "TRUE"}
+    given = {"ROS_DISCOVERY_SERVER": "TCPv4:[127.0.0.1]:9;", "ROS_SUPER_CLIENT": "TRUE"}
     (server,) = causes(given)
-    assert "nothing on this machine" not in server  # it may be on another one
     assert causes(given, rmw="rmw_cyclonedds_cpp") == []
     (other,) = causes({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, rmw="rmw_zenoh_cpp")
-    sentences(server, other)
+    peers = {"ROS_STATIC_PEERS": "127.0.0.1"}
+    (ignored,) = causes(peers, discovery=Discovery.LOCALHOST, tuned=True)[-1:]
+    sentences(server, other, ignored)
 
 
-def test_a_server_here_is_looked_for():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
-        server.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-        assert "nothing on this machine" not in causes({"ROS_DISCOVERY_SERVER": address})[0]
-    assert "nothing on this machine" in causes({"ROS_DISCOVERY_SERVER": address})[0]
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_whether_anything_has_the_port_of_a_server_or_peer_is_asked(monkeypatch, host):
+    monkeypatch.setattr(sockets, "ASK_S", 0.3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        port = there.getsockname()[1]
+        monkeypatch.setattr(installation, "domain_port_range", lambda _: range(port - 10, port + 1))
+        given = [{"ROS_DISCOVERY_SERVER": f"{host}:{port}"}, {"ROS_STATIC_PEERS": f"{host};"}]
+        assert not any("reached" in said for variables in given for said in causes(variables))
+    for variables in given:
+        assert f"UDP port {port} of {host} cannot be reached (Connection refused)" in causes(variables)[0]
+    assert "of no-such-host.invalid cannot be reached" in causes({"ROS_STATIC_PEERS": "no-such-host.invalid"})[0]
 
 
 def test_a_whitelist_without_an_address_of_this_machine_is_named(tmp_path):
@@ -88,25 +99,45 @@ def assert_first_and_cured(folder, both, into, side, wrong, right, says):
     return said
 
 
+SERVER = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11999", "ROS_SUPER_CLIENT": "TRUE"}
+GONE = {installation.fast_dds().profile_variables[0]: "gone.xml"}
+
+
 @pytest.mark.middleware
 @needs("ros2")
-@needs_namespaces("ip", "iproute2")
-@pytest.mark.parametrize("side", ["ping", "relay"])
+@needs_devices
 @pytest.mark.parametrize(
-    ("variables", "says"),
+    ("side", "variables", "says"),
     [
-        ({"ROS_DISCOVERY_SERVER": "127.0.0.1:11999", "ROS_SUPER_CLIENT": "TRUE"}, "ROS_DISCOVERY_SERVER is 127.0.0.1:11999"),
-        ({installation.fast_dds().profile_variables[0]: "gone.xml"}, "the whitelist of the profile gone.xml only has 192.0.2.9"),
+        *((side, SERVER, "ROS_DISCOVERY_SERVER is 127.0.0.1:11999 here, and UDP port") for side in ("ping", "relay")),
+        *((side, GONE, "the whitelist of the profile gone.xml only has 192.0.2.9") for side in ("ping", "relay")),
+        *(("ping", {"ROS_STATIC_PEERS": host}, f"ROS_STATIC_PEERS is {host} here, and UDP port")
+          for host in ("10.213.0.99", "10.213.0.2")),
     ],
 )  # fmt: skip
 def test_a_setting_that_keeps_a_side_from_the_other_is_the_first_line(
-    tmp_path, domain_id, monkeypatch, variables, says, side
+    tmp_path, domain_id, monkeypatch, side, variables, says
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "gone.xml").write_text(WHITELIST.format("192.0.2.9"))
     both = ("--backend", "ros2", "--domain", domain_id, "--discovery", "subnet")
-    with network_with("a0") as into:
-        assert_first_and_cured(tmp_path, both, dict.fromkeys(("ping", "relay"), into), side, variables, {}, says)
+    with NamespacePair(None, hosts=2) as pair:
+        into, peers = {"ping": pair.ping, "relay": pair.relays[1]}, {}  # none is in pair.relay
+        if "ROS_STATIC_PEERS" in variables:
+            peers = {"ROS_STATIC_PEERS": into["relay"].address}
+            for port in ("port0", "port1", "port2"):
+                ip("-n", pair._switch, "link", "set", port, "type", "bridge_slave", "mcast_flood", "off")
+        prefixes = {name: device.prefix for name, device in into.items()}
+        assert_first_and_cured(tmp_path, both, prefixes, side, {**peers, **variables}, peers, says)
+
+
+@pytest.mark.middleware
+@needs("ros2")
+def test_a_static_peer_that_is_no_host_is_named(tmp_path, domain_id):
+    both = ("--backend", "ros2", "--domain", domain_id)
+    done = ping_of(both, tmp_path / "ping.mcap", (), ROS_STATIC_PEERS="no-such-host.invalid")
+    assert done.status == 7
+    assert "ROS_STATIC_PEERS no-such-host.invalid" in done.stderr
 
 
 @pytest.mark.middleware

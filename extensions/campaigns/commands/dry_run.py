@@ -61,6 +61,8 @@ def dry_run(
         described, lines = shown_sides(plan, other, refused)
     else:
         described, lines = _shown_search(plan, refused) if searches else _shown(plan, until, refused)
+    if rehearses and not refused:
+        lines.append("rehearsed: all of them can start")
     print(json.dumps({**described, "cannot_start": refused}) if as_json else "\n".join(lines))
     say_missing(refused, what=" cannot start")
     return INCOMPLETE_EXIT_CODE if refused else 0

@@ -3,7 +3,7 @@
 The tests of a part are collected once. For each mutant this process forks, the child gives the loaded module the changed
 code, runs the tests that pass through the changed line, those first that are cheap and have noticed changes of this module,
 and ends at the first that fails. Nothing is written to the tree. What was computed by an import may have gone elsewhere by
-then, so a mutant of a line that runs at import and that nobody noticed is tried once more with everything imported anew.
+then, so a mutant of a line outside of functions that nobody noticed is tried once more with everything imported anew.
 """
 
 import argparse
@@ -145,16 +145,6 @@ def passes(items: Sequence[pytest.Item], seconds: Sequence[float] = ()) -> Itera
             signal.setitimer(signal.ITIMER_REAL, WALL_SPARE_SECONDS + WALL_FACTOR * seconds[number])
         after = items[number + 1] if number + 1 < len(items) else None
         yield number, not any(each.failed for each in runtestprotocol(item, log=False, nextitem=after))
-
-
-def import_all(modules: Sequence[Module], result: Path) -> int:
-    lines = LinesRun([each.file for each in modules])
-    lines.start()
-    for each in modules:
-        importlib.import_module(each.name)
-    sys.settrace(None)
-    result.write_bytes(pickle.dumps(lines.take()))
-    return 0
 
 
 def measure(items: Sequence[pytest.Item], numbers: Sequence[int], files: Sequence[str], result: Path) -> int:
@@ -367,8 +357,6 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
     chosen = sorted(draw.sample(every, max(1, round(share * len(every)))))
     folder = Path(tempfile.mkdtemp(prefix="dds-trace-mutants-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        ended([forked(lambda: import_all(list(modules.values()), folder / "imported"), LONGEST_SECONDS)])
-        imported = pickle.loads((folder / "imported").read_bytes())
         ended([forked(lambda: try_part(part, modules, chosen, folder, jobs), LONGEST_SECONDS)])
         found, failing, cheapest, computing = json.loads((folder / "result").read_text())
         if computing:
@@ -378,7 +366,7 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
         survivors = {
             (path, number)
             for path, number in found
-            if imported.isdisjoint((modules[path].file, line) for line in modules[path].mutants[number].lines)
+            if not modules[path].mutants[number].runs_at_import
             or _survives_anew(cheapest, modules[path], number, folder)
         }
     finally:

@@ -20,7 +20,7 @@ CORE = {
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(
         ("analyzer/statistics", "analyzer/run_statistics", "extensions/gates/detectable.py"),
-        ("tests/analyzer/statistics", "tests/analyzer/run_statistics"),
+        ("tests/analyzer/statistics", "tests/analyzer/run_statistics", "tests/analyzer/verdicts"),
     ),
     "intervals": Part(("analyzer/groups/intervals.py",), ("tests/analyzer/groups",)),
     "clocks": Part(("analyzer/clocks",), ("tests/analyzer/clocks",)),

@@ -13,6 +13,7 @@ from dds_trace.analyzer.run_statistics.bursts import COSINES, share_inflation
 from dds_trace.analyzer.run_statistics.change import Verdict
 from dds_trace.analyzer.run_statistics.received import (
     DeliveryChange,
+    LossExcess,
     change_of_received,
     late_share,
     received_interval,
@@ -36,6 +37,14 @@ def test_nothing_lost_is_garwoods_limit():
     assert (found.value, found.upper, found.episodes) == (1.0, 1.0, 0)
     assert found.lower == pytest.approx(1 - 3.68888 / 3000, abs=1e-8)
     assert found.basis is Basis.BETWEEN_RUNS
+
+
+@pytest.mark.parametrize(
+    ("p", "adjusted", "sure"),
+    [(0.025, 0.05, True), (0.026, 0.01, False), (0.01, 0.06, False), (None, 0.01, False), (0.01, None, False)],
+)
+def test_more_than_a_share_is_lost_for_sure_by_half_of_the_error_and_by_all_of_it_among_many(p, adjusted, sure):
+    assert LossExcess(5, 1000, 0.01, 0.02, p_value=p, p_adjusted=adjusted).is_sure(1 - 0.05) is sure
 
 
 def test_one_outage_is_one_event():

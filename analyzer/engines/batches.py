@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,12 +173,4 @@ def _share_sequences(batch: Batch, events: dict[EventKey, EventColumns]) -> None
 
 def process_elsewhere(batch: Batch, parts: Parts) -> BatchOutput:
     output = process(batch, parts)
-    return BatchOutput(output.rows, _Done(output.result()))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Done:
-    value: BatchResult
-
-    def __call__(self) -> BatchResult:
-        return self.value
+    return BatchOutput(output.rows, partial(itemgetter(0), (output.result(),)))

@@ -206,6 +206,7 @@ def pair_exchanges(
         pl.Series("duplicates", columns["duplicates"]),
         pl.Series("reordered", columns["reordered"]),
     )
+    stamp_names = STAMP_NAMES if columns.keys() >= RECEPTION_STAMPS else ()
     one_way = fitting.result() if fitting else OneWay.unknown(rows, len(exchanges))
     measured = in_time.with_columns(*one_way.columns)
     if not (is_long := rows > ROWS_PER_FRAME):
@@ -218,11 +219,7 @@ def pair_exchanges(
         counts=pl.DataFrame(
             [count.result() | more for count, more in zip(counts, of_all, strict=True)], schema=COUNT_SCHEMA
         ),
-        stamps=tuple(
-            pl.Series(name, columns[name])
-            for name in STAMP_NAMES
-            if name in columns and columns.keys() >= RECEPTION_STAMPS
-        ),
+        stamps=tuple(pl.Series(name, columns[name]) for name in stamp_names if name in columns),
         clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
         exchanges=tuple(exchanges) if is_long else (),
     )

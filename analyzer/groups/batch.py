@@ -132,13 +132,5 @@ def present(values: pl.Series) -> NDArray[Any]:
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
 
 
-LEAST_FOR_POLARS = 2_000
-"""Values from which on polars sorts them in less than half of numpy's time."""
-
-
-def ascending(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.sort(values) if len(values) < LEAST_FOR_POLARS else pl.Series(values).sort(multithreaded=False).to_numpy()
-
-
 def is_present(values: pl.Series) -> NDArray[np.bool_]:
     return values.is_not_null().to_numpy() if values.null_count() else np.ones(len(values), np.bool_)

@@ -17,7 +17,7 @@ from ..run_statistics.runs import Runs, SendTimes, Statistic
 from ..run_statistics.spread import SMALL_GROUP, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, STATISTICS, quantile_of, summarize_values
-from .batch import LEAST_FOR_POLARS, Batch, ascending, columns_by_group, is_present, present
+from .batch import Batch, columns_by_group, is_present, present
 from .summary import Measured, Statistics
 
 INTERVAL_SCHEMA = frame_schema(
@@ -186,11 +186,7 @@ class _Sending:
         return cls(SendTimes(sent_ns[order], offsets), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
-        runs = Runs.split(values if self.order is None else values[self.order], self.times)
-        for run in runs:
-            if len(run) >= LEAST_FOR_POLARS:
-                run.ordered = ascending(run.values)
-        return runs
+        return Runs.split(values if self.order is None else values[self.order], self.times)
 
 
 def one_way_rows(

@@ -13,7 +13,7 @@ from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import MODES_MIN_MESSAGES, find_modes, find_trend, find_warm_up
 from ..statistics.percentiles import quantile_of
-from .batch import Batch, ascending, filled
+from .batch import Batch, filled
 
 Int64 = NDArray[np.int64]
 
@@ -60,7 +60,7 @@ def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     shape: dict[str, float] = {}
     if not len(latency_ns):
         return shape
-    ordered_ns = ascending(latency_ns)
+    ordered_ns = np.sort(latency_ns)
     shape["p50_ns"] = p50_ns = quantile_of(ordered_ns, 0.5)
     warm_up = find_warm_up(latency_ns)
     if warm_up is not None and warm_up.is_sure() and abs(warm_up.ratio - 1) * p50_ns >= OWN_NS:

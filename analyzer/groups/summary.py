@@ -19,7 +19,7 @@ from ..model.runs import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..pairing.roundtrips import RoundTrips
 from ..statistics.percentiles import STATISTICS, Histogram, histogram_of, summarize_values
-from .batch import Grouping, ascending, present
+from .batch import Grouping, present
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,
@@ -68,7 +68,7 @@ def measure_batch(roundtrips: RoundTrips, group_of_exchange: NDArray[np.uint32])
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first, len(group_of_exchange))[1:]
     return measure_groups(
-        (group, metric, ascending(metric_values(roundtrips, metric, start, stop)))
+        (group, metric, np.sort(metric_values(roundtrips, metric, start, stop)))
         for group, start, stop in zip(groups.tolist(), first.tolist(), after.tolist(), strict=True)
         for metric in METRICS
     )

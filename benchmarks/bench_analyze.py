@@ -86,8 +86,17 @@ def analyze(folder: Path, out: Path, checkout: Path = HERE) -> Ran:
     Raises:
         SystemExit: the command fails.
     """
-    code = "from dds_trace.cli.dds_analyze import main; main()"
-    command = [sys.executable, "-c", code, os.fspath(folder), "--report", "json", "--out", os.fspath(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "dds_trace",
+        "analyze",
+        os.fspath(folder),
+        "--report",
+        "json",
+        "--out",
+        os.fspath(out),
+    ]
     if "--no-cache" in (checkout / "cli" / "analyze.py").read_text():
         command.append("--no-cache")
     return run_command(command, {"PYTHONPATH": os.fspath(checkout / "src")})

@@ -89,7 +89,8 @@ def commands(folder: Path, against: Path | None) -> dict[str, tuple[list[str], f
 def analysis_of(checkout: Path, folder: Path) -> list[str]:
     """Return the arguments of an analysis of the smallest sample by a checkout."""
     code = (
-        f"import sys; sys.path.insert(0, {str(checkout / 'src')!r}); from dds_trace.cli.dds_analyze import main; main()"
+        f"import runpy, sys; sys.path.insert(0, {str(checkout / 'src')!r}); sys.argv.insert(1, 'analyze'); "
+        "runpy.run_module('dds_trace', run_name='__main__')"
     )
     return [sys.executable, "-c", code, str(SAMPLE), "--out", str(folder / "out")]
 

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -41,6 +42,9 @@ Answer: TypeAlias = "dict[str, Any]"
 PROOFS, LEAST_PROOFS = 5, 3
 """Fresh runs of each side of the proof, and fewest where time is short."""
 
+JUDGE_S = 2.0
+"""Time to compare two sides of the proof."""
+
 PROOF_SHARE, PROOF_MESSAGES, PROOF_SECONDS = 0.45, 100, (2.0, 15.0)
 """Most of the time for the proof, messages of its runs, and their shortest and longest length."""
 
@@ -54,19 +58,18 @@ _FRESH = 1000
 """Number of the runs before the fresh ones."""
 
 OpenTrials: TypeAlias = (
-    "Callable[[Plan, Path, Callable[[str], None], float, list[float]], AbstractContextManager[Measurer]]"
+    "Callable[[Plan, Path, Callable[[str], None], float, dict[str, list[float]]], AbstractContextManager[Measurer]]"
 )
 
 
-def answer(
-    question: Question, out: Path, tell: Tell = lambda _: None, *, clock: Callable[[], float] = time.monotonic
-) -> Answer:
+def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_s: float | None = None) -> Answer:
     """Search and prove the best setup for a question in the folder `out`/NAME, and write `answer.json` there.
 
     The folder of an interrupted search is continued; a finished one is kept, and a new one made.
 
     Args:
         tell: gets each step, in this thread, between runs. What it raises, and Ctrl-C, end the search with its recordings kept.
+        began_s: time of `time.monotonic` from which the minutes count, by default now.
 
     Returns:
         `question`, `link` (measured or emulated, null on one machine), `load` (payload over the link's rate), `sentence`, `recommended`
@@ -79,7 +82,9 @@ def answer(
         TraceError: nothing can be recorded at all.
     """
     check_advisable(question.plan)
-    return Search(question, new_folder(out, question.plan.name), tell, clock).answer()
+    search = Search(question, new_folder(out, question.plan.name), tell, time.monotonic)
+    search.began_s = search.began_s if began_s is None else began_s
+    return search.answer()
 
 
 def promise(question: Question) -> tuple[int, float]:
@@ -134,7 +139,7 @@ class Search:
     link: Link | None = field(default=None, init=False)
     load: float = field(default=0.0, init=False)
     began_s: float = field(init=False)
-    overheads_s: list[float] = field(default_factory=list, init=False)
+    overheads_s: dict[str, list[float]] = field(default_factory=dict, init=False)
     ranking: list[Standing] = field(default_factory=list, init=False)
     fresh: list[Standing] = field(default_factory=list, init=False)
     proofs: list[Answer] = field(default_factory=list, init=False)
@@ -156,8 +161,9 @@ class Search:
         self.ranking = self.look(self.fitted(plan), self.link)
         sides = self.sides(self.ranking)
         if sides and self.load <= 1 and not sides[0].excess(limits)[0]:
-            self.fresh = self.record_proof(sides)
-        self._judge()
+            fresh = self.record_proof(sides)
+            self.fresh = fresh or sides
+            self._judge(is_recorded=bool(fresh))
         chosen, fits = self._choose(), None
         measured = [standing for standing in self.fresh or sides if standing.looks]
         if chosen is None and measured:
@@ -207,16 +213,22 @@ class Search:
         candidates = self.order(plan, find_candidates(plan, link, self.folder / "configurations"))
         looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
         with self._open(looks, "look", self.folder / "looks") as trials:
-            proof_s = 3 * PROOFS * trials.expected_s(candidates[0], self.proof_seconds(trials, candidates[0]))
-            until_s = self._until_s - proof_s
-            return Race(trials, self.question.limits, until_s, self._say, self.clock).halve(candidates)
 
-    def proof_seconds(self, trials: Measurer, candidate: Candidate) -> float:
+            def proof_s() -> float:
+                expected_s = partial(trials.expected_s, seconds=self.proof_seconds(trials, candidates))
+                return 3 * PROOFS * fmean(map(expected_s, candidates)) + 2 * JUDGE_S
+
+            race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
+            return race.halve(candidates)
+
+    def proof_seconds(self, trials: Measurer, candidates: Sequence[Candidate]) -> float:
         shortest_s, longest_s = PROOF_SECONDS
-        recordings = len(recorded_together(candidate.cells))
-        overhead_s = trials.expected_s(candidate, longest_s) - longest_s * recordings
-        allowed_s = PROOF_SHARE * 60 * self.question.minutes / (3 * PROOFS) - overhead_s
-        enough_s = PROOF_MESSAGES / min(cell.rate for cell in candidate.cells)
+        cells = candidates[0].cells
+        recordings = len(recorded_together(cells))
+        overhead_s = fmean(trials.expected_s(candidate, longest_s) for candidate in candidates) - longest_s * recordings
+        left_s = min(PROOF_SHARE * 60 * self.question.minutes, self._until_s - 2 * JUDGE_S - self.clock())
+        allowed_s = left_s / (3 * PROOFS) - overhead_s
+        enough_s = PROOF_MESSAGES / min(cell.rate for cell in cells)
         return max(shortest_s, min(enough_s, allowed_s / recordings, longest_s))
 
     @staticmethod
@@ -228,36 +240,47 @@ class Search:
         return [*measured[:1], *defaults[:1], *others[:1]]
 
     def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
-        """Record fresh runs of each side in turns, forwards and backwards, in a folder for each."""
+        """Record fresh runs of each side in turns, forwards and backwards, in a folder for each.
+
+        The runner-up has none where there is no time for `LEAST_PROOFS` of all; nothing is returned without one of each.
+        """
         fresh = [Standing(side.candidate) for side in sides]
+        until_s = self._until_s - JUDGE_S * (len(sides) - 1)
         with ExitStack() as stack:
             races = []
             for standing in fresh:
                 plan = replace(self.question.plan, name="proof", cells=standing.candidate.cells)
                 trials = stack.enter_context(self._open(plan, "proof", self._side_folder(standing)))
-                races.append(Race(trials, self.question.limits, self._until_s, self._say, self.clock, "proof"))
-            best, trials = fresh[0].candidate, races[0].measurer
-            seconds = self.proof_seconds(trials, best)
-            fitting = int((self._until_s - self.clock()) / trials.expected_s(best, seconds))  # fixed before the first
-            fresh = fresh[: max(2, fitting // LEAST_PROOFS)]  # the default precedes the runner-up
-            turns = list(zip(fresh, races, strict=False))
-            for number in range(max(LEAST_PROOFS, min(3 * PROOFS, fitting) // len(fresh))):
-                for standing, race in turns if number % 2 == 0 else reversed(turns):
-                    if not standing.dropped:
-                        race.run(standing, seconds)
-        return fresh
+                races.append(Race(trials, self.question.limits, until_s, self._say, self.clock, "proof"))
+            seconds = self.proof_seconds(races[0].measurer, [side.candidate for side in sides])
+            fresh = self._take_turns(list(zip(fresh, races, strict=True)), seconds, until_s)
+        return fresh if all(row.looks or row.dropped for row in fresh) else []
+
+    def _take_turns(self, turns: list[tuple[Standing, Race]], seconds: float, until_s: float) -> list[Standing]:
+        for number in range(PROOFS):
+            turn_s = sum(race.measurer.expected_s(row.candidate, seconds) for row, race in turns)
+            if (LEAST_PROOFS - number) * turn_s > until_s - self.clock():
+                del turns[2:]  # the default precedes the runner-up
+            for row, race in turns if number % 2 == 0 else reversed(turns):
+                if not row.dropped and race.has_time(row.candidate, seconds):
+                    race.run(row, seconds)
+                elif not row.dropped:
+                    return [row for row, _ in turns]
+        return [row for row, _ in turns]
 
     def _side_folder(self, standing: Standing) -> Path:
         return self.folder / "proof" / re.sub(r"[^\w.+-]", "-", standing.candidate.name)
 
-    def _judge(self) -> None:
-        """Compare the best with each other side of the proof."""
+    def _judge(self, *, is_recorded: bool) -> None:
+        """Compare the best with each other side of the proof, if it was recorded."""
         for other in self.fresh[1:]:
             best, folders = self.fresh[0], [self._side_folder(side) for side in (other, self.fresh[0])]
             proof: Answer = {"of": best.candidate.name, "against": other.candidate.name}
-            if failed := next((side for side in (best, other) if side.dropped), None):
-                proof |= {"kept": failed is other, "verdict": "incomplete", "proof": [], "received": []}
-                proof["reason"] = f"{failed.candidate.name} was not recorded: {failed.dropped}"
+            failed = next((side for side in (best, other) if side.dropped), None)
+            if failed or not is_recorded:
+                reason = f"{failed.candidate.name} was not recorded: {failed.dropped}" if failed else ""
+                proof |= {"kept": is_recorded and failed is other, "verdict": "incomplete", "proof": [], "received": []}
+                proof["reason"] = reason if is_recorded else "there was no time for fresh runs"
             else:
                 command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
                 proof |= {**proof_of(best.candidate.name, *folders), "command": command}
@@ -302,7 +325,7 @@ class Search:
             ]
             standing = Standing(replace(candidate, cells=tuple(cells)))
             for turn in range(runs):
-                if race.clock() > race.until_s:
+                if not race.has_time(standing.candidate, seconds):
                     raise _TimeUpError
                 race.run(standing, seconds, number + turn)
                 if standing.dropped:
@@ -313,7 +336,7 @@ class Search:
             knee = Bisection(requested / FIT_SPAN, requested / max(1.0, self.load), FIT_RESOLUTION, 1, why_not).run()
             value = knee.rate_hz
             while knee.answer is not RateAnswer.BELOW and value >= requested / FIT_SPAN:
-                if not why_not(value, _FRESH, self.proof_seconds(race.measurer, candidate), FIT_FRESH):
+                if not why_not(value, _FRESH, self.proof_seconds(race.measurer, [candidate]), FIT_FRESH):
                     return value
                 value = round_rate(value / FIT_RESOLUTION)
         return None
@@ -344,8 +367,13 @@ class Search:
             return f"No answer: {failed.candidate.name} was not measured: {failed.dropped}."
         name = chosen.candidate.name
         if fits is not None:
-            tried = sum(bool(row.looks) for row in self.ranking)
-            reason = f"None of {counted(tried, 'setup')} fits ({name} was nearest: {chosen.excess(limits)[1]})"
+            rows = [row for row in (*self.ranking, *self.fresh) if row.looks]
+            tried = {row.candidate.name for row in rows}
+            broken = {row.candidate.name for row in rows if row.excess(limits)[0]}
+            nearest = f"{name} was nearest: {chosen.excess(limits)[1]}"
+            reason = f"None of {counted(len(tried), 'setup')} fits ({nearest})"
+            if tried - broken:  # others were slower when nothing had broken a limit
+                reason = f"None of the {counted(len(broken), 'setup')} that looked best fits ({nearest})"
             if self.load > 1:
                 reason = f"No setting makes this fit ({self._load_words()})"
             return f"{reason}; with {name} {self._fits_words(fits)}."

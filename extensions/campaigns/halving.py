@@ -36,8 +36,8 @@ PASSES = 2
 FIRST_SECONDS = 2.0
 """Length of the first runs."""
 
-FIRST_SHARE = 0.6
-"""Most of the time of the looks that the first pass may take."""
+FIRST_SHARE, FIRST_RUNS = 0.6, 2
+"""Most of the time of the looks that the first pass may take, and runs of it that are made whatever they take."""
 
 LEAST_SPREAD, DISTANCE = 0.05, 2.5
 """A candidate is slower if it is so by as many standard errors; runs spread by at least 5 %."""
@@ -186,7 +186,10 @@ class Measurer(Protocol):
 
 @dataclass(slots=True)
 class Race:
-    """The runs of some candidates until a time of `clock`; `tell` gets each."""
+    """The runs of some candidates, `tell` gets each; what begins is expected to end before `until_s` of `clock`.
+
+    `reserve_s` is the time before this that later steps need, by what runs take.
+    """
 
     measurer: Measurer
     limits: Limits
@@ -194,6 +197,20 @@ class Race:
     tell: Tell
     clock: Callable[[], float] = time.monotonic
     stage: str = "look"
+    reserve_s: Callable[[], float] = lambda: 0.0
+    _began_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._began_s = self.clock()
+
+    def has_time(self, candidate: Candidate, seconds: float, number: int = 0) -> bool:
+        """Return whether such a run is expected to end in time."""
+        return self.measurer.expected_s(candidate, seconds) <= self._left_s(number)
+
+    def _left_s(self, number: int) -> float:
+        share = FIRST_SHARE if number == 1 else 1.0
+        until_s = self._began_s + share * (self.until_s - self.reserve_s() - self._began_s)
+        return until_s - self.clock()
 
     def run(self, standing: Standing, seconds: float, number: int = 0) -> None:
         """Record the next run of a candidate, or the run of this number; of one that cannot run nothing counts."""
@@ -216,10 +233,13 @@ class Race:
         standings = [Standing(candidate) for candidate in candidates]
         racing, seconds = standings, first_s
         for number in itertools.count(1):
-            racing = self._affordable(racing, seconds, number)
-            for standing in racing:  # the best first: the time may end
-                if number == 1 or self.clock() < self.until_s:
+            if number > 1:
+                racing = self._affordable(racing, seconds, number)
+            for index, standing in enumerate(racing):  # the best first: the time may end
+                if (number == 1 and index < FIRST_RUNS) or self.has_time(standing.candidate, seconds, number):
                     self.run(standing, seconds)
+                elif not standing.looks:
+                    self.drop(standing, "not tried, there was no time")
             if len(racing := self._not_excluded(racing)) < 2 and number >= PASSES:
                 break
             seconds *= 2 if number % PASSES == 0 else 1
@@ -229,20 +249,14 @@ class Race:
         return sorted(standings, key=lambda standing: standing.rank(self.limits))
 
     def _affordable(self, racing: Sequence[Standing], seconds: float, number: int) -> list[Standing]:
-        """Drop those that there is no time for in a pass, and in the next one of its length, and return the others.
-
-        Two have the first pass, whatever it takes. Of two that have no time for a later one none is dropped or returned.
-        """
-        left_s = (self.until_s - self.clock()) * (FIRST_SHARE if number == 1 else 1)
-        passes = 1 if number <= PASSES else PASSES - (number - 1) % PASSES
+        """Drop those that there is no time for in a pass and the next of its length; of two none is dropped, or both are run."""
+        left_s = self._left_s(number)
+        passes = 1 if number == PASSES else PASSES - (number - 1) % PASSES
         costs_s = (passes * self.measurer.expected_s(standing.candidate, seconds) for standing in racing)
         fitting = sum(total_s <= left_s for total_s in itertools.accumulate(costs_s))
-        fitting_or_two = max(2, fitting)
-        for standing in racing[fitting_or_two:]:
-            words = f"{self._times_words(standing, racing[0])}, with no time for more runs"
-            self.drop(standing, words if standing.looks else "not tried, there was no time")
-        is_begun = number == 1 or fitting >= min(2, len(racing))
-        return list(racing[:fitting_or_two]) if is_begun else []
+        for standing in racing[max(FIRST_RUNS, fitting) :]:
+            self.drop(standing, f"{self._times_words(standing, racing[0])}, with no time for more runs")
+        return list(racing[:fitting]) if fitting >= min(FIRST_RUNS, len(racing)) else []
 
     def _not_excluded(self, racing: Sequence[Standing]) -> list[Standing]:
         """Drop what the evidence excludes; return the others, best first."""

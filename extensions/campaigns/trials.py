@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceError
@@ -50,23 +52,25 @@ def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
 
 @dataclass(slots=True)
 class Durations:
-    """How long runs of a plan take: by the plan's estimate, then with the start and end of the runs so far."""
+    """How long runs of a plan take: by the plan's estimate, then with the start and end of the runs so far, by candidate."""
 
     plan: Plan
-    overheads_s: list[float] = field(default_factory=list)
+    overheads_s: dict[str, list[float]] = field(default_factory=dict)
 
     def expected_s(self, candidate: Candidate, seconds: float) -> float:
-        """Return the duration of a run with its start and end."""
+        """Return the duration of a run with its start and end; the mean of all candidates counts as one run more of this one."""
         plan = plan_of_trials(self.plan, self.plan.name, seconds)
         if self.overheads_s:
-            return self._planned_s(candidate, seconds) + sum(self.overheads_s) / len(self.overheads_s)
+            own_s = self.overheads_s.get(candidate.name, [])
+            mean_s = fmean(chain.from_iterable(self.overheads_s.values()))
+            return self._planned_s(candidate, seconds) + fmean([mean_s, *own_s])
         cells = [replace(cell, repeat=2) for cell in candidate.cells]
         overhead_s = RELAY_OVERHEAD_S + SSH_OVERHEAD_S * plan.has_two_devices
         return Estimate(plan).remaining(cells).seconds + overhead_s
 
     def took(self, candidate: Candidate, seconds: float, elapsed_s: float) -> None:
         """Note how long a run took."""
-        self.overheads_s.append(elapsed_s - self._planned_s(candidate, seconds))
+        self.overheads_s.setdefault(candidate.name, []).append(elapsed_s - self._planned_s(candidate, seconds))
 
     def _planned_s(self, candidate: Candidate, seconds: float) -> float:
         run = plan_of_trials(self.plan, self.plan.name, seconds).run
@@ -85,10 +89,11 @@ class Trials(Durations):
         # The first repeat would measure the recorder's own cost.
         cells = [replace(cell, repeat=number + 1) for cell in candidate.cells]
         is_new = not all(self.runner.state[cell.name].done for cell in cells)
-        if failure := self.record(cells, seconds):
-            return Look(failure=failure)
+        failure = self.record(cells, seconds)
         if is_new:
             self.took(candidate, seconds, time.monotonic() - began_s)
+        if failure:
+            return Look(failure=failure)
         paths = [self.paths(cell) for cell in cells]
         try:
             responses = tuple(read_responses(ping) for ping, _ in paths)
@@ -134,7 +139,11 @@ class Notes(SweepProgress):
 
 @contextmanager
 def open_trials(
-    plan: Plan, folder: Path, note: Callable[[str], None], seconds: float, overheads_s: list[float] | None = None
+    plan: Plan,
+    folder: Path,
+    note: Callable[[str], None],
+    seconds: float,
+    overheads_s: dict[str, list[float]] | None = None,
 ) -> Iterator[Trials]:
     """Lock the folder and open the station of a plan within the block; `seconds` is the length that its state is for.
 
@@ -144,4 +153,4 @@ def open_trials(
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:
         runner = Runner(plan, folder, station, Notes(note))
         runner.prepare(plan.cells)
-        yield Trials(plan, [] if overheads_s is None else overheads_s, runner=runner)
+        yield Trials(plan, {} if overheads_s is None else overheads_s, runner=runner)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import time
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -82,6 +83,7 @@ def advise_command(
 
         dds-trace advise --size 502KB --rate 20 --deadline 50ms --host robot
     """
+    began_s = time.monotonic()
     import_module("polars")  # before minutes of recording
     from dds_trace.base.records import to_json
 
@@ -104,7 +106,7 @@ def advise_command(
         raise typer.Exit(_dry_run(question, out, as_json=as_json))
 
     def run() -> int:
-        result = answer(question, out, _say)
+        result = answer(question, out, _say, began_s=began_s)
         print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
         return 0 if result["recommended"] else INCOMPLETE_EXIT_CODE
 

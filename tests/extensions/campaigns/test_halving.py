@@ -19,14 +19,14 @@ RATE_HZ = 20
 class Made:
     """A measurer whose candidates have a median in ms and a share of losses by their bundle; `failing` cannot start."""
 
-    def __init__(self, medians, losses=None, *, seed=0, run_spread=0.15, failing=()):
-        self.medians, self.losses, self.failing = medians, losses or {}, failing
+    def __init__(self, medians, losses=None, *, seed=0, run_spread=0.15, failing=(), late_s=0.0):
+        self.medians, self.losses, self.failing, self.late_s = medians, losses or {}, failing, late_s
         self.run_spread, self.now_s = run_spread, 0.0
         self.random = np.random.default_rng(seed)
         self.runs, self.lengths, self.events = Counter(), [], []
 
     def look(self, candidate, number, seconds):
-        self.now_s += self.expected_s(candidate, seconds)
+        self.now_s += self.expected_s(candidate, seconds) + self.late_s
         self.runs[candidate.bundle] += 1
         assert number == self.runs[candidate.bundle]
         self.lengths.append(seconds)
@@ -99,12 +99,7 @@ def test_it_ends_at_its_time_and_first_tries_the_first(until_s):
 
 
 def test_where_runs_take_longer_than_expected_the_best_have_their_second_one():
-    class Late(Made):
-        def look(self, candidate, number, seconds):
-            self.now_s += 1.5
-            return super().look(candidate, number, seconds)
-
-    made = Late(MANY)
+    made = Made(MANY, late_s=1.5)
     ranking = made.race(150).halve(candidates(list(MANY)[::-1]))
     assert [len(standing.looks) for standing in ranking[:2]] == [2, 2]
     assert min(made.runs.values()) == 1

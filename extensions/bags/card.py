@@ -152,6 +152,7 @@ class RecordingHealth:
     """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
 
     `readable` topics have a reading that could have shown a loss. `doubtful` pauses may be of the publishers.
+    It is `certain` that nothing is missing where some topic could have shown a loss, and none may lack a message.
     """
 
     path: str
@@ -166,6 +167,7 @@ class RecordingHealth:
     pauses: tuple[tuple[float, float], ...] = ()
     readable: int = 0
     doubtful: tuple[bool, ...] = ()
+    certain: bool = False
 
 
 def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> Iterator[str]:
@@ -216,6 +218,7 @@ class Card:
             ),
             readable,
             tuple(is_doubtful.tolist()),
+            readable > 0 and not any(row["missing_high"] for row in self.rows),
         )
 
     def _weigh(self, columns: Sequence[TopicMessages], condition: Condition) -> tuple[list[Losses], Holes, int]:

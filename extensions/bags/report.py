@@ -36,10 +36,11 @@ from dds_trace.reports.blocks import (
     Span,
     Table,
 )
+from dds_trace.tracefile.format.events import TOPIC_PREFIX
 
 from .analyze import TopicReport
 from .bounds import FEWEST, NOTICED_NS, SHOWN
-from .card import STRIP_PARTS, RecordingHealth
+from .card import STRIP_PARTS, WHOLE, RecordingHealth
 from .chains import chain_lines
 from .observations import READ_BY
 
@@ -55,7 +56,6 @@ HOW_TO_READ = (
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
-_OWN = "/dds_trace/"
 
 
 def seconds_words(seconds: float) -> str:
@@ -69,6 +69,7 @@ def _share_words(share: float) -> str:
 
 
 def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
+    rows = [row for row in rows if not row["topic"].startswith(TOPIC_PREFIX)]
     lacking = [row for row in rows if row["missing_low"]]
     missing = sum(row["missing"] for row in lacking)
     sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
@@ -79,15 +80,17 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
         return "No message was recorded."
     if health.verdict == "holes":
         return f"Holes: {sentence}."
-    unseen = len(rows) - health.readable
-    has = "has" if unseen == 1 else "have"
-    if unseen and not health.readable:
-        return f"No loss can be seen: {counted(unseen, 'topic')} {has} no steady rate."
-    gaps = sum(row["missing_from"] == "period" and row["missing"] > 0 for row in rows)
-    certain = f"No loss is certain: gaps of {counted(gaps, 'topic')} are losses or pauses." if gaps else "Whole."
-    return certain + (
-        f" {counted(unseen, 'topic')} {has} no steady rate, so losses there cannot be seen." if unseen else ""
-    )
+    if not rows:
+        return "Only topics of dds-trace itself: `dds-trace analyze` reads them."
+    topics, unseen = counted(len(rows), "topic"), len(rows) - health.readable
+    blind = f"{counted(unseen, 'topic has', 'topics have')} no steady rate"
+    if not health.readable:
+        return f"No loss can be seen: {blind}."
+    words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics}."
+    if most := [row["missing_high"] for row in rows if row["missing_high"]]:
+        messages = counted(sum(most), "message", text=f"{sum(most):,}")
+        words = f"No loss is certain: up to {messages} may be missing on {len(most)} of {topics}."
+    return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
 
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
@@ -295,10 +298,13 @@ class BagReport(blocks.Report):
         return [title, *parts, limits, Section(gates, media=TERMINAL | MARKDOWN), how]
 
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
-        topics = sorted(self._topics[health.path], key=lambda topic: topic[0]["topic"].startswith(_OWN))
+        topics = sorted(self._topics[health.path], key=lambda topic: topic[0]["topic"].startswith(TOPIC_PREFIX))
         rows = [row for row, _, _ in topics]
         yield Heading(printable(health.path))
-        yield Sentence(verdict_words(health, rows), f"headline {_TONES[health.verdict]}")
+        yield Sentence(
+            verdict_words(health, rows),
+            f"headline {_TONES[health.verdict] if health.certain or health.verdict != WHOLE else 'open'}",
+        )
         yield Sentence(facts_words(health, len(rows)), "facts")
         chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)
         syncs = [sync.words for path, sync in self.report.syncs if path == health.path]
@@ -327,7 +333,7 @@ def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], stri
     text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)
     figure = blocks.Figure(text, _strip_svg(words, strip_parts(health, row, holes, strip)))
     with_qos = blocks.stack(Span(first, ""), Span(printable(row["qos"]), "soft"))
-    part = "Of dds-trace itself: `dds-trace analyze` reads them" if row["topic"].startswith(_OWN) else ""
+    part = "Of dds-trace itself: `dds-trace analyze` reads them" if row["topic"].startswith(TOPIC_PREFIX) else ""
     return Row([first, with_qos, *others], part=part, figure=figure, notes=lines)
 
 

@@ -72,7 +72,7 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     pairs = [*zip(by_topic, evidence.times, strict=True)]
     evidence.losses = [agreed(readings, start_ns, end_ns, topic.log_ns) for readings, topic in pairs]
     evidence.readable = sum(
-        bool(readings) or source.is_of_tap or _has_numbers(topic)
+        not source.is_of_tap and (bool(readings) or _has_numbers(topic))
         for (readings, topic), source in zip(pairs, sources, strict=True)
     )
     return evidence

@@ -260,7 +260,7 @@ def test_a_topic_that_is_thinned_lacks_nothing_for_sure(tmp_path, name):
     hz, selected = THINNED[name]
     _, health, rows = card(write(tmp_path / "x.mcap", {"/image": camera(hz, selected)}))
     row = rows["/image"]
-    assert (row["missing_low"], health.verdict) == (0, "whole")
+    assert (row["missing_low"], health.verdict, health.certain) == (0, "whole", False)
     assert row["missing_high"] == pytest.approx(np.ptp(np.flatnonzero(selected)) + 1 - selected.sum(), rel=0.01)
 
 
@@ -289,7 +289,7 @@ def test_two_readings_of_arrivals_are_within_the_interval(tmp_path):
     selected = (N[:900] < 450) | (N[:900] % 2 == 0)
     topics = {"/a": [(log, log) for log, _ in camera(15, selected, jitter_ms=1)]}
     report, health, rows = card(write(tmp_path / "x.mcap", topics))
-    assert (rows["/a"]["missing_low"], health.verdict) == (0, "whole")
+    assert (rows["/a"]["missing_low"], health.verdict, health.certain) == (0, "whole", False)
     assert rows["/a"]["missing_high"] == pytest.approx(224, abs=2)
     assert "are missing" not in load_reporter("md").render(BagReport(report))
 

@@ -161,9 +161,10 @@ def test_the_part_has_few_bounds_and_its_rules_have_none_of_their_own():
 
 
 def test_gaps_that_pauses_explain_are_not_called_whole():
-    row, health = {"missing_from": "period", "missing_low": 0}, SimpleNamespace(verdict="whole", readable=1)
-    assert verdict_words(health, [row | {"missing": 0}]) == "Whole."
-    assert "1 topic" in verdict_words(health, [row | {"missing": 5}])
+    row, health = {"topic": "/a", "missing_low": 0}, SimpleNamespace(verdict="whole", readable=1)
+    assert "found" in verdict_words(health, [row | {"missing_high": 0}])
+    assert "5 messages may" in verdict_words(health, [row | {"missing_high": 5}])
+    assert "analyze" in verdict_words(health, [row | {"topic": "/dds_trace/tap"}])
 
 
 def numbered(path, numbers, hz=20, seconds=5, since=0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -10,6 +11,9 @@ from itertools import groupby
 from typing import Any, ClassVar, TypeAlias
 
 from dds_trace.base.units import MISSING
+
+WITHIN_QUANTITY = re.compile(r"(?<=±) |(?<=\d) (?=(?:[nµm]?s|min|[hd]|%|[KMG]i?B(?:/s)?|B|k?Hz|ppm|[kM]bit/s)(?!\w))")
+"""The blank between a number and its unit, where no line ends."""
 
 
 class Medium(Flag):

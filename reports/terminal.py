@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
@@ -19,7 +18,7 @@ from dds_trace.base.streams import SCREEN_WIDTH, print_screen, screen_text
 from dds_trace.base.units import counted
 
 from . import blocks
-from .blocks import TERMINAL, Block, Report, Section, Span, Words, plain_text, visible
+from .blocks import TERMINAL, WITHIN_QUANTITY, Block, Report, Section, Span, Words, plain_text, visible
 
 if TYPE_CHECKING:
     from rich.containers import Lines
@@ -57,7 +56,6 @@ def _drawn(sections: Iterable[Section]) -> Group:
     return Group(*parts)
 
 
-_UNIT = re.compile(r"(?<=±) |(?<=\d) (?=(?:[nµm]?s|min|[hd]|%|[KMG]i?B(?:/s)?|B|k?Hz|ppm|[kM]bit/s)(?!\w))")
 _GLUE = "\ue000"
 
 
@@ -66,7 +64,7 @@ class _Text(Text):
 
     def wrap(self, *arguments: Any, **options: Any) -> Lines:
         glued = self.copy()
-        glued.plain = _UNIT.sub(_GLUE, self.plain)
+        glued.plain = WITHIN_QUANTITY.sub(_GLUE, self.plain)
         lines = glued.wrap(*arguments, **options)
         for line in lines:
             line.plain = line.plain.replace(_GLUE, " ")
@@ -99,7 +97,7 @@ def _points(block: blocks.Points) -> Drawn:
 def _wrapped(block: blocks.Sentence) -> list[Text]:
     mark = block.mark or Span("")
     start = f"{mark.text} " if mark.text else ""
-    text, indent = _UNIT.sub(_GLUE, start + plain_text(block.words)), " " * len(start)
+    text, indent = WITHIN_QUANTITY.sub(_GLUE, start + plain_text(block.words)), " " * len(start)
     lines = textwrap.wrap(text, SCREEN_WIDTH - 1, subsequent_indent=indent, break_on_hyphens=False)
     first, *others = (Text(line.replace(_GLUE, " "), style=_style(block.tone)) for line in lines)
     first.stylize(_style(mark.tone), 0, len(mark.text))
@@ -148,7 +146,9 @@ def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], g
     for at, column in enumerate(columns):
         text = "\n".join([column.name, *(plain_text(cells[at]) for cells in rows)])
         widths.append(column.width or max(map(len, text.split("\n"))))
-        leasts.append(column.width or column.least or max(map(len, _UNIT.sub(_GLUE, text).split()), default=1))
+        leasts.append(
+            column.width or column.least or max(map(len, WITHIN_QUANTITY.sub(_GLUE, text).split()), default=1)
+        )
     for _ in range(sum(widths) + gap * (len(widths) - 1) - SCREEN_WIDTH):
         widths[max(range(len(widths)), key=lambda at: (widths[at] > leasts[at], widths[at]))] -= 1
     return widths

@@ -154,13 +154,8 @@ def curves_info(analysis: Analysis) -> Curves:
     drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
     shares = planned_shares(analysis.summary)
-    return Curves(LEVELS, values_ns, shares, tuple(map(_loss_text, lossy_shares(shares))))
-
-
-def _loss_text(share: float | None) -> str:
-    if share is None:
-        return ""
-    return format_ratio(share)
+    losses = tuple("" if share is None else format_ratio(share) for share in lossy_shares(shares))
+    return Curves(LEVELS, values_ns, shares, losses)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dds_trace.base.extension import offers
 
 from ..book.book import Book
+from ..book.groups import is_of_topics
 from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline
 from .figure import Figure, Plan, Scope, is_few
 
@@ -43,16 +44,16 @@ FIGURES: list[Figure] = [
 
 def drawn_figures(book: Book) -> tuple[list[tuple[Figure, Plan]], list[tuple[Figure, str]]]:
     """Return the figures with their plans, and those that are left out with the reason."""
-    few = is_few(book)
+    few, of_topics = is_few(book), is_of_topics(book.analysis)
     drawn: list[tuple[Figure, Plan]] = []
     left_out: list[tuple[Figure, str]] = []
     for figure in FIGURES:
-        if figure is costs.DOTS and not few:
+        if (figure is costs.DOTS and not few) or (of_topics and figure is not clocks.CLOCK):
             continue
         plan = figure.plan(book)
         if plan is None:
             left_out.append((figure, figure.nothing))
-        elif few and not figure.few:
+        elif few and not figure.few and not of_topics:
             left_out.append((figure, "so few results are in the first figure, all in one."))
         else:
             drawn.append((figure, plan))

@@ -24,7 +24,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import DECIMAL_BYTES, MISSING, SHOWN_NS, format_rate, format_size, utc_words
 from dds_trace.base.version import __version__
 
-from ..blocks import PAGE, Block, Facts, Heading, Points, Report, Sentence, plain_text, visible
+from ..blocks import PAGE, WITHIN_QUANTITY, Block, Facts, Heading, Points, Report, Sentence, plain_text, visible
 from ..book.book import Book
 from ..book.facets import MADE_OF, filters_info
 from ..book.findings import finding_block, severity_counts, worst_first
@@ -35,6 +35,7 @@ from ..book.groups import (
     STATISTIC_LABELS,
     data_type_label,
     group_labels,
+    is_of_topics,
     topic_parts,
 )
 from ..book.recording import file_table, recorded_environment
@@ -140,7 +141,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         title=book.title,
         kicker="Latency report",
         bibtex=_BIBTEX,
-        begins="figures" if labels else "answer",
+        begins="figures" if drawn else "answer",
         overview=book.overview,
         formula=LATENCY_MEANING,
         facts=shown,
@@ -159,7 +160,7 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
         findings=book.findings,
         finding_blocks=[finding_block(kind, labels) for kind in book.findings],
         severities=severity_counts(book.findings),
-        group_names=[*labels.values()],
+        group_names=[] if is_of_topics(book.analysis) else [*labels.values()],
         worst=next(iter(worst_first(book.values)), None),
         campaign_figures=[figure for figure in drawn if figure.scope is Scope.CAMPAIGN],
         cell_figures=[figure for figure in drawn if figure.scope is Scope.CELL],
@@ -177,9 +178,19 @@ _BIBTEX = f"""@software{{dds_trace,
 }}"""
 
 
+def _unbroken(value: object) -> object:
+    """Keep a number and its unit in one line; what is markup was made by an earlier one."""
+    return WITHIN_QUANTITY.sub("\u00a0", value) if type(value) is str else value
+
+
 def _framed(template: str, version: str | None = None, **values: object) -> str:
     environment = Environment(
-        loader=FunctionLoader(_asset), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FunctionLoader(_asset),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_unbroken,
     )
     environment.globals.update(PAGE=PAGE, plain_text=plain_text)
     return environment.get_template(template).render(version=version, **values)

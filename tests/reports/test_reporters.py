@@ -138,7 +138,7 @@ def test_an_unknown_kind_and_a_missing_folder_are_errors(tmp_path):
 @pytest.mark.parametrize("kind", ["html", "md"])
 def test_the_page_and_markdown_say_what_the_tail_of_the_latency_is_not(kind):
     text = html.unescape(rendered("small campaign", kind))
-    assert LATENCY_MEANING in text.replace("\\", "")
+    assert LATENCY_MEANING in text.replace("\\", "").replace("\u00a0", " ")
 
 
 # JSON

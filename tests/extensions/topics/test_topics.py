@@ -1,3 +1,4 @@
+import re
 import tarfile
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from tap_traces import (
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.topics.report import topic_sentences
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.reporters import load_reporter
 
 LOST = (100, 101, 500, 1700)
 
@@ -282,3 +285,9 @@ def test_the_clocks_are_two_seconds_apart_and_every_time_is_bounded(recorded):
     assert messages["one_way_ns"].min() >= 0
     assert messages["age_ns"].min() >= 0
     assert not messages["bound_ns"].null_count()
+
+
+def test_its_page_draws_of_the_beacons_their_clocks_and_asks_for_no_job(recorded):
+    page = load_reporter("html").render(Book(recorded))
+    assert re.findall(r'data-figure="(\w+)"', page) == ["clock"]
+    assert 'id="job"' not in page

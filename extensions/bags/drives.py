@@ -21,7 +21,17 @@ from .card import DAMAGED, EMPTY
 from .limits import JudgedTopic, judge_topics
 from .messages import find_recordings
 from .recover import is_of_others
-from .report import TopicRow, age_words, facts_words, gate_rows, judged_blocks, missing_words, rate_words, verdict_words
+from .report import (
+    TopicRow,
+    age_words,
+    ended_words,
+    facts_words,
+    gate_rows,
+    judged_blocks,
+    missing_words,
+    rate_words,
+    verdict_words,
+)
 
 _COLUMNS = ("Topic", "Type", "Messages", "Rate", "Missing", "Age")
 _IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=", Against.NEW, 0.0)
@@ -98,7 +108,9 @@ class DriveComparison(blocks.Report):
         common = sum(None not in rows for rows in topics.values())
         for path, report in zip(self.paths, self.reports, strict=True):
             (health,), rows = report.recordings, report.topics.rows(named=True)
-            facts.append(f"{printable(str(path))}: {verdict_words(health, rows)} {facts_words(health, len(rows))}")
+            facts.append(
+                f"{printable(str(path))}: {verdict_words(health, rows)}{ended_words(health, rows)} {facts_words(health, len(rows))}"
+            )
         summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in _COLUMNS[:2]) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")

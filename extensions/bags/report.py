@@ -93,6 +93,21 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
 
 
+def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
+    """Return which steady topic ends earliest: its publisher died, or was stopped."""
+    end_ns = health.start_ns + health.duration_ns
+    early = []
+    for row in rows:
+        rest_ns = end_ns - row["start_ns"] - row["duration_ns"]
+        if row["expected_rate_hz"] and rest_ns > max((2 + 1) / row["expected_rate_hz"], 1) * SECOND_NS:
+            early.append((rest_ns, row["topic"]))
+    if not early:
+        return ""
+    rest_ns, topic = max(early)
+    others = f", and {counted(len(early) - 1, 'more topic ends', 'more topics end')} early" if len(early) > 1 else ""
+    return f" {printable(topic)} ends {seconds_words(rest_ns / SECOND_NS)} before the recording{others}."
+
+
 def facts_words(health: RecordingHealth, topics: int) -> str:
     chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
     if not health.messages:
@@ -300,10 +315,11 @@ class BagReport(blocks.Report):
     def _recording(self, health: RecordingHealth) -> Iterator[Block]:
         topics = sorted(self._topics[health.path], key=lambda topic: topic[0]["topic"].startswith(TOPIC_PREFIX))
         rows = [row for row, _, _ in topics]
+        ended = ended_words(health, rows)
         yield Heading(printable(health.path))
         yield Sentence(
-            verdict_words(health, rows),
-            f"headline {_TONES[health.verdict] if health.certain or health.verdict != WHOLE else 'open'}",
+            verdict_words(health, rows) + ended,
+            f"headline {_TONES[health.verdict] if (health.certain and not ended) or health.verdict != WHOLE else 'open'}",
         )
         yield Sentence(facts_words(health, len(rows)), "facts")
         chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)

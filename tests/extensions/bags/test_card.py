@@ -66,7 +66,9 @@ def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, sta
     assert sum(report.strips[0]) == pytest.approx(20, abs=0.2)  # of 60 parts
     assert sum(report.strips[1]) == 60
     print_report(BagReport(report))
-    assert words in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert words in shown
+    assert ("2 topics. /camera ends 20 s before" in shown) == (start_s > 0)
 
 
 def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):

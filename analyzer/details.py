@@ -24,7 +24,6 @@ from .loading.campaign import Campaign
 from .model.detail_frames import COST_FRAMES, FAN_OUT_FRAMES, RECOVERY_SCHEMA, WIRE_FRAMES
 from .model.runs import pass_numbers
 from .model.setting import FLOW, LOAD, parse_setting
-from .pairing.exchanges import Exchange
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
@@ -83,8 +82,7 @@ def collect_details(
     more = _empty_frames(FAN_OUT_FRAMES, COST_FRAMES, WIRE_FRAMES)
     if _has_costs(judged.groups):
         more |= load("details", "costs")(judged, passes)
-    exchange_of_run = {exchange.run.run_id: exchange for exchange in reversed(grouping.exchanges)}
-    if rows.has_rows and any(map(_is_crowded, exchange_of_run.values())):
+    if rows.has_rows and _is_crowded(grouping):
         more |= load("details", "fan_out")(grouping, rows, host_samples)
     if was_captured:
         more |= load("details", "wire")(campaign.traces, campaign.runs, grouping, rows)
@@ -129,9 +127,12 @@ def _has_costs(groups: pl.DataFrame) -> bool:
     )
 
 
-def _is_crowded(exchange: Exchange) -> bool:
+def _is_crowded(grouping: Grouping) -> bool:
     """Return whether a run had several relays or pings, or was one of several topics."""
-    return exchange.relays > 1 or not {"pings", "topics"}.isdisjoint(parse_setting(exchange.parameters().setting))
+    settings = map(parse_setting, grouping.parameters["setting"].unique().to_list())
+    return any(exchange.relays > 1 for exchange in grouping.exchanges) or any(
+        {"pings", "topics"} & s.keys() for s in settings
+    )
 
 
 def _empty_frames(*tables: Mapping[str, Any]) -> Frames:

@@ -57,6 +57,7 @@ function gridOf(
   width,
   { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {},
 ) {
+  if (panels.some(({ y }) => y.startsAt)) left += 16; // px of the line that says so
   const colors = theme();
   const isPicture = all.page !== undefined;
   const every = all ? panels : panels.slice(0, MOST_PANELS);
@@ -86,9 +87,7 @@ function gridOf(
   const heads = (grid?.columns || []).map((label) => wrapped(label, panelWidth / 7.4));
   const named = yTitle ? 20 : 0;
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
-  const titles = every.map(({ title }) =>
-    isPicture || isNarrow(width) ? wrapped(title, (panelWidth - 10) / BOLD) : [shorten(title, panelWidth / BOLD)],
-  );
+  const titles = every.map(({ title }) => wrapped(title, (panelWidth - 10) / BOLD));
   const lines = Math.max(1, ...titles.map((own) => own.length));
   const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 11 + 15 * lines;
   const titled = below > 40 ? 16 : 0; // px that the title of an axis takes; only the last row has one
@@ -165,7 +164,9 @@ function gridOf(
     if (!grid && column === 0 && yTitle) {
       const fitting = plain(fitted(yTitle, heights[row] + (isPicture || isNarrow(width) ? 8 : between / 2)));
       const from = startsAt ? `${fitting}<br><b>axis starts at ${startsAt}</b>` : fitting;
-      layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
+      const place = { xref: "paper", x: 0, xshift: 6 - left, xanchor: "left", yref: "paper", y: (top + bottom) / 2 };
+      const font = { size: 12, color: colors.soft };
+      annotations.push({ ...place, text: from, textangle: -90, yanchor: "middle", showarrow: false, font });
     }
     if (!grid)
       annotations.push({
@@ -272,14 +273,16 @@ function besideMarks({ beside, y }, x, width, height, suffix) {
   const ordered = beside
     .map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height }))
     .sort((a, b) => a.at - b.at);
+  const isEdge = ({ left }) => left > width - 24;
+  const start = (one) => one.left + (isEdge(one) ? -34 : 6); // a label takes 28 px
   const placed = [];
   for (const one of ordered) {
-    for (const other of placed)
-      if (Math.abs(other.left - one.left) < 26 && one.at - other.at < 10) one.at = other.at + 10;
+    for (const other of placed.sort((a, b) => a.at - b.at))
+      if (Math.abs(start(other) - start(one)) < 28 && one.at - other.at < END_STEP) one.at = other.at + END_STEP;
     placed.push(one);
   }
   return placed.map((one) => {
-    const edge = one.left > width - 24;
+    const edge = isEdge(one);
     return {
       text: plain(one.text),
       xref: `x${suffix} domain`,

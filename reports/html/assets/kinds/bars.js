@@ -67,7 +67,7 @@ KINDS.bars = function bars(plan, width, all) {
           y: line.points.map((point) => (point.value === Infinity ? top : point.value * S)),
           text: line.points.map((point, place) =>
             isLossy(point.group)
-              ? lossText(point.group) + (isPicture ? "" : " received")
+              ? lossText(point.group)
               : !isPicture && thick > 12 && base.has(point.group) && !lost[place]
                 ? differenceText(plannedTime(plan, base.get(point.group)), point.value)
                 : "",
@@ -119,7 +119,7 @@ KINDS.bars = function bars(plan, width, all) {
     };
   });
   const drawn = gridOf(panels, width, {
-    yTitle: `${statisticLabel()}, of all planned`,
+    yTitle: `${statisticLabel()} (of all planned)`,
     minWidth,
     height: 150,
     below: 42,
@@ -140,8 +140,8 @@ KINDS.bars = function bars(plan, width, all) {
     ...drawn,
     legend: found.legend,
     missing: found.missing,
-    foot: found.points.some((point) => point.value === Infinity)
-      ? "A crossed-out bar to the top lost so many messages that this percentile is a lost message."
+    foot: found.points.some((point) => isLossy(point.group))
+      ? "A percentage at a bar is the share received; a crossed-out bar lost so many that its time is a lost message."
       : "",
     columns: [
       ...GROUP_COLUMNS,

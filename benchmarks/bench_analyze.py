@@ -166,13 +166,9 @@ def time_shape(
 
     if key in ASKED and is_full:
         name = f"`analyze`, {shape.name}: {shape.events:,} events"
+        peer = ("the floor, wall time", median(floors)) if "over_peer" in ASKED[key] else ("", None)
         before_ratio = median(cpu_over_before) if cpu_over_before else None
-        keep_row(
-            stored,
-            SpeedRow(
-                name, ran.cpu_s, max(peaks) * 1e3, "the floor, wall time", median(floors), before_ratio, ASKED[key]
-            ),
-        )
+        keep_row(stored, SpeedRow(name, ran.cpu_s, max(peaks) * 1e3, *peer, before_ratio, ASKED[key]))
     yield Bar(f"{shape.name}: times the floor", median(floors), bar(MOST_TIMES_FLOOR.get(key, math.inf)))
     if over_before:
         yield Bar(f"{shape.name}: times before", median(over_before), bar(MOST_TIMES_BEFORE))

@@ -386,8 +386,8 @@ class Search:
                 is_base, verdict = name == proof["against"], str(proof["verdict"])
                 other = sides[proof["of"] if is_base else proof["against"]]
                 words = _VERDICTS[_OPPOSITES.get(verdict, verdict) if is_base else verdict]
-                if other.looks and (broken := other.excess(limits)[1]):
-                    words = f"{{}} breaks a limit, {broken}"
+                if other.looks and (breaks := other.excess(limits)[1]):
+                    words = f"{{}} breaks a limit, {breaks}"
                 compared.append(words.format(other.candidate.name))
         return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}."
 

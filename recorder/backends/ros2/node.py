@@ -438,6 +438,8 @@ def qos_profile(qos: Qos) -> Any:
 
 def _endpoint(info: Any) -> Endpoint:
     profile = info.qos_profile
-    kinds = (getattr(profile, policy).name.lower() for policy in ("reliability", "durability", "history"))
+    reliability, durability, history = (
+        getattr(profile, policy).name.lower() for policy in ("reliability", "durability", "history")
+    )
     durations = duration_extra({policy: getattr(profile, policy).nanoseconds for policy in DURATION_POLICIES})
-    return Endpoint(info.node_name, info.topic_type, Qos(*kinds, profile.depth, durations))
+    return Endpoint(info.node_name, info.topic_type, Qos(reliability, durability, history, profile.depth, durations))

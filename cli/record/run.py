@@ -21,7 +21,7 @@ from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.extension import load
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
-from dds_trace.base.units import MISSING, counted, format_duration
+from dds_trace.base.units import MISSING, counted, format_duration, three_digits
 from dds_trace.recorder.applied.memory import remove_own_segments
 from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
@@ -106,8 +106,8 @@ def live_table(rows: Sequence[LiveRow]) -> Table:
         table.add_row(
             printable(row.topic),
             Text(row.health.value, _STYLES[row.health]),
-            f"{row.rate_hz:.3g} Hz",
-            MISSING if row.expected_hz is None else f"{row.expected_hz:.3g} Hz",
+            f"{three_digits(row.rate_hz)} Hz",
+            MISSING if row.expected_hz is None else f"{three_digits(row.expected_hz)} Hz",
             format_duration(row.age_ns),
             format_duration(row.age_p99_ns),
             str(row.missing),
@@ -164,10 +164,8 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
     if as_json:
         print(json.dumps(_result(recorded, error)))
     elif trace is not None:
-        print(f"Wrote {trace.path}")
-        print(
-            f"{describe_progress(recorded.progress)}; {counted(trace.events, 'event')}, {trace.dropped_events} dropped"
-        )
+        dropped = f"; {counted(trace.events, 'event')}, {trace.dropped_events} dropped" if trace.dropped_events else ""
+        print(f"Wrote {trace.path}\n{describe_progress(recorded.progress)}{dropped}")
     if error is not None:
         raise error
 

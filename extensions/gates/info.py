@@ -358,5 +358,4 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
         "Lost messages count as later than any deadline.",
         f"A verdict needs at least {MIN_RUNS} runs per side.",
         f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
-        "A change below the smallest that is seen in 8 of 10 comparisons is seen less often.",
     )

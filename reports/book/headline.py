@@ -151,12 +151,12 @@ def _cost_words(rows: pl.DataFrame) -> str:
             words: timed.filter(verdict=verdict)["ratio"].to_list()
             for verdict, words in (("worse", "slower"), ("better", "faster"))
         }
-        if factors := [f"{factor_words(values)} as long {label}" for values in ratios.values() if values]:
+        if factors := " and ".join(factor_words(values) for values in ratios.values() if values):
             counts = {words: len(values) for words, values in ratios.items()} if all(ratios.values()) else {}
             counts |= {"lost": len(costs) - len(timed), "no proven difference": len(timed.filter(~is_proven))}
             noted = [f"{words} in {count}" for words, count in counts.items() if count]
             of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""
-            parts.append(f"{' and '.join(factors)}{of_all}")
+            parts.append(f"{factors} as long {label}{of_all}")
     return ", ".join(parts)
 
 

@@ -49,13 +49,13 @@ class CellResult:
         return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
-        loss = f", {self.loss_percent:.2g} % lost" if self.received < self.published else ""
+        loss = f", {three_digits(self.loss_percent)} % lost" if self.received < self.published else ""
         cut = f", cut off after {self.published} of {self.planned}" if self.cut_off else ""
         rtt = "no reply"
         if self.rtt_ms:
             rtt = f"RTT p50 {three_digits(self.rtt_ms['p50'])} p99 {three_digits(self.rtt_ms['p99'])} ms"
         not_applied = f"; not applied: {self.not_applied}" if self.not_applied else ""
-        return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{not_applied}"
+        return f"{rtt}, {self.received}/{self.published}{loss}{cut}{not_applied}"
 
 
 def read_result(path: Path) -> CellResult:

@@ -167,7 +167,7 @@ def test_run_without_any_reply(tmp_path):
     path = write_trace(tmp_path / "a.mcap", ping_session(), [run()], ping_events([Message(0, t1=0)]))
     result = read_result(path)
     assert (result.rtt_ms, result.achieved_rate_hz, result.loss_percent) == (None, None, 100.0)
-    assert str(result).startswith("no reply, 0/1 message,")
+    assert str(result).startswith("no reply, 0/1, 100 % lost")
 
 
 def test_a_run_that_was_not_finished_and_a_relays_trace_are_no_result(tmp_path):

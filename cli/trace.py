@@ -101,7 +101,6 @@ def _show_help(is_short: ShortHelp = False, version: Version = False) -> None:
 
 
 def commands() -> dict[str, Callable[[], typer.Typer]]:
-    """Return the words of each command, an extension's too, with the call that imports its app."""
     local: dict[str, Callable[[], typer.Typer]] = {name: partial(_load_app, home) for name, home in _COMMANDS.items()}
     rank = {word: number for number, word in enumerate(_ORDER)}
     apps = {**local, **offers("commands")}

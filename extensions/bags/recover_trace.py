@@ -192,7 +192,6 @@ def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tup
 
 
 def _text(item: Text) -> str:
-    """Return the text, nothing if it is not a String of the recorder's."""
     try:
         return decode_string(item.data)
     except ValueError:

@@ -84,7 +84,6 @@ def _record(trials: Trials, cell: Cell) -> None:
 
 
 def arriving_mbit_s(path: Path, stage: Stage) -> float:
-    """Return the rate at which messages arrived."""
     events = read_trace(path).events[stage]
     first = int(STARTED * len(events))
     span_ns = int(events.monotonic_ns[-1] - events.monotonic_ns[first]) if len(events) > first + 1 else 0

@@ -117,7 +117,6 @@ def _rate_words(highest: MaxRate) -> str:
 
 
 def _ticks(search: Search) -> list[float]:
-    """Return round rates within the range, and its ends where it has less than two."""
     ends = search.min_rate, search.max_rate
     powers = range(math.floor(math.log10(ends[0])), math.ceil(math.log10(ends[1])) + 1)
     steps = (1, 2, 5) if len(powers) < 4 else (1,)

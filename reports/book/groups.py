@@ -370,5 +370,4 @@ def is_of_topics(analysis: Analysis) -> bool:
 
 
 def topic_parts(analysis: Analysis, part: str) -> tuple[Any, ...]:
-    """Return the `topic_sentences` or `topic_sections` of an analysis; none without topics."""
     return tuple(load("parts", part)(analysis)) if analysis.topics.height else ()

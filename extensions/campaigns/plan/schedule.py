@@ -145,7 +145,6 @@ def loss_seconds(cell: Cell) -> float:
 
 
 def carried_rate(plan: Plan, cell: Cell) -> float:
-    """Return the messages a second that fill the link, without headers."""
     link = plan.link_of(cell)
     if link is None or not link.rate_mbit_s or not cell.size:
         return math.inf

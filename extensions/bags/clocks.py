@@ -438,5 +438,6 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
 
 
 def age_course(age_ns: Int64) -> tuple[float, float]:
+    """Return the ages at the start and at the end: medians of up to five messages."""
     count = min(max(len(age_ns) // PATTERN, 1), FEWEST // 2 + 1)
     return median(age_ns[:count]), median(age_ns[-count:])

@@ -320,6 +320,7 @@ def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: In
 
 
 def _filled(holes: Holes, count: int) -> Holes:
+    """Return the holes, the longest first filled with a known number of messages."""
     order = np.argsort(-holes.duration_ns, kind="stable")
     remaining = count - np.append(0, np.cumsum(holes.missing[order]))[:-1]
     missing = np.clip(remaining, 0, holes.missing[order])

@@ -63,6 +63,7 @@ def levels_around(values: Float64 | Int64, at: Int64) -> tuple[Float64, Float64]
 
 
 def find_regularity(times_ns: Int64) -> Regularity | None:
+    """Return the regularity of ascending times; None without a period."""
     patterns = [pattern for pattern in [_pattern(times_ns, 1)] if pattern is not None]
     if not patterns or patterns[0].share < MOST:
         patterns += [p for m in range(2, PATTERN + 1) if (p := _pattern(times_ns, m)) is not None]

@@ -101,6 +101,7 @@ def ask(
 
 
 def limits_of(deadline: str | None = None, in_time: str = "99%", cpu: float | None = None) -> Limits:
+    """Return the limits of what a person writes, such as `50ms` and `99%` or `0.99`; None is no limit."""
     return Limits(
         deadline_ms=math.inf if deadline is None else parse_duration(deadline, "--deadline") / 1e6,
         late_percent=100 - _percent(in_time),

@@ -291,6 +291,7 @@ class Estimator:
 
 
 def minutes_to_measure(parameters: Parameters, reliability: float) -> int:
+    """Return the time of the least sweep that gives a result an interval."""
     size, rate_hz = parameters["payload_bytes"], parameters["rate_hz"]
     cell = Cell(backend=parameters["backend"], bridge=parameters["bridge"], size=size, rate=rate_hz)
     run = RunSettings(messages=math.ceil(planned_messages(reliability) / MIN_RUNS), repeats=MIN_RUNS)

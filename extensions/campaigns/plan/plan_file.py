@@ -293,6 +293,7 @@ def _check(plan: Plan, where: str) -> None:
 
 
 def read_link(text: str) -> Link:
+    """Return the link of a preset's name, or of a file with a table `[link]`."""
     if text in PRESETS:
         return PRESETS[text]
     link = _link(
@@ -304,6 +305,7 @@ def read_link(text: str) -> Link:
 
 
 def read_host(text: str) -> DeviceSettings:
+    """Return the device of an ssh name, or of a file with a table `[devices.relay]`."""
     if not text.endswith(".toml"):
         limits.check(limits.HOST, text.rpartition("@")[2], "--host")
         return DeviceSettings(ssh=text)

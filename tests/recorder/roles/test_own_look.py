@@ -12,13 +12,11 @@ from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip
 from dds_trace.extensions.campaigns.station.namespaces import NamespacePair
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import installation
+from dds_trace.recorder.backends.ros2.fastdds_profile import profile_xml
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.kernel import sockets
 
-WHITELIST = """<dds><profiles><transport_descriptors><transport_descriptor><transport_id>u</transport_id><type>UDPv4</type>
-<interfaceWhiteList><address>{}</address></interfaceWhiteList></transport_descriptor></transport_descriptors>
-<participant profile_name="p" is_default_profile="true"><rtps><userTransports><transport_id>u</transport_id></userTransports>
-<useBuiltinTransports>false</useBuiltinTransports></rtps></participant></profiles></dds>"""
+WHITELIST = profile_xml("a whitelist", {"udp": {"type": "UDPv4", "interfaceWhiteList": {"address": "{}"}}}, {})
 
 
 def causes(variables, rmw="rmw_fastrtps_cpp", **options):
@@ -33,8 +31,7 @@ def test_variables_that_keep_a_node_from_others_are_named(sentences, monkeypatch
     (server,) = causes(given)
     assert causes(given, rmw="rmw_cyclonedds_cpp") == []
     (other,) = causes({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, rmw="rmw_zenoh_cpp")
-    peers = {"ROS_STATIC_PEERS": "127.0.0.1"}
-    (ignored,) = causes(peers, discovery=Discovery.LOCALHOST, tuned=True)[-1:]
+    *_, ignored = causes({"ROS_STATIC_PEERS": "127.0.0.1"}, discovery=Discovery.LOCALHOST, tuned=True)
     sentences(server, other, ignored)
 
 

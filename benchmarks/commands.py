@@ -116,7 +116,11 @@ def keep_row(path: Path | None, row: SpeedRow) -> None:
     if path is None:
         return
     values = {
-        name: "" if value is None else f"{value:.3g}" if isinstance(value, float) else value
+        name: ""
+        if value is None
+        else f"{value:{'.3g' if value < 1000 else '.0f'}}"
+        if isinstance(value, float)
+        else value
         for name, value in asdict(row).items()
     }
     rows: dict[str, dict[str, str]] = {}

@@ -63,7 +63,7 @@ def speed_table(rows: Sequence[Mapping[str, str]]) -> str:
         asked = dict(bar.split("=") for bar in row["asked"].split()).get(figure)
         if not row[figure]:
             return ""
-        shown = f"{float(row[figure]):.3g}{unit}"
+        shown = f"{row[figure]}{unit}"
         is_missed = asked is not None and float(row[figure]) > float(asked)
         return (f"**{shown}**" if is_missed else shown) + (f" ({asked})" if asked else "")
 

@@ -74,8 +74,7 @@ def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.
     return statistics, pl.DataFrame(rows, schema=INTERVAL_SCHEMA), pl.DataFrame(one_way, schema=ONE_WAY_SCHEMA)
 
 
-_Measured = tuple[int, dict[str, Runs], float]
-"""Group, the runs of some of its metrics, and the error of a quantile of a one-way time, ns."""
+_Measured = tuple[int, dict[str, Runs], float]  # group, runs of metrics, error of a one-way quantile
 
 
 def rows_of_groups(
@@ -134,7 +133,6 @@ def _rows_of(
     for (group, metric, runs, bound_ns), spreads, estimates in zip(
         metrics, spreads_of_all, estimates_of_all, strict=True
     ):
-        # No quantile of one-way times has a larger error than its worst message.
         ordered, off_ns = runs.ordered, bound_ns if metric in ONE_WAY_METRICS else 0.0
         take(group, metric, ordered)
         for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):

@@ -11,7 +11,7 @@ from ..pairing.exchanges import Exchange
 from ..pairing.pair import chosen_of
 from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.bursts import share_inflation
-from ..run_statistics.modes import MODES_MIN_MESSAGES, find_modes, find_trend, find_warm_up
+from ..run_statistics.modes import find_modes, find_trend, find_warm_up
 from ..statistics.percentiles import quantile_of
 from .batch import Batch, filled
 
@@ -69,9 +69,7 @@ def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
     trend = find_trend(latency_ns)
     if trend is not None and trend.is_sure() and abs(trend.change) * p50_ns >= OWN_NS:
         shape["trend_ratio"] = 1 + trend.change
-    modes = None
-    if len(latency_ns) >= MODES_MIN_MESSAGES:
-        modes = find_modes(ordered_ns, share_inflation(np.flatnonzero(latency_ns > p50_ns), len(latency_ns)))
+    modes = find_modes(ordered_ns, share_inflation(np.flatnonzero(latency_ns > p50_ns), len(latency_ns)))
     if modes is not None and modes.high - modes.low >= OWN_NS:
         shape["modes_low_ns"], shape["modes_high_ns"] = modes.low, modes.high
         shape["modes_share"] = modes.share

@@ -95,11 +95,6 @@ class RowsInMemory(RowStore):
     def scan(self) -> pl.LazyFrame:
         return self._rows.lazy()
 
-    def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
-        rows = self._rows.select(columns)  # a query of few rows takes longer
-        spans = [rows.slice(*span) for span in zip(groups["first"], groups["published"], strict=True)]
-        return pl.concat(spans) if spans else rows.head(0)
-
 
 class RowsInFile(RowStore):
     def __init__(self, path: Path, folder: TemporaryFolder | None = None) -> None:

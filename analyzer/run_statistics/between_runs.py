@@ -101,8 +101,7 @@ def _units_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) ->
             continue
         shortest = min(group.lengths)
         parts.append((number, [statistic for statistic in statistics if statistic.needs <= shortest], group))
-        most = sum(group.lengths) // MIN_RUNS  # that a unit may need
-        long = (statistic for statistic in statistics if shortest < statistic.needs <= most)
+        long = (s for s in statistics if shortest < s.needs <= sum(group.lengths) // MIN_RUNS)
         parts += ((number, [statistic], _joined_where_short(group, statistic.needs)) for statistic in long)
     units: list[dict[Statistic, Units | None]] = [dict.fromkeys(statistics) for _ in groups]
     requests = [(runs, [s.quantile for s in supported if s.quantile is not None]) for _, supported, runs in parts]

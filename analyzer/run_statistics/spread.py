@@ -38,7 +38,8 @@ def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
     if not len(runs) or scale_of(values) is not Scale.LOGARITHM:
         return Spread(None, None)
     if statistic.quantile is None:
-        errors = np.array([_log_error_of_mean(run, v) for run, v in zip(runs, values.tolist(), strict=True)])
+        variances = [max(float(run.values.var()), long_run_variance(run.values)) / len(run) for run in runs]
+        errors = np.sqrt(variances) / values
     else:
         (errors,) = log_errors(runs, [statistic.quantile])
     return _spreads(values[None], errors[None])[0]
@@ -57,15 +58,8 @@ def _spreads(values: Float64, errors: Float64) -> list[Spread]:
     return [Spread(*parts) if has_own else Spread(None, None) for *parts, has_own in pairs]
 
 
-def _log_error_of_mean(run: Run, mean: float) -> float:
-    variance = max(float(run.values.var()), long_run_variance(run.values))
-    return math.sqrt(variance / len(run)) / mean
-
-
 def log_errors(runs: Runs, quantiles: Sequence[float], groups: int = 1) -> list[Float64]:
     """Return the standard error of the logarithm of each run's quantiles, NaN where not finite; each of shape (runs,).
-
-    `groups` follow each other in the runs, with equal lengths.
 
     Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, JASA 47, 1952).
     """

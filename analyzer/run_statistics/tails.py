@@ -187,7 +187,8 @@ def _tails_of_alike(groups: Sequence[Runs], quantiles: Sequence[float]) -> list[
     sizes, episodes = sizes_between(ends), ends.searchsorted(offsets)
     squared = np.diff(np.concatenate([[0], np.cumsum(sizes * sizes)])[episodes]).tolist()
     spans = pairwise(episodes.tolist())
-    bounds = _bounds(count, len(first))
+    # By group: a product with more rows may be rounded differently.
+    bounds = np.arange(count)[:, None] * len(first) + np.arange(len(first) + 1)
     inflations = share_inflations(
         first.cells,
         np.concatenate([first.cells.counts(beyond.indices, count) for beyond in tails]),
@@ -245,17 +246,13 @@ def inflations_of(runs: Runs, quantiles: Sequence[float], groups: int = 1) -> li
     """Return by quantile and group the inflation of each run's tail; the groups have equal lengths of runs."""
     limits = limits_of([run.ordered for run in runs], quantiles)
     indices = indices_beyond(runs.values, runs.offsets, limits, quantiles)
-    cells = runs.cells if groups == 1 else cells_of(runs.lengths[: len(runs) // groups])
+    size = len(runs) // groups
+    cells, bounds = cells_of(runs.lengths[:size]), np.arange(groups)[:, None] * size + np.arange(size + 1)
     return share_inflations(
         cells,
         np.concatenate([cells.counts(tail, groups) for tail in indices]),
-        np.concatenate([tail.searchsorted(runs.offsets)[_bounds(groups, len(runs) // groups)] for tail in indices]),
+        np.concatenate([tail.searchsorted(runs.offsets)[bounds] for tail in indices]),
     )
-
-
-def _bounds(groups: int, runs: int) -> Indices:
-    """Return the first run of each group, its others, and the first of the next: a product with more rows may be rounded differently."""
-    return np.arange(groups)[:, None] * runs + np.arange(runs + 1)
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:

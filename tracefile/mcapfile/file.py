@@ -98,9 +98,6 @@ class RecordFile(Records, AbstractContextManager["RecordFile"]):
         os.close(self._descriptor)
 
     def read(self, offset: int, size: int) -> bytes:
-        with suppress(OSError):  # which is said below
-            if len(whole := os.pread(self._descriptor, size, offset)) == size:
-                return whole
         data = bytearray(size)
         self.read_into(memoryview(data), offset)
         return bytes(data)

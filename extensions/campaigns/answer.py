@@ -369,11 +369,11 @@ class Search:
         if fits is not None:
             rows = [row for row in (*self.ranking, *self.fresh) if row.looks]
             tried = {row.candidate.name for row in rows}
-            broken = {row.candidate.name for row in rows if row.excess(limits)[0]}
+            breaking = {row.candidate.name for row in rows if row.excess(limits)[0]}
             nearest = f"{name} was nearest: {chosen.excess(limits)[1]}"
             reason = f"None of {counted(len(tried), 'setup')} fits ({nearest})"
-            if tried - broken:  # others were slower when nothing had broken a limit
-                reason = f"None of the {counted(len(broken), 'setup')} that looked best fits ({nearest})"
+            if tried - breaking:  # others were slower when nothing had broken a limit
+                reason = f"None of the {counted(len(breaking), 'setup')} that looked best fits ({nearest})"
             if self.load > 1:
                 reason = f"No setting makes this fit ({self._load_words()})"
             return f"{reason}; with {name} {self._fits_words(fits)}."
@@ -396,7 +396,7 @@ class Search:
         parts = [f"{format_rate(rate)} at this size"] if rate else []
         parts += [f"{format_size(int(size))} at this rate"] if size else []
         if not parts:
-            return f"nothing that does was found in {self.question.minutes:g} min"
+            return f"nothing that does was proven in {self.question.minutes:g} min"
         others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
         return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
 

@@ -28,7 +28,6 @@ PACED_SHARE, PERIOD_MS = 0.8, 10
 
 
 def bundles(vendor: str, largest_bytes: int, link: Link | None) -> dict[str, str]:
-    """Return name -> text of the files for messages and a link, which may be emulated or measured."""
     rate_byte_s = link.rate_mbit_s * 1e6 / 8 if link else 0.0
     if vendor == "fastdds":
         return _fastdds(largest_bytes, rate_byte_s)

@@ -22,7 +22,6 @@ _RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference
 
 
 def ignored() -> str:
-    """Return the columns that `dds-trace compare --ignore` needs for two setups."""
     return ",".join(name for name in CONTENDER_COLUMNS if name in IGNORABLE_COLUMNS)
 
 

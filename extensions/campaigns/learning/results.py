@@ -64,7 +64,6 @@ def statistic_name(metric: str, quantile: float) -> str:
 
 
 def campaign_of(messages: pl.DataFrame, job: Job | None = None) -> Campaign:
-    """Return the results of the messages of an analysis, with the job's statistic among the times."""
     metrics = dict.fromkeys((*_METRICS, *((job.metric,) if job else ())))
     quantiles = sorted({*_QUANTILES, *((job.reliability,) if job else ())})
     results = []

@@ -57,7 +57,6 @@ def find_rmws() -> Sequence[str | None]:
 
 
 def describe_installed() -> str:
-    """Return the distribution, and each middleware with its versions, in words."""
     names = (re.fullmatch(r"ros-([a-z]+)-rclpy", dist.metadata["Name"] or "") for dist in metadata.distributions())
     distro = os.environ.get("ROS_DISTRO") or next((match[1] for match in names if match), "")
     rmws = [_described(rmw or WHEELS_RMW) for rmw in find_rmws()]

@@ -36,7 +36,6 @@ SCHEMAS = {
 
 
 def content(kind, rng):
-    """Bytes of a message, some of them too short, of another byte order or with bytes that look like records."""
     seconds, frame = (
         rng.choice([0, 1_790_000_000, 2**31 - 1]),
         rng.choice([b"", b"cam\0", b"a_long_frame\0", b"x" * 300]),
@@ -72,7 +71,6 @@ def write(path, rng, count, **options):
 
 
 def by_message(path):
-    """The columns of each message by topic, as another reader finds the messages and each is read by itself."""
     schemas, channels, topics = {0: None}, {}, {}
     for record in StreamReader(BytesIO(path.read_bytes())).records:
         if isinstance(record, Schema):

@@ -64,7 +64,6 @@ def unfinished(folder: Path, kind: str, seed: int) -> Path:
 
 
 def rows_by_sqlite(path: Path, folder: Path) -> list[tuple[int, int, bytes]]:
-    """Return what SQLite reads of a database that the test made, with its log."""
     copies = [shutil.copy(file, folder / f"oracle{file.name[3:]}") for file in path.parent.glob(f"{path.name}*")]
     with closing(sqlite3.connect(min(copies))) as database:
         return database.execute(KEYS).fetchall()

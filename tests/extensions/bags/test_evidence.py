@@ -103,7 +103,6 @@ SHIFTS = {
 
 
 def grow(kind, count, rng):
-    """Return a recording of some kind with about `count` messages."""
     due, log_ns = made_timer(rng, seconds=count / 100, hz=100, jitter=0.3 if "jitter" in kind else 0.01)
     number = np.arange(len(due))
     topics = {

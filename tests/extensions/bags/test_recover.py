@@ -61,7 +61,6 @@ def test_the_first_and_the_last_message_of_a_piece_are_kept(tmp_path, kind):
 
 @pytest.mark.parametrize("how", ["first bytes", "no first bytes", "before the magic", "short", *range(1, 9)])
 def test_all_commands_read_a_file_with_damaged_ends(tmp_path, how):
-    """Also one without its last one to eight bytes."""
     good = make_good("mcap zstd", tmp_path, 7)
     is_cut = isinstance(how, int)
     content, whole = (good.content[:-how], good.needs) if is_cut else damage(good, random.Random(3), how)

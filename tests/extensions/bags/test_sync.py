@@ -15,7 +15,6 @@ from dds_trace.extensions.bags.sync import compare_stamps
 
 
 def made(rng, rate_hz, seconds, offset_ns=0.0, ppm=0.0):
-    """Log times and stamps that are `offset_ns` older at the start, and lose `ppm`."""
     sent_s = np.sort(rng.uniform(0, seconds, int(rate_hz * seconds)))
     log_s = np.sort(sent_s + rng.gamma(3, 3e-4, len(sent_s)))
     stamps_ns = sent_s * 1e9 * (1 - ppm * 1e-6) - offset_ns

@@ -15,7 +15,6 @@ BRIDGE = [sys.executable, "-m", "dds_trace", "bridge"]
 
 
 def run(*arguments, **environment):
-    """The command in a process of its own, with no program on the PATH but Python."""
     variables = {**os.environ, "PATH": "/nowhere", "XDG_DATA_HOME": "/nowhere", **environment}
     for name in ("NDDSHOME", "AMENT_PREFIX_PATH"):
         variables.pop(name, None)

@@ -119,7 +119,6 @@ def test_what_breaks_a_limit_in_the_fresh_runs_is_not_used(tmp_path, monkeypatch
 
 
 def test_where_no_default_is_better_by_proof_the_faster_of_two_middlewares_is_used(tmp_path, monkeypatch):
-    """By p50 and p99 of the fresh runs, not by the looks."""
     made_proofs(monkeypatch, {"Cyclone-DDS-default": "better", "Zenoh-default": "no difference"})
     desk = Desk(median)
     desk.response_ms = lambda one: 9 if desk.stage == "proof" and one.vendor == "zenoh" else median(one)
@@ -242,7 +241,6 @@ def test_a_model_puts_the_candidates_in_order(tmp_path):
 
 
 def test_one_candidate_alone_is_measured_and_used(tmp_path):
-    """As of a vendor without known settings, and on a machine with one middleware."""
     text = PLAN.replace('["cyclonedds", "zenoh"]', '"socket"')
     found = Desk(lambda _: 20).search(tmp_path, text=text, deadline="50ms").answer()
     assert (found["recommended"]["vendor"], found["recommended"]["variables"]) == ("socket", {})

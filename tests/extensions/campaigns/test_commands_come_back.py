@@ -51,7 +51,6 @@ def options_of(arguments):
 
 
 def result_of(plan):
-    """The parameters of a recording of the plan's only cell, and what its options are."""
     (cell,) = plan.cells
     ping, relay = (
         options_of([*arguments, *further])

@@ -244,7 +244,6 @@ def plans(draw):
 
 
 def _not_started(text, folder):
-    """Rehearse a plan and record up to two of the cells that pass; those that did not start, and how many were tried."""
     try:
         plan = parse_plan(text, "plan", "plan.toml")
     except OptionError:

@@ -176,7 +176,6 @@ def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
 
 @pytest.fixture
 def unrehearsed(monkeypatch):
-    """Leaves the checks of a dry run out, which `test_dry_run.py` is about; what it would refuse may be set."""
     refused = {}
     monkeypatch.setattr("dds_trace.extensions.campaigns.rehearsal.check_plan", lambda *_: refused)
     return refused

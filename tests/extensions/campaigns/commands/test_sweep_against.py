@@ -23,7 +23,6 @@ def plan(tmp_path, domain_id):
 
 
 def starts_of(folder):
-    """(time of the first message, side, pass) of each run, in the order of time."""
     held = [
         (trace.wall_ns[0], side, int(trace.labels["pass"]))
         for side in ("base", "new")

@@ -32,7 +32,6 @@ def passes_in(folder):
 
 
 def width_of(folder, statistic):
-    """Return how precisely the recorded runs tell a statistic of the only cell, in percent."""
     run_ids = [read_trace(path).runs[0].run_id for path in folder.glob("*.ping.mcap")]
     rows = analyze(folder, details=False).load_messages()
     return half_widths(rows, {CELL: run_ids}, statistic)[CELL]

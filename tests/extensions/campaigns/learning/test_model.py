@@ -50,7 +50,6 @@ def law_ns(values):
 
 
 def campaign(seed, *, change=lambda _values, time_ns: time_ns, spread=0.05):
-    """All setups, sizes and rates, each some percent off, as is the whole campaign."""
     random = np.random.default_rng(seed)
     off = random.normal(0, spread)
     cells = [parameters(vendor, size, rate) for vendor in SLOWNESS for size in SIZES for rate in RATES]

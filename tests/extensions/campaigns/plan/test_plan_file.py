@@ -155,7 +155,6 @@ def refusal(text):
     ],
 )
 def test_times_and_rates_without_end_are_refused(text):
-    """Found by fuzzing: an estimate of the time that is left was no number."""
     with pytest.raises(OptionError, match=r"plan\.toml"):
         parse_plan(text + '[[matrix]]\ndata = "imu"\n', "plan", "plan.toml")
 

@@ -291,7 +291,6 @@ def test_interruption_keeps_what_is_complete_and_goes_on_from_there(desk):
 
 @pytest.fixture
 def link(monkeypatch):
-    """What the stand-ins' link is said to have done; the test fills it in."""
     measured = {"monotonic_ns": 0, "link": {"rate_mbit_s": 54}, "ping": {"sent_bytes": 5 * 33_000}}
 
     @contextmanager

@@ -29,7 +29,6 @@ needs_tap = pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="no TAP
 
 @contextmanager
 def echo(pair, *words):
-    """A UDP echo server at the relay's end, by a command that starts with `words`."""
     server = subprocess.Popen(
         [*pair.relay.prefix, *words, sys.executable, str(UDP_ECHO), "serve"], stdout=subprocess.PIPE, text=True
     )
@@ -42,7 +41,6 @@ def echo(pair, *words):
 
 
 def spans(pairs, size_bytes, count, timeout_s=20, prefix=()):
-    """Begin and end of each round trip of these pairs, which start together, in nanoseconds."""
     words = [str(word) for word in (size_bytes, count, timeout_s)]
     asking = [
         subprocess.Popen(

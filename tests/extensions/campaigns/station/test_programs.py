@@ -15,7 +15,6 @@ GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 @pytest.fixture
 def environment(tmp_path):
-    """Another Python environment whose dds-record prints the variables that the ROS 2 wheels set."""
     program = tmp_path / "bin" / "dds-record"
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\necho "${{{GUARD}-unset}} ${{LD_LIBRARY_PATH-unset}} $1"\n')

@@ -211,7 +211,6 @@ def test_a_second_question_waits_for_the_first_and_a_stop_ends_it(served, search
 
 @pytest.mark.parametrize("rate", ENDS)
 def test_what_ends_a_search_is_said_with_what_was_measured_and_the_next_one_runs(served, search, rate):
-    """As a full disk, and a device that vanishes."""
     search.going.set()
     post(served, "/ask", {**FORM, "rate": str(rate)})
     wait_until(lambda: json.loads(request(served, "GET", "/state")[1]).get("error") == str(ENDS[rate]))

@@ -179,7 +179,8 @@ def test_it_stands_on_top_and_its_commands_in_the_page_in_markdown_and_in_the_te
         for device, command in book.advice.commands:
             assert f"on {device}:" in text
             assert command in text
-    for text, first_below in ((page, 'id="figures"'), (markdown, "What was measured")):
+    read = page.replace("\N{NO-BREAK SPACE}", " ")
+    for text, first_below in ((read, 'id="figures"'), (markdown, "What was measured")):
         assert text.index("within the deadline of 50 ms") < text.index(first_below)
     assert markdown.index(book.advice.sentence) < markdown.index(book.answer.headline[:10])
     analysis = replace(book.analysis, details=replace(book.analysis.details, recommendation=None))

@@ -239,7 +239,7 @@ def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
     drawn = [text.count(f'class="{name}"') for name in ("base range", "new range", "drawn")]
     assert drawn == [30, 30, 31]  # and a heading
     assert read.text.index(info.answer[0]) < read.text.index("Gates") < read.text.index("Results, worst first")
-    assert "Binary 7 B at 10 Hz" in read.text
+    assert "Binary 7\N{NO-BREAK SPACE}B at 10\N{NO-BREAK SPACE}Hz" in read.text
     assert comparison_as("html", info) == text
 
 

@@ -203,7 +203,7 @@ async function savePicture(name, block, format) {
 async function savePictures(name, format, figures, options) {
   if (format === "pdf") {
     const pictures = figures.flatMap(([, own]) => own);
-    const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height) + 1}px; margin: 0`; // a page is whole points high
+    const sizeOf = ({ width, height }) => `${width}px ${Math.ceil(height) + 1}px; margin: 0`;
     const sheets = pictures.map((picture) => ({ picture, size: sizeOf(picture.layout), words: [] }));
     return printSheets(name, sheets, options);
   }

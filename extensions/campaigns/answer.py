@@ -23,7 +23,7 @@ from dds_trace.base.units import counted, format_rate, format_size
 
 from .advice import variables_of
 from .folder import replace_text
-from .halving import FIRST_SECONDS, Candidate, Event, Look, Measurer, Race, Standing
+from .halving import FIRST_SECONDS, NO_TIME, Candidate, Event, Look, Measurer, Race, Standing
 from .link_probe import PROBE_S, probe_link
 from .plan.flows import recorded_together
 from .plan.plan import Plan
@@ -374,11 +374,15 @@ class Search:
             reason = f"None of {counted(len(tried), 'setup')} fits ({nearest})"
             if tried - breaking:  # others were slower when nothing had broken a limit
                 reason = f"None of the {counted(len(breaking), 'setup')} that looked best fits ({nearest})"
+            if untried := sum(row.dropped == NO_TIME for row in self.ranking):
+                reason += f", {untried} more had no time (--minutes)"
             if self.load > 1:
                 reason = f"No setting makes this fit ({self._load_words()})"
             return f"{reason}; with {name} {self._fits_words(fits)}."
         event = chosen.event("proof", limits)
         late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"
+        if late and event.late > limits.late_percent / 100 * event.messages:
+            late += f" (more than the {limits.late_percent:g} % allowed, but not for sure)"
         sides = {side.candidate.name: side for side in self.fresh}
         compared = []
         for proof in self.proofs:

@@ -39,6 +39,8 @@ FIRST_SECONDS = 2.0
 FIRST_SHARE, FIRST_RUNS = 0.6, 2
 """Most of the time of the looks that the first pass may take, and runs of it that are made whatever they take."""
 
+NO_TIME = "not tried, there was no time"
+
 LEAST_SPREAD, DISTANCE = 0.05, 2.5
 """A candidate is slower if it is so by as many standard errors; runs spread by at least 5 %."""
 
@@ -239,7 +241,7 @@ class Race:
                 if (number == 1 and index < FIRST_RUNS) or self.has_time(standing.candidate, seconds, number):
                     self.run(standing, seconds)
                 elif not standing.looks:
-                    self.drop(standing, "not tried, there was no time")
+                    self.drop(standing, NO_TIME)
             if len(racing := self._not_excluded(racing)) < 2 and number >= PASSES:
                 break
             seconds *= 2 if number % PASSES == 0 else 1

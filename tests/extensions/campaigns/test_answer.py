@@ -149,6 +149,8 @@ def test_no_step_begins_that_would_not_end_in_the_time_that_was_given(tmp_path, 
     assert desk.now_s <= 60 * minutes + max(0, *desk.late_s[2:])
     proofs = Counter(candidate.name for stage, candidate, _ in desk.looks if stage == "proof")
     assert found["recommended" if kind == "fits" else "fits"] is not None
+    untried = sum("not tried" in one["dropped"] for one in found["candidates"])
+    assert (f"{untried} more had" in found["sentence"]) == (kind == "breaks a limit" and untried > 0)
     if kind == "fits" and minutes >= 8:
         assert min(proofs.values()) >= module.LEAST_PROOFS
 

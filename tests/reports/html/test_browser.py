@@ -168,7 +168,7 @@ def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(read_wi
     page = load_reporter("html").render(Book(replace(analysis, details=details)))
     one = read_with(viewport={"width": 390, "height": 844})
     tab = one.open(show(page))
-    assert "the deadline of 50 ms" in tab.locator(".headline").first.inner_text()
+    assert "the deadline of 50\N{NO-BREAK SPACE}ms" in tab.locator(".headline").first.inner_text()
     assert [text[0] for text in tab.locator(".advice li").all_inner_texts()] == ["✓", "✗"]
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
 
@@ -227,7 +227,7 @@ def test_the_ecdf_is_of_the_planned_messages_and_one_of_the_received_ones_follow
     shares = {name: (row["Share of planned"], row["Share of received"]) for name, row in ends.items()}
     assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
     titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
-    assert [title.split(", ")[0] for title in titles] == ["Planned messages", "Received messages"]
+    assert [title.split(", ")[0] for title in titles[1:]] == ["Planned messages", "Received messages"]
     medians = {row["Setup"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30}
     assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []
@@ -475,7 +475,7 @@ def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(read_wi
     assert violations(tab, "{include: ['.first']}") == []
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
     assert tab.locator(".sizes .lost").count() > 0
-    assert tab.locator(".headline").inner_text().partition(" % of the messages were lost")[1]
+    assert tab.locator(".headline").inner_text().partition("% of the messages were lost")[1]
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])

@@ -170,7 +170,7 @@ def short_of_disk(domain_id, disk):
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr  # all of it found room
     assert "must stay free (-o keep_free)" in stopped.stderr
-    assert " messages received in 4 runs; " in stopped.stdout
+    assert " messages received in 4 runs\n" in stopped.stdout
     trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
     runs = [run_of(path) for path in (traces / "first.mcap", traces.parent / "second.mcap", traces / "third.mcap")]
     of_runs = [trace.events[Stage.T3].run_id.tolist().count(each) for each in runs]

@@ -41,7 +41,7 @@ NOT_HERE = re.compile(
 )
 OF_APT = "/opt/ros/"
 FETCHES = re.compile(r"git clone|pip install")
-MEANT = re.compile(r"--fail-if|dds-trace bag |compare ")
+MEANT = re.compile(r"--fail-if|--until|dds-trace bag |compare ")
 """A command whose answer may be an exit code of its own."""
 WITH_WHEELS = re.compile(r"^.*# leave it out with wheels\n|(?<=\"rmw_fastrtps_cpp\"), [^\]]*(?=\])", re.MULTILINE)
 WIDTH = 80

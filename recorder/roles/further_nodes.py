@@ -95,13 +95,13 @@ def _rates_until_rest(processes: Sequence[psutil.Process], end_s: float) -> list
 
 def _rates(processes: Sequence[psutil.Process]) -> tuple[float, ...]:
     """Return packets and bytes a second that all interfaces sent, and the processes' share of a core in percent."""
-    before = _totals(processes)
+    before, used_s = read_interfaces(), _used_s(processes)
     time.sleep(REST_S)
-    return tuple((total - was) / REST_S for total, was in zip(_totals(processes), before, strict=True))
+    sent = [(now.sent_packets - was.sent_packets, now.sent_bytes - was.sent_bytes)
+            for name, now in read_interfaces().items() if (was := before.get(name))]  # fmt: skip
+    totals = *map(sum, zip(*sent, strict=True)), 100 * (_used_s(processes) - used_s)
+    return tuple(total / REST_S for total in totals)
 
 
-def _totals(processes: Sequence[psutil.Process]) -> tuple[float, ...]:
-    interfaces, times = read_interfaces().values(), [process.cpu_times() for process in processes]
-    used_s = sum(spent.user + spent.system for spent in times)
-    counts = [(interface.sent_packets, interface.sent_bytes) for interface in interfaces]
-    return *map(sum, zip(*counts, strict=True)), 100 * used_s
+def _used_s(processes: Sequence[psutil.Process]) -> float:
+    return float(sum(sum(process.cpu_times()[:2]) for process in processes))  # user and system

@@ -84,5 +84,5 @@ def test_two_containers_without_a_common_dev_shm_are_told_so(domain_id, tmp_path
     advice, settings = done.stderr.splitlines()[-2:]
     assert "/dev/shm" in advice, done.stderr
     assert settings.startswith("  not applied: ")
-    assert "fastrtps_port" in settings
+    assert "_port" in settings
     assert "firewall" not in done.stderr

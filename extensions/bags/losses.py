@@ -286,6 +286,11 @@ def resolution_ns(stamp_ns: Int64) -> int | None:
     return millisecond_ns if unit_ns == millisecond_ns and not (stamp_ns % millisecond_ns).any() else None
 
 
+def quiet_ns(period_ns: float) -> float:
+    """Return how long a steady topic is silent at its start or end before this is a hole."""
+    return max((2 + 1) * period_ns, SECOND_NS)
+
+
 def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: Int64) -> Losses:
     """Return the union of the intervals of all readings, `missing` by the finest.
 
@@ -307,11 +312,10 @@ def agreed(readings: Sequence[Reading], start_ns: int, end_ns: int, times_ns: In
         holes = _filled(rhythm.holes, first.missing)
     if rhythm is not None:
         first_ns, last_ns, period_ns = int(times_ns[0]), int(times_ns[-1]), round(rhythm.period_ns)
-        quiet_ns = max((2 + 1) * period_ns, SECOND_NS)
         ends = []
-        if first_ns - start_ns > quiet_ns:
+        if first_ns - start_ns > quiet_ns(period_ns):
             ends.append(Holes.between([start_ns], [first_ns]))
-        if end_ns - last_ns > quiet_ns:
+        if end_ns - last_ns > quiet_ns(period_ns):
             ends.append(Holes.between([last_ns + period_ns], [end_ns]))
         elif first.missing and first.rhythm is not None:
             high += (end_ns - last_ns) // max(period_ns, 1) * rhythm.in_pattern

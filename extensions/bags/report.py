@@ -42,6 +42,7 @@ from .analyze import TopicReport
 from .bounds import FEWEST, NOTICED_NS, SHOWN
 from .card import STRIP_PARTS, WHOLE, RecordingHealth
 from .chains import chain_lines
+from .losses import quiet_ns
 from .observations import READ_BY
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     early = []
     for row in rows:
         rest_ns = end_ns - row["start_ns"] - row["duration_ns"]
-        if row["expected_rate_hz"] and rest_ns > max((2 + 1) / row["expected_rate_hz"], 1) * SECOND_NS:
+        if row["expected_rate_hz"] and rest_ns > quiet_ns(SECOND_NS / row["expected_rate_hz"]):
             early.append((rest_ns, row["topic"]))
     if not early:
         return ""

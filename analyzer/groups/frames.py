@@ -37,7 +37,7 @@ DETAIL_MAKERS: Mapping[str, Maker] = {
     "responses": response_frame,
     "clock_knots": knot_frame,
 }
-"""Frames that take more time than rows and summary together: made only on request, with those of `measure_whole`."""
+"""Frames that take more time than rows and summary together: made only on request, as the frames of `measure_whole` are."""
 
 _BY_RUN_ID = ("freshness", "outages")
 """Frames that order the runs of a group by `run_id`, not by their start."""

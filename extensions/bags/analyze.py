@@ -16,7 +16,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.tracefile.reading.source import MOST_TOPICS, NONE, Condition
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS
 
 from .bounds import SHOWN
 from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, RecordingHealth
@@ -26,6 +26,7 @@ from .messages import MessageColumns, TopicMessages, count_copies, find_recordin
 from .observations import OBSERVATION_SCHEMA
 from .periods import Int64
 from .read import read_batches
+from .recorded import NONE, Condition
 from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
 from .sync import Sync
 

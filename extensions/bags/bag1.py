@@ -24,19 +24,10 @@ from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacke
 from dds_trace.tracefile.mcapfile.chunks import DamagedChunkError, unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile, Records
 from dds_trace.tracefile.mcapfile.scan import linked, unaligned
-from dds_trace.tracefile.reading.source import (
-    NONE,
-    Budget,
-    Condition,
-    Int64,
-    MessageBatch,
-    RawMessage,
-    UnreadableError,
-    batched,
-    full_type,
-)
+from dds_trace.tracefile.reading.source import Budget, UnreadableError
 
 from .kinds import BAG1_MAGIC, BLOCK_BYTES
+from .recorded import NONE, Condition, Int64, MessageBatch, RawMessage, batched, full_type
 
 
 class _Op(IntEnum):

@@ -10,7 +10,6 @@ import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import SECOND_NS, clock_words, counted, format_duration
-from dds_trace.tracefile.reading.source import NONE, Condition
 
 from .bounds import DAY_NS, FEWEST, SHOWN
 from .chains import Link, Stamped, find_links
@@ -23,6 +22,7 @@ from .observations import Observation, explained, has_losses, observe
 from .periods import Int64
 from .quantiles import median, named_quantile, spread
 from .read import copied_messages
+from .recorded import NONE, Condition
 from .sync import Sync, compare_stamps
 from .weighing import Source, weigh
 

@@ -13,12 +13,12 @@ from functools import lru_cache, partial
 import numpy as np
 
 from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
-from dds_trace.tracefile.reading.source import NONE
 
 from .bounds import FEW, FEWEST, MOST, PHASES, WINDOW
 from .clocks import SIMULATED_BEFORE_NS
 from .periods import Int64
 from .quantiles import named_quantile
+from .recorded import NONE
 
 TOGETHER_NS = UNIT_NS["ms"]
 """Topics with messages nearer to each other are published together, by one program."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,15 +13,17 @@ import typer
 from dds_trace.analyzer.exports.kinds import EXPORTERS, TOPIC_EXPORTS, write_file, write_text_file
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.units import counted
 from dds_trace.cli.outputs import Opens, expand_paths, kinds_of, show_page
 from dds_trace.cli.program import argument, ask_about_folder, command, make_app, option
 
 from .kinds import SUFFIX_WORDS
 
 if TYPE_CHECKING:
+    from dds_trace.extensions.exports.perfetto import Slice
     from dds_trace.extensions.gates.gate import Gate
 
-    from .analyze import StampCorrector
+    from .analyze import StampCorrector, TopicReport
 
 _REPORTS = ("html", "md", "json", "terminal")
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
@@ -144,9 +147,7 @@ def report_topics(
         if kind == "perfetto":
             from dds_trace.extensions.exports.perfetto import write_slices
 
-            from .slices import topic_slices
-
-            written.append(write_file(folder / "topics.pftrace", partial(write_slices, topic_slices(report))))
+            written.append(write_file(folder / "topics.pftrace", partial(write_slices, _topic_slices(report))))
         else:
             written.append(write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())))
     if limits_out is not None:
@@ -160,3 +161,22 @@ def report_topics(
 
         return overall_outcome(gated.result.outcome for gated in judged).exit_code, written
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0, written
+
+
+def _topic_slices(report: TopicReport) -> Iterator[Slice]:
+    from dds_trace.extensions.exports.perfetto import Slice
+
+    starts_ns, numbers = {health.path: health.start_ns for health in report.recordings}, count(1)
+    for row in report.topics.iter_rows(named=True):
+        recording, topic, at_ns = row["recording"], row["topic"], row["start_ns"]
+        parts: list[tuple[str, int, int]] = []
+        for hole in report.holes.filter(recording=recording, topic=topic).iter_rows(named=True):
+            begin_ns = starts_ns[recording] + round(hole["start_s"] * 1e9)
+            end_ns = begin_ns + round(hole["duration_s"] * 1e9)
+            name = f"hole: {counted(hole['missing'], 'message')}" if hole["missing"] else "no messages"
+            parts += [("messages", at_ns, begin_ns), (name, begin_ns, end_ns)]
+            at_ns = end_ns
+        parts.append(("messages", at_ns, row["start_ns"] + row["duration_ns"]))
+        for name, begin_ns, end_ns in parts:
+            if end_ns > begin_ns:
+                yield Slice(recording, topic, name, begin_ns, end_ns, next(numbers))

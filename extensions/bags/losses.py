@@ -10,7 +10,6 @@ from typing import TypeAlias
 import numpy as np
 
 from dds_trace.base.units import SECOND_NS, UNIT_NS
-from dds_trace.tracefile.reading.source import NONE
 
 from .bounds import DAY_NS, FEW, FEWEST, NEAR, NOTICED_NS, PATTERN, PHASES, WINDOW
 from .clocks import of_one_clock
@@ -27,6 +26,7 @@ from .periods import (
     usual_steps,
 )
 from .quantiles import median, spread
+from .recorded import NONE
 
 Stretches: TypeAlias = Holes
 """Times over which a clock was set, or no topic has a message; their counts are 0."""

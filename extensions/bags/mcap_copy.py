@@ -30,10 +30,10 @@ from mcap.records import (
 from dds_trace.tracefile.format.encoding import MAGIC, MESSAGE_FIELDS, MESSAGE_HEADER, RECORD_HEADER
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.mcapfile.scan import unaligned
-from dds_trace.tracefile.reading.source import Int64, MessageBatch
 from dds_trace.tracefile.writing.event_chunks import encode_record
 
 from .kinds import BLOCK_BYTES
+from .recorded import Int64, MessageBatch
 
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
 

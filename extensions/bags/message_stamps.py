@@ -18,7 +18,8 @@ from dds_trace.extensions.bags.header_stamps import (
     stamp_reader,
 )
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
-from dds_trace.tracefile.reading.source import LATEST_NS
+
+from .recorded import LATEST_NS
 
 _TEXTS = {"cdr": ("ros2msg", "ros1msg"), "ros1": ("ros1msg",)}
 """Encodings of definitions by the encoding of messages."""

@@ -19,7 +19,6 @@ from dds_trace.tracefile.format.encoding import decode_string
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of, parse_json
 from dds_trace.tracefile.mcapfile.scan import unaligned
-from dds_trace.tracefile.reading.source import NONE, MessageBatch
 from dds_trace.tracefile.reading.storage import find_storage
 
 from .bounds import DAY_NS, FEWEST, MOST, NOTICED_NS
@@ -30,6 +29,7 @@ from .losses import COMMANDS, LOST_TYPE, TopicTimes
 from .message_stamps import StampReader, stamps_of
 from .periods import Int64
 from .quantiles import median
+from .recorded import NONE, MessageBatch
 
 if TYPE_CHECKING:
     from array import array

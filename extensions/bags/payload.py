@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from dds_trace.tracefile.format.bag_metadata import RecordedTopic
-    from dds_trace.tracefile.reading.source import Condition
+
+    from .recorded import Condition
 
 HEADER_TYPE = "std_msgs/msg/Header"
 _ABOUT_TOPIC = re.compile(r" says that (.*) has \d", re.DOTALL)
@@ -36,9 +37,8 @@ _COMPARED_NAMES, _COMPARED_CHARACTERS = 100, 200
 
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate; an `OptionError` for what cannot be used."""
-    from dds_trace.tracefile.reading.source import Condition  # noqa: PLC0415
-
     from .read import copied_messages  # noqa: PLC0415
+    from .recorded import Condition  # noqa: PLC0415
 
     if find_spec("rosbags") is None:
         raise BackendUnavailableError(

@@ -26,22 +26,11 @@ from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES, RecordFile
 from dds_trace.tracefile.mcapfile.records import parse_record, record_name, topic_of
 from dds_trace.tracefile.mcapfile.scan import lengths_at, unaligned
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
-from dds_trace.tracefile.reading.source import (
-    LATEST_NS,
-    NONE,
-    ZSTD_MAGIC,
-    Budget,
-    Condition,
-    Int64,
-    MessageBatch,
-    RawMessage,
-    UnreadableError,
-    batched,
-    unpack_message,
-)
+from dds_trace.tracefile.reading.source import ZSTD_MAGIC, Budget, UnreadableError, unpack_message
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
 from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, RecordingKind, function_at
+from .recorded import LATEST_NS, NONE, Condition, Int64, MessageBatch, RawMessage, batched
 
 
 @dataclass(slots=True)

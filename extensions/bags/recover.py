@@ -19,13 +19,13 @@ from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
-from dds_trace.tracefile.format.bag_metadata import BagFile, RecordedTopic, write_bag_metadata
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, BagFile, RecordedTopic, write_bag_metadata
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_walk import McapWalk
-from dds_trace.tracefile.reading.source import LATEST_NS, MOST_TOPICS, Condition, Int64, MessageBatch, UnreadableError
+from dds_trace.tracefile.reading.source import UnreadableError
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
 from dds_trace.tracefile.writing.event_chunks import LIBRARY, encode_record
 
@@ -33,6 +33,7 @@ from .bag1 import bag1_messages
 from .kinds import function_at
 from .mcap_copy import McapCopy
 from .read import McapItems, kind_of, open_recording
+from .recorded import LATEST_NS, Condition, Int64, MessageBatch
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
 if TYPE_CHECKING:

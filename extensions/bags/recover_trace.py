@@ -14,7 +14,7 @@ from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatErr
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import counted
-from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, RecordedTopic
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.encoding import MESSAGE_HEADER, decode_string
 from dds_trace.tracefile.format.events import SESSION_TOPIC, TOPIC_PREFIX, EventColumns, Stage
@@ -32,7 +32,7 @@ from dds_trace.tracefile.mcapfile.records import topic_of
 from dds_trace.tracefile.reading.mcap_source import MANY_RECORDS, McapSource
 from dds_trace.tracefile.reading.reader import read_trace_in_pieces
 from dds_trace.tracefile.reading.source import Text
-from dds_trace.tracefile.writing.event_chunks import CHUNK_BYTES, LIBRARY, MOST_TOPICS, Payload, PayloadQueue
+from dds_trace.tracefile.writing.event_chunks import CHUNK_BYTES, LIBRARY, Payload, PayloadQueue
 from dds_trace.tracefile.writing.writer import TraceWriter
 
 KILLED_SUFFIX = ".killed"

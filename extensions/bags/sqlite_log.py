@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dds_trace.base.files import open_regular
-from dds_trace.tracefile.reading.source import Condition
 
 from .kinds import BLOCK_BYTES
+from .recorded import Condition
 from .sqlite_pages import PAGE_SIZES, Image
 
 _JOURNAL = struct.Struct(">8sIIIII")

@@ -18,27 +18,22 @@ from urllib.parse import quote
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted
-from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, RecordedTopic
 from dds_trace.tracefile.format.events import EVENT_CDR_BYTES, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.mcapfile.records import crc32
 from dds_trace.tracefile.reading.source import (
-    MOST_TOPICS,
     Batch,
     Budget,
-    Condition,
-    MessageBatch,
-    RawMessage,
     Text,
     UnreadableError,
-    batched,
     event_batch,
-    full_type,
     in_parts,
     unpack_message,
 )
 
 from .kinds import MOST_TEXT_BYTES, SQLITE_MAGIC
+from .recorded import Condition, MessageBatch, RawMessage, batched, full_type
 from .sqlite_log import open_database
 from .sqlite_pages import SQLITE_HEADER, Image, Tables, rows_of_pages
 

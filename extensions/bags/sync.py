@@ -11,12 +11,12 @@ from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest
 from dds_trace.base.units import UNIT_NS, format_duration
-from dds_trace.tracefile.reading.source import NONE
 
 from .bounds import FEWEST, MOST, PATTERN
 from .losses import TopicTimes
 from .periods import Float64, Int64
 from .quantiles import spread
+from .recorded import NONE
 
 
 @dataclass(frozen=True, slots=True)

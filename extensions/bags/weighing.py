@@ -9,7 +9,6 @@ import numpy as np
 
 from dds_trace.base.units import UNIT_NS, counted, format_duration
 from dds_trace.tracefile.format.events import TOPIC_PREFIX
-from dds_trace.tracefile.reading.source import NONE
 
 from .bounds import FEWEST, MOST
 from .clocks import SIMULATED_BEFORE_NS, Clocks, Note, Stamps, count_history, of_realsense, read_clocks
@@ -17,6 +16,7 @@ from .losses import Losses, TopicTimes, agreed
 from .neighbours import doubted, find_silent, moved_on, set_clocks, stood_still, without_stretches
 from .periods import Int64
 from .quantiles import median
+from .recorded import NONE
 
 
 @dataclass(frozen=True, slots=True)

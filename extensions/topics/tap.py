@@ -21,10 +21,9 @@ from dds_trace.recorder.backends.dds_types import DDS_TYPES
 from dds_trace.recorder.backends.node import ROUND_S, Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from dds_trace.recorder.host.clock import Clock, SystemClock
 from dds_trace.recorder.roles.progress import TapProgress
-from dds_trace.tracefile.format.bag_metadata import RecordedTopic
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, RecordedTopic
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, TOPIC_PREFIX, hash_content
-from dds_trace.tracefile.writing.event_chunks import MOST_TOPICS
 from dds_trace.tracefile.writing.sink import TraceSink
 
 from .live import LiveTable, LiveTopic

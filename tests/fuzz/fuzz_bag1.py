@@ -10,7 +10,7 @@ from rosbags.rosbag1 import Writer
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.bags import bag1
 from dds_trace.extensions.bags.read import read_messages
-from dds_trace.tracefile.reading.source import Condition
+from dds_trace.extensions.bags.recorded import Condition
 
 MOST_TRIES = 4
 """Tries of a record for each byte; a byte is met when it is searched, when it begins a record, and when one ends before it."""

@@ -10,9 +10,9 @@ from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 
 from dds_trace.base.errors import TraceError
 from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.extensions.bags.sqlite_log import _next_sums
 from dds_trace.extensions.bags.sqlite_rows import SQLITE_TABLES
-from dds_trace.tracefile.reading.source import Condition
 
 PAGE_BYTES, WAL_HEAD_BYTES, FRAME_HEAD_BYTES = 512, 32, 24
 MESSAGE = "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 5, zeroblob(?))"

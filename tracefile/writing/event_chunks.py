@@ -157,7 +157,6 @@ class EventChunkBuilder:
 MOST_WAITING_BYTES = 60 << 20
 """Most bytes that wait for the disk; what comes meanwhile is left out. One message with them fits a readable chunk (64 MiB)."""
 CHUNK_BYTES = 4 << 20
-MOST_TOPICS = 10_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,11 +17,11 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.messages import find_recordings
 from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.extensions.bags.report import BagReport
 from dds_trace.reports.terminal import print_report
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import source
-from dds_trace.tracefile.reading.source import Condition
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9

@@ -16,10 +16,11 @@ from dds_trace.extensions.bags import payload as bag
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.payload import load_payload
 from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.recorder.payloads import STRING
 from dds_trace.tracefile.mcapfile import blocks, chunks
 from dds_trace.tracefile.mcapfile.file import RecordFile
-from dds_trace.tracefile.reading.source import Condition, UnreadableError
+from dds_trace.tracefile.reading.source import UnreadableError
 
 KB = 1000
 TYPE = "std_msgs/msg/String"

@@ -21,8 +21,8 @@ from rosbags.rosbag2 import StoragePlugin
 from dds_trace.extensions.bags.message_stamps import stamps_of
 from dds_trace.extensions.bags.messages import MessageColumns, count_copies
 from dds_trace.extensions.bags.read import read_batches, read_messages
+from dds_trace.extensions.bags.recorded import NONE, Condition
 from dds_trace.tracefile.mcapfile.records import topic_of
-from dds_trace.tracefile.reading.source import NONE, Condition
 
 START_NS = 1_790_000_000 * 10**9
 SCHEMAS = {

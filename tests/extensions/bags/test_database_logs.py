@@ -13,8 +13,8 @@ from file_guard import touched
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from dds_trace.extensions.bags import sqlite_log
+from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.extensions.bags.sqlite_rows import SQLITE_TABLES, sqlite_messages
-from dds_trace.tracefile.reading.source import Condition
 
 KEYS = "SELECT id, timestamp, data FROM messages ORDER BY id"
 

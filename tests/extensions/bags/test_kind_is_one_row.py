@@ -20,7 +20,7 @@ MODULE = """
 import base64, json
 
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
-from dds_trace.tracefile.reading.source import RawMessage, batched
+from dds_trace.extensions.bags.recorded import RawMessage, batched
 
 
 def messages(path, condition):
@@ -40,7 +40,7 @@ def read(path, condition):
 
 
 def recover(path, new):
-    from dds_trace.tracefile.reading.source import Condition
+    from dds_trace.extensions.bags.recorded import Condition
 
     condition = Condition()
     with new.path.open("x") as stream:

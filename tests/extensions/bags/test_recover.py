@@ -16,10 +16,10 @@ from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.payload import load_payload
 from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.extensions.bags.recover import is_of_others, recover_recording
 from dds_trace.extensions.bags.recover_command import recover_command
 from dds_trace.recorder.payloads import STRING
-from dds_trace.tracefile.reading.source import Condition
 
 
 @pytest.mark.keeps(3)

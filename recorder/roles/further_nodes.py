@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from contextlib import ExitStack, contextmanager
+from subprocess import PIPE
 from typing import TYPE_CHECKING
 
 import psutil
@@ -13,7 +13,7 @@ import psutil
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..backends import load_backend
-from ..host.child import ending_with_parent
+from ..host.child import Child
 from ..kernel.counters import read_interfaces
 
 if TYPE_CHECKING:
@@ -51,14 +51,11 @@ def further_nodes(node: Node, number: int) -> Iterator[dict[str, Json]]:
     if not load_backend(backend).speaks_dds:
         raise OptionError(f"-o nodes={number}: nodes of the backend {backend} do not discover each other; leave it out")
     names = [f"dds_trace_node_{index}" for index in range(1, number)]
-    command = [*ending_with_parent(), sys.executable, "-c", _PROGRAM]
-    command += [backend, str(options.domain_id), options.discovery.value]
+    command = [sys.executable, "-c", _PROGRAM, backend, options.domain_id, options.discovery.value]
     others = node.count_participants() or 1
     with ExitStack() as stack:
         programs = [
-            stack.enter_context(
-                subprocess.Popen([*command, *part], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-            )
+            stack.enter_context(Child([*command, *part], stdin=PIPE, stdout=PIPE))
             for part in (names[start : start + IN_ONE_PROCESS] for start in range(0, len(names), IN_ONE_PROCESS))
         ]
         for program in programs:

@@ -190,7 +190,7 @@ class JudgedSides(NamedTuple):
         is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
         if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
             warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-            print(f"dds-trace: {self.outcome.value}{warning}", file=sys.stderr)
+            say(f"dds-trace: {self.outcome.value}{warning}")
         return 0 if is_let_pass else self.outcome.exit_code
 
 
@@ -211,6 +211,7 @@ def judge_sides(
     from .gate import GateOutcome
     from .gates import judge_gates, options_for, overall_outcome
     from .info import comparison_info
+    from .words import with_undecided
 
     before = analyze(base, details=False) if isinstance(base, Path) else base
     after = before if new is None else analyze(new, details=False)
@@ -228,7 +229,7 @@ def judge_sides(
     info = comparison_info(comparison, results)
     if new is None:
         said = f"{counted(len(info.groups), 'result')} against limits."
-        info = replace(info, answer=(said,), seen="", groups=(), rules=())
+        info = replace(info, answer=with_undecided((said,), info.gates), seen="", groups=(), rules=())
     return JudgedSides(comparison, info, outcome)
 
 

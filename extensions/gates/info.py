@@ -26,7 +26,16 @@ from .gates import FAMILY as GATE_FAMILY
 from .gates import GateResult, overall_outcome
 from .ignoring import columns_to_ignore, unlike_columns
 from .sides import SAME, UNKNOWN
-from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
+from .words import (
+    MOST_RATIO,
+    Gated,
+    change_words,
+    metric_words,
+    statistic_words,
+    unjudged_words,
+    with_article,
+    with_undecided,
+)
 
 if TYPE_CHECKING:
     import polars as pl
@@ -134,18 +143,19 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
-    has_failed = any(result.outcome is GateOutcome.REGRESSED for result in results)
-    is_whole = not only_base and not has_failed
+    is_whole = not only_base and all(result.outcome is GateOutcome.PASSED for result in results)
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     if ignore:  # with those that are ignored already
         ignore = tuple(name for name in MATCH_COLUMNS if name in ignore or name not in comparison.options.match)
+    gates = _gates(comparison, results, shared, only_base)
+    answer: tuple[str, ...] = ("The two sides have no result in common: there is nothing to compare.",)
+    if comparison.same_recordings:
+        answer = ("Both sides are the same recordings: nothing can have changed.",)
+    elif groups:
+        answer = _answer(groups, is_whole=is_whole)
     return ComparisonInfo(
-        answer=("Both sides are the same recordings: nothing can have changed.",)
-        if comparison.same_recordings
-        else _answer(groups, is_whole=is_whole)
-        if groups
-        else ("The two sides have no result in common: there is nothing to compare.",),
+        answer=with_undecided(answer, gates),
         seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
         if groups
         else _unlike_words(unlike, ignore),
@@ -154,7 +164,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
         only_base=only_base,
         only_new=only_new,
         outcome=overall_outcome(result.outcome for result in results) if results else None,
-        gates=_gates(comparison, results, shared, only_base),
+        gates=gates,
         sights=sights,
         unlike=unlike,
         ignore=ignore,

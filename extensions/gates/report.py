@@ -75,7 +75,7 @@ class ComparisonReport(blocks.Report):
     def sections(self) -> Sequence[Section]:
         info = self.info
         parts: list[tuple[str, Iterator[Block]]] = [("answer", self._answer())]
-        gates = [Heading("Gates", media=PAGE), *gate_blocks(info.gates, self.most)]
+        gates = [Heading("Gates", media=PAGE), *gate_blocks(info.gates, self.most, info.said)]
         parts += [("gates", iter(gates))] if info.gates else []
         parts += [("groups", self._results())] if info.groups else []
         for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
@@ -89,7 +89,8 @@ class ComparisonReport(blocks.Report):
         yield Heading("The answer", media=PAGE)
         headline, *others = info.answer
         yield Sentence(headline, "headline", media=TERMINAL | PAGE)
-        sign = f"{_SIGNS.get(outcome, '❔')} {outcome.value.capitalize()}: " if outcome else ""
+        word = "" if outcome is GateOutcome.INCONCLUSIVE else f"{outcome.value.capitalize()}: " if outcome else ""
+        sign = f"{_SIGNS.get(outcome, '❔')} {word}" if outcome else ""
         yield Sentence([Span(sign, "raw"), Span(headline, "")], "headline", media=MARKDOWN)
         yield from (Sentence(sentence) for sentence in others)
         if info.seen:
@@ -146,8 +147,8 @@ class ComparisonReport(blocks.Report):
                 yield Sentence([Span(more, "raw")], media=MARKDOWN)
 
 
-def gate_blocks(gates: Sequence[words.Gated], most: int | None) -> Iterator[Block]:
-    notes = words.gate_notes(gates)
+def gate_blocks(gates: Sequence[words.Gated], most: int | None, said: str = "") -> Iterator[Block]:
+    notes = [note for note in words.gate_notes(gates) if note not in said]
     for media, shown in ((TERMINAL | MARKDOWN, most), (PAGE, None)):
         rows = [
             Row([[Span(mark, _TONES.get(outcome, "open"))], *cells], part=cells[-1])

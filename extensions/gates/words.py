@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
     MISSING,
-    counted,
     format_duration,
     format_number,
     format_rate,
@@ -138,14 +135,21 @@ def unit_of(words: str) -> str:
 
 
 def why_words(result: GateResult) -> str:
-    smallest = ""
-    if result.smallest_ratio is not None:
-        smallest = f"the smallest change seen in 8 of 10 comparisons is {change_words(result.smallest_ratio)}"
-        if result.smallest_ratio > MOST_RATIO:
-            smallest = unjudged_words([result.gate.statistic])[0]
-    elif result.smallest_drop is not None:
-        smallest = f"the smallest drop seen in 8 of 10 comparisons is {100 * result.smallest_drop:.3g} points"
+    smallest = seen_words(result)
+    if smallest == WIDE:
+        smallest = unjudged_words([result.gate.statistic])[0]
+    elif smallest:
+        smallest = f"the smallest change seen in 8 of 10 comparisons is {smallest}"
     return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)
+
+
+def seen_words(result: GateResult) -> str:
+    """Return the smallest change that the gate finds in this result, if no other changed."""
+    if result.found_from is None:
+        return ""
+    if result.gate.against is Against.RATIO and result.found_from > MOST_RATIO:
+        return WIDE
+    return measured_words(result, result.found_from)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +177,8 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     is_above = alike[0].result.gate.operator in (">", ">=")
     measured = [gated for gated in alike if gated.result.value is not None] or alike
     worst = max(measured, key=lambda gated: (gated.result.value or 0.0) * (1 if is_above else -1))
-    limits = sorted(gated.result.found_from for gated in alike if gated.result.found_from is not None)
-    is_ratio = worst.result.gate.against is Against.RATIO
-    limit_words = [found_from_words(end) if is_ratio else measured_words(worst.result, end) for end in limits]
+    by_size = sorted((gated.result for gated in alike), key=lambda result: result.found_from or 0.0)
+    limit_words = [words for result in by_size if (words := seen_words(result))]
     words = measured_words(worst.result, worst.result.value)
     interval = gate_interval_words(worst.result)
     more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
@@ -203,20 +206,27 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
         for gated in gates
         if gated.result.gate.accepted
     )
-    unsure = [gated for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
-    by_runs = [gated for gated in unsure if gated.result.needs is not None]
-    if by_runs:
-        most = max(by_runs, key=lambda gated: gated.result.needs or 0)
-        result, present = most.result, min(gated.result.runs_present for gated in by_runs)
-        where = f" ({result.gate.text} in {most.where} takes most)" if len(by_runs) > 1 else ""
-        rests = (
-            f"an estimate from the spread of {present} runs"
-            if present >= MIN_RUNS
-            else f"there {'is' if present == 1 else 'are'} {present}"
-        )
-        notes.append(
-            f"Undecided: {counted(len(by_runs), 'gate')}; {result.needs} runs a side would decide{where}: {rests}."
-        )
-    others = Counter(gated.result.reason or gated.where for gated in unsure if gated.result.needs is None)
-    notes += [f"Undecided: {counted(count, 'gate')}: {reason.rstrip('.')}." for reason, count in others.items()]
-    return [printable(note, MAX_FINDING_CHARACTERS) for note in notes]
+    notes += [undecided_words(gates)]
+    return [printable(note, MAX_FINDING_CHARACTERS) for note in notes if note]
+
+
+def undecided_words(gates: Sequence[Gated]) -> str:
+    """Return which gates are open, and for each what would decide the result that takes most."""
+    unsure: dict[str, list[GateResult]] = {}
+    for gated in gates:
+        if gated.result.outcome is GateOutcome.INCONCLUSIVE:
+            unsure.setdefault(gated.result.gate.text, []).append(gated.result)
+    parts = []
+    for text, results in unsure.items():
+        reason = max(results, key=lambda result: result.needs or 0).reason or results[0].subject
+        where = f" in {len(results)} results" if len(results) > 1 else ""
+        parts.append(f"{text}{where} ({reason.rstrip('.')})")
+    return f"Undecided: {'; '.join(parts)}." if parts else ""
+
+
+def with_undecided(answer: tuple[str, ...], gates: Sequence[Gated]) -> tuple[str, ...]:
+    """Return an answer that names open gates in its first line, as they pass."""
+    undecided, (headline, *others) = printable(undecided_words(gates), MAX_FINDING_CHARACTERS), answer
+    has_failed = any(gated.result.outcome is GateOutcome.REGRESSED for gated in gates)
+    first = (headline, undecided) if has_failed else (undecided, headline)
+    return " ".join(filter(None, first)), *others

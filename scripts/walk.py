@@ -188,7 +188,7 @@ def walk(page: Path, terminals: dict[str, Terminal]) -> None:
     ping, plan, cells = terminals["ping"], "", []
     for part in PART.finditer(page.read_text(encoding="utf-8")):
         prose, text = part["prose"] or "", part["text"] or part["indented"] or ""
-        plan = next(reversed(re.findall(r"`(?:\w+/)*([\w-]+\.toml)`", prose)), plan)
+        plan = next(reversed(re.findall(r"`(?:[^`]* )?(?:\w+/)*([\w-]+\.toml)`", prose)), plan)
         read(prose, terminals)
         if plan and (part["language"] == "toml" or re.match(r"\s+\[\w+\]", part["indented"] or "")):
             ping.write(plan, WITH_WHEELS.sub("", textwrap.dedent(text)))

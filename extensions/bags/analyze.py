@@ -6,7 +6,7 @@ import os
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -23,7 +23,7 @@ from .card import DAMAGED, HOLE_SCHEMA, TOPIC_SCHEMA, VERDICTS, WHOLE, Card, Rec
 from .chains import Link
 from .kinds import SUFFIX_WORDS
 from .messages import MessageColumns, TopicMessages, count_copies, find_recordings
-from .observations import OBSERVATION_SCHEMA
+from .observations import OBSERVATION_SCHEMA, Observation
 from .periods import Int64
 from .read import read_batches
 from .recorded import NONE, Condition
@@ -135,7 +135,12 @@ def analyze_topics(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a "
             f"{SUFFIX_WORDS} file, or a rosbag2 folder"
         )
-    observed = [{"recording": card.health.path} | asdict(row) for card in cards for row in card.observed]
+    names = [field.name for field in fields(Observation)]
+    observed = [
+        {"recording": card.health.path} | {name: getattr(row, name) for name in names}
+        for card in cards
+        for row in card.observed
+    ]
     return TopicReport(
         pl.DataFrame([row for card in cards for row in card.rows], schema=TOPIC_SCHEMA),
         tuple(sorted(sources, key=lambda source: source.path)),

@@ -6,9 +6,11 @@ than `TOGETHER_NS` is none, and stamps of a simulation or in steps prove nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
+from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
 from .bounds import FEW, FEWEST, MOST, PHASES, WINDOW
 from .clocks import SIMULATED_BEFORE_NS
 from .periods import Int64
-from .quantiles import named_quantile
+from .quantiles import indices_of, named_quantile, steps_of
 from .recorded import NONE
 
 TOGETHER_NS = UNIT_NS["ms"]
@@ -35,8 +37,7 @@ class Stamped:
     has_age: bool
 
     def first_of_stamps(self) -> tuple[Int64, Int64]:
-        """Return the stamps, ascending, each once, and when they first came."""
-        if NONE not in self.stamp_ns[:1] and (np.diff(self.stamp_ns) > 0).all():
+        if NONE not in self.stamp_ns[:1] and (steps_of(self.stamp_ns) > 0).all():
             return self.stamp_ns, self.log_ns
         stamps, first = np.unique(self.stamp_ns, return_index=True)
         is_stamp = stamps != NONE
@@ -74,7 +75,7 @@ def _passed_on(topics: Sequence[Stamped]) -> Iterator[Link]:
         return
     stamp_ns, log_ns = (np.concatenate(column) for column in zip(*firsts, strict=True))
     order = np.argsort(stamp_ns, kind="stable")  # of ascending parts
-    is_again = np.diff(stamp_ns[order]) == 0
+    is_again = steps_of(stamp_ns[order]) == 0
     order = order[np.append(is_again, False) | np.append(False, is_again)]
     order = order[np.lexsort((log_ns[order], stamp_ns[order]))]
     stamp_ns, number = stamp_ns[order], number[order]
@@ -122,29 +123,38 @@ def _stamped_again(topics: Sequence[Stamped]) -> Iterator[Link]:
         by_rank: Int64 = np.argsort(np.argsort(wander_ns, kind="stable"), kind="stable") - len(wander_ns) // 2
         return by_rank if wander_ns.any() else None
 
-    for number, topic in enumerate(ordered):
-        for after, other in enumerate(ordered[number + 1 : number + 1 + FEWEST], number + 1):
-            if len(topic.log_ns) < max(2 * WINDOW, (1 - FEW) * len(other.log_ns)):
-                break
-            for first, follower in ((number, after), (after, number)):
-                both_ranks = partial(ranks, first, "log_ns"), partial(ranks, follower, "stamp_ns")
-                yield from _follows(ordered[first], ordered[follower], *both_ranks)
+    links = dict[tuple[int, int, bool], Link]()
+    for first, topic in enumerate(ordered):
+        near = range(max(first - FEWEST, 0), min(first + FEWEST + 1, len(ordered)))
+        others = [other for other in near if other != first and _are_as_many(topic, ordered[other])]
+        for other, at, paired in _in_turn(topic, others, ordered):
+            came, sent = ranks(first, "log_ns", at), ranks(other, "stamp_ns", paired)
+            if came is not None and sent is not None and 2 * (came @ sent) > came @ came:
+                follower = ordered[other]
+                at_all = np.searchsorted(topic.log_ns, follower.stamp_ns, "right") - 1
+                waits_ns = (follower.stamp_ns - topic.stamp_ns[at_all])[at_all >= 0]
+                link = _link(topic, follower, waits_ns, at_all[at_all >= 0], stamps_again=True)
+                links[min(first, other), max(first, other), first > other] = link
+    yield from (link for _, link in sorted(links.items(), key=itemgetter(0)))
 
 
-_Ranks = Callable[[bytes], "Int64 | None"]
+def _are_as_many(one: Stamped, other: Stamped) -> bool:
+    fewer, more = sorted((len(one.log_ns), len(other.log_ns)))
+    return fewer >= max(2 * WINDOW, (1 - FEW) * more)
 
 
-def _follows(first: Stamped, follower: Stamped, logged: _Ranks, stamped: _Ranks) -> Iterator[Link]:
-    at = np.searchsorted(first.log_ns, follower.stamp_ns[:PHASES], "right") - 1
-    paired = np.flatnonzero(at >= 0)
-    steps = np.diff(at[paired])
-    if len(steps) <= 2 * WINDOW or np.count_nonzero(steps == 1) / len(steps) < MOST:
-        return
-    came, sent = logged(at[paired].tobytes()), stamped(paired.tobytes())
-    if came is not None and sent is not None and 2 * (came @ sent) > came @ came:
-        at = np.searchsorted(first.log_ns, follower.stamp_ns, "right") - 1
-        waits_ns = (follower.stamp_ns - first.stamp_ns[at])[at >= 0]
-        yield _link(first, follower, waits_ns, at[at >= 0], stamps_again=True)
+def _in_turn(first: Stamped, others: Sequence[int], topics: Sequence[Stamped]) -> Iterator[tuple[int, bytes, bytes]]:
+    """Yield those topics of which nearly each stamp is after another message of the first, with the indices of both."""
+    stamps = [topics[other].stamp_ns[:PHASES] for other in others]
+    at_of_all = first.log_ns.searchsorted(np.concatenate([np.empty(0, np.int64), *stamps]), "right") - 1
+    ends = np.cumsum([0, *map(len, stamps)]).tolist()
+    for other, (start, end) in zip(others, pairwise(ends), strict=True):
+        at = at_of_all[start:end]
+        paired = indices_of(at >= 0)
+        at = at[paired]
+        is_next = steps_of(at) == 1
+        if len(is_next) > 2 * WINDOW and np.count_nonzero(is_next) / len(is_next) >= MOST:
+            yield other, at.tobytes(), paired.tobytes()
 
 
 def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:

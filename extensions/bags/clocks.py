@@ -13,7 +13,7 @@ from dds_trace.base.units import SECOND_NS, UNIT_NS, clock_words, counted, forma
 from .bounds import DAY_NS, FEW, FEWEST, MOST, NEAR, NOTICED_NS, PATTERN, STEADY, WINDOW
 from .holes import Holes
 from .periods import Bools, Int64
-from .quantiles import median, quantile, spread
+from .quantiles import indices_of, median, quantile, spread, steps_of
 
 SIMULATED_BEFORE_NS = SECOND_NS * SECOND_NS
 """September 2001: no recorder of today."""
@@ -30,9 +30,9 @@ _WHY_BACK = "a clock that was set back, a simulation that was reset, or joined f
 
 def of_one_clock(log_ns: Int64) -> Bools:
     """Return which ascending log times are of the recording's clock, not at time 0 of a simulation."""
-    gaps = np.flatnonzero(np.diff(log_ns) > WINDOW * DAY_NS)
+    gaps = indices_of(steps_of(log_ns) > WINDOW * DAY_NS)
     edges = np.concatenate([[0], gaps + 1, [len(log_ns)]])
-    largest = int(np.argmax(np.diff(edges)))
+    largest = int(np.argmax(steps_of(edges)))
     selected = np.zeros(len(log_ns), np.bool_)
     selected[edges[largest] : edges[largest + 1]] = True
     return selected
@@ -64,7 +64,7 @@ def find_resets(log_ns: Int64) -> list[int]:
     """Return the indices of stored log times that begin again: late messages leap to the others, and pieces in disorder fit together."""
     before_ns = np.minimum(log_ns[1:-2], log_ns[: -2 - 1])
     latest_ns = np.maximum(log_ns[2:-1], log_ns[2 + 1 :])
-    resets: list[int] = (np.flatnonzero(latest_ns < before_ns - NOTICED_NS) + 2).tolist()
+    resets: list[int] = (indices_of(latest_ns < before_ns - NOTICED_NS) + 2).tolist()
     if len(resets) > FEWEST:
         return []
     for at in resets:
@@ -114,7 +114,7 @@ class Stamps:
     @property
     def repeats(self) -> bool:
         """Return whether stamps go back and then are stamps that were there: a recording that is played in a loop."""
-        back = np.flatnonzero(np.diff(self.stamp_ns) < -SECOND_NS)
+        back = indices_of(steps_of(self.stamp_ns) < -SECOND_NS)
         if not len(back) or len(self.stamp_ns) < FEWEST:
             return False
         again = len(self.stamp_ns) - len(np.unique(self.stamp_ns))
@@ -339,7 +339,7 @@ def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
     if len(stamps.log_ns) < FEWEST:
         return
     ages_ns, age_ns = stamps.age_ns, median(stamps.age_ns)
-    steps_ns = np.diff(stamps.stamp_ns) - np.diff(stamps.log_ns)
+    steps_ns = steps_of(stamps.stamp_ns) - steps_of(stamps.log_ns)
     jumps = steps_ns[np.abs(steps_ns) > SECOND_NS]
     ranges_ns = {unit: np.iinfo(np.uint32).max * UNIT_NS[unit] for unit in _UNITS}
     over = {unit: int((np.abs(jumps + most_ns) < FEW / 2 * most_ns).sum()) for unit, most_ns in ranges_ns.items()}
@@ -365,10 +365,10 @@ def _special_notes(topic: str, stamps: Stamps) -> Iterator[str]:
 
 def _two_kinds(topic: str, ages_ns: Int64) -> Iterator[str]:
     ordered = np.sort(ages_ns)
-    at = int(np.argmax(np.diff(ordered)))
+    at = int(np.argmax(steps_of(ordered)))
     is_old = ages_ns > ordered[at]
     fewer = int(min(is_old.sum(), (~is_old).sum()))
-    switches = int((np.diff(is_old.astype(np.int8)) != 0).sum())
+    switches = int((steps_of(is_old.astype(np.int8)) != 0).sum())
     apart_ns = int(ordered[at + 1] - ordered[at])
     widths = int(ordered[at] - ordered[0]), int(ordered[-1] - ordered[at + 1])
     if apart_ns > max(NOTICED_NS, *widths) and fewer >= FEWEST // 2 and switches > max(FEWEST, fewer / 2):
@@ -383,9 +383,9 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     ages_ns = stamps.age_ns
     if len(ages_ns) < FEWEST:
         return []
-    changes_ns = np.diff(ages_ns)
+    changes_ns = steps_of(ages_ns)
     least_ns = max(2 * NOTICED_NS, FEWEST * spread(changes_ns))
-    jumps = (np.flatnonzero(np.abs(changes_ns) > least_ns) + 1).tolist()
+    jumps = (indices_of(np.abs(changes_ns) > least_ns) + 1).tolist()
     if len(jumps) > FEWEST * WINDOW:  # more than a clock is set
         return []
     edges = [0, *jumps, len(ages_ns)]
@@ -425,7 +425,7 @@ def growth_since_ns(log_ns: Int64, stamp_ns: Int64) -> int | None:
     if len(ages_ns) < 2 * WINDOW or abs(median(ages_ns)) > DAY_NS:
         return None
     start_ns, end_ns = age_course(ages_ns)
-    noise_ns = max(FEWEST * spread(np.diff(ages_ns)), NOTICED_NS / FEWEST)
+    noise_ns = max(FEWEST * spread(steps_of(ages_ns)), NOTICED_NS / FEWEST)
     if end_ns < max(2 * start_ns, start_ns + noise_ns):
         return None
     levels_ns = np.array([median(part) for part in np.array_split(ages_ns, WINDOW)])

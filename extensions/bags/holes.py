@@ -36,7 +36,9 @@ class Holes:
 
     def meet(self, others: Holes) -> NDArray[np.bool_]:
         """Return which of these overlap any of the others, which do not overlap each other."""
-        at = np.searchsorted(others.end_ns, self.start_ns, "right")
+        if not (len(self) and len(others)):
+            return np.zeros(len(self), np.bool_)
+        at = others.end_ns.searchsorted(self.start_ns, "right")
         return np.append(others.start_ns, np.iinfo(np.int64).max)[at] < self.end_ns
 
     @staticmethod

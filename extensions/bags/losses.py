@@ -25,7 +25,7 @@ from .periods import (
     levels_around,
     usual_steps,
 )
-from .quantiles import median, spread
+from .quantiles import indices_of, median, spread, steps_of
 from .recorded import NONE
 
 Stretches: TypeAlias = Holes
@@ -135,14 +135,14 @@ class TopicTimes:
         """
         jumps = []
         for publisher in _few(self.publisher):
-            indices = np.flatnonzero(self.publisher == publisher)
+            indices = indices_of(self.publisher == publisher)
             sequence = self.sequence[indices]
-            restarts = np.flatnonzero((np.diff(sequence) < -2 * WINDOW) & (sequence[1:] <= 1)) + 1
+            restarts = indices_of((steps_of(sequence) < -2 * WINDOW) & (sequence[1:] <= 1)) + 1
             for part in np.split(indices, restarts):
                 numbers, first = np.unique(self.sequence[part], return_index=True)
-                steps, logged_ns = np.diff(numbers), self.log_ns[part[first]]
+                steps, logged_ns = steps_of(numbers), self.log_ns[part[first]]
                 if len(steps) > 1 and 2 * (steps == 1).sum() >= len(steps):
-                    waits_ns = np.diff(logged_ns)
+                    waits_ns = steps_of(logged_ns)
                     usual_ns = max(median(np.abs(waits_ns)), 1.0)
                     is_possible = (waits_ns >= 0) & (steps < PATTERN * (waits_ns / usual_ns + 1))
                     is_jump = (steps > 1) & is_possible
@@ -173,7 +173,7 @@ class TopicTimes:
         logged_ns = self.log_ns[selected]
         if (times_ns == NONE).any() or 2 * (times_ns == logged_ns).sum() > len(times_ns) or self.is_command:
             return None
-        if len(times_ns) > 1 and np.diff(times_ns).min() < -SECOND_NS:  # a clock was set, or a counter ran over
+        if len(times_ns) > 1 and steps_of(times_ns).min() < -SECOND_NS:  # a clock was set, or a counter ran over
             return None
         order = np.argsort(times_ns, kind="stable")
         stamps_ns, log_ns = times_ns[order], logged_ns[order]
@@ -181,17 +181,17 @@ class TopicTimes:
         if grid is None:
             return None
         stamp_period_ns, steps, exact = grid
-        steps_ns, log_steps_ns = np.diff(stamps_ns), np.diff(log_ns)
+        steps_ns, log_steps_ns = steps_of(stamps_ns), steps_of(log_ns)
         is_short = steps <= PATTERN
         span_ns, log_span_ns = float(steps_ns[is_short].sum()), float(log_steps_ns[is_short].sum())
         is_same_clock = log_span_ns < 2 * span_ns < 2 * 2 * log_span_ns and abs(median(log_ns - stamps_ns)) < DAY_NS
         period_ns = stamp_period_ns if is_same_clock else stamp_period_ns * log_span_ns / span_ns
-        at = np.flatnonzero(steps > 1)
+        at = indices_of(steps > 1)
         left_out = np.searchsorted(np.sort(self.left_out_ns), stamps_ns)
         repeated = (steps == 0) & (log_steps_ns > period_ns / 2)  # a stamp that was not new yet
         before = np.append(0, np.cumsum(repeated))
         last = np.maximum.accumulate(np.where(steps > 0, np.arange(len(steps)), -1))
-        filled = before[at] - before[np.where(at > 0, last[np.maximum(at - 1, 0)] + 1, 0)] + np.diff(left_out)[at]
+        filled = before[at] - before[np.where(at > 0, last[np.maximum(at - 1, 0)] + 1, 0)] + steps_of(left_out)[at]
         lacking = np.maximum(steps[at] - 1 - filled, 0)
         if is_same_clock:
             older, newer = levels_around(log_ns - stamps_ns, at + 1)
@@ -278,7 +278,7 @@ class TopicTimes:
 
 def resolution_ns(stamp_ns: Int64) -> int | None:
     """Return the unit of stamps if it is a millisecond or, of several stamps each, a second; None for finer ones."""
-    steps_ns = np.abs(np.diff(stamp_ns))
+    steps_ns = np.abs(steps_of(stamp_ns))
     unit_ns = int(np.gcd.reduce(steps_ns)) if len(steps_ns) >= FEWEST else 0
     if unit_ns % SECOND_NS == 0 and unit_ns and 2 * 2 * (steps_ns == 0).sum() > len(steps_ns):
         return SECOND_NS if not (stamp_ns % SECOND_NS).any() else None

@@ -67,5 +67,4 @@ def explained(notes: Sequence[Note]) -> Iterator[Observation]:
 
 
 def has_losses(observations: Sequence[Observation]) -> bool:
-    """Return whether messages are missing by all readings of some topic."""
     return any(row.kind == "counted" and row.reading == ALL_READINGS and row.low for row in observations)

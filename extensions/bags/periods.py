@@ -18,7 +18,7 @@ from dds_trace.base.units import SECOND_NS
 
 from .bounds import FEW, FEWEST, MOST, NEAR, PATTERN, PHASES, REGULAR, WINDOW
 from .holes import Holes
-from .quantiles import median, quantile, row_medians, spread
+from .quantiles import indices_of, median, middle, quantile, row_medians, spread, steps_of
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
@@ -74,13 +74,13 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
     near = [pattern for pattern in patterns if pattern.expected <= (1 + NEAR) * fewest + 1]
     most = max(pattern.share for pattern in near)
     best = next(pattern for pattern in near if pattern.share > most - FEW)
-    if patterns[0].length == 1 < best.length and _is_single_with_stalls(np.diff(times_ns) / patterns[0].period_ns):
+    if patterns[0].length == 1 < best.length and _is_single_with_stalls(steps_of(times_ns) / patterns[0].period_ns):
         best = patterns[0]
     period_ns, in_pattern = best.period_ns, best.length
     if in_pattern == 1:
         regularity = _by_phase(times_ns, best) or _single(times_ns, period_ns)
     else:
-        intervals_ns = np.diff(times_ns)
+        intervals_ns = steps_of(times_ns)
         ordered_ns = np.sort(intervals_ns)
         rivals = [
             _several(times_ns, intervals_ns, ordered_ns, rival.period_ns, rival.length)
@@ -142,7 +142,7 @@ def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
 
 def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
     """Return the regularity of times off a grid by a good part of a period each, by their sharpest phase (Rayleigh's test); None without."""
-    ratio = np.diff(times_ns) / pattern.period_ns
+    ratio = steps_of(times_ns) / pattern.period_ns
     if pattern.share > 1 - NEAR or len(times_ns) < PHASES / FEWEST or _is_single_with_stalls(ratio):
         return None
     if ratio.max() > PHASES / 2 or ratio.sum() > 2 * 2 * len(ratio) or _rate_changes(ratio):
@@ -166,7 +166,7 @@ def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
 
 def find_grid(stamps_ns: Int64) -> tuple[float, Int64, Float64] | None:
     """Return the period of ascending stamps that are multiples of one apart, their steps in periods, rounded and not; None for others."""
-    steps_ns = np.diff(stamps_ns)
+    steps_ns = steps_of(stamps_ns)
     positive_ns = steps_ns[steps_ns > 0]
     if len(stamps_ns) < FEWEST or len(positive_ns) < (1 - NEAR) * len(steps_ns):
         return None
@@ -206,7 +206,7 @@ def usual_steps(steps: Int64) -> Int64 | None:
     if gaps >= PATTERN:
         lengths, counts = np.unique(steps, return_counts=True)
         is_rare = lengths[counts.argmax()] > 1  # after losses at random the shortest step is the most common
-        again = [float((steps[m:] == steps[:-m]).mean()) for m in range(1, PATTERN)]
+        again = [np.count_nonzero(steps[m:] == steps[:-m]) / (len(steps) - m) for m in range(1, PATTERN)]
         is_again = again[0] < MOST <= max(again) and gaps * PATTERN > (1 - NEAR) * len(steps)
         length = -(-len(steps) * PATTERN // gaps)
         blocks = steps[: len(steps) // length * length].reshape(-1, length)
@@ -223,7 +223,7 @@ def usual_steps(steps: Int64) -> Int64 | None:
 
 def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
     """Count what one rate lacks; with stretches of another rate, what the rates lack, within the interval of both readings."""
-    raw = np.diff(times_ns) / period_ns
+    raw = steps_of(times_ns) / period_ns
     ratio, unsure = _without_queues(raw)
     whole = _one_rate(times_ns, ratio, period_ns, has_phase=has_phase)
     whole = replace(whole, high=whole.high + unsure)
@@ -253,7 +253,7 @@ def _without_queues(ratio: Float64) -> tuple[Float64, int]:
     After a stall its messages come at once: only what these do not make up for is missing.
     """
     sent, queues, unsure = ratio.copy(), 0, 0
-    stalls = np.flatnonzero(ratio > 2 + 1 / 2)
+    stalls = indices_of(ratio > 2 + 1 / 2)
     stalls = stalls[np.append(ratio, 0.0)[stalls + 1] < 1 - NEAR]
     for at in stalls.tolist():
         late, end = float(ratio[at]) - 1, at + 1
@@ -283,7 +283,7 @@ def _rate_changes(ratio: Float64) -> list[int]:
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(ratio, PATTERN, mode="reflect"), 2 * PATTERN + 1)
     typical = np.concatenate([row_medians(windows[at : at + PHASES]) for at in range(0, len(windows), PHASES)])
     is_other = np.abs(typical - 1) > NEAR
-    changes = np.flatnonzero((np.diff(is_other.astype(np.int8)) != 0) | (np.abs(np.diff(typical)) > NEAR)) + 1
+    changes = indices_of((steps_of(is_other.astype(np.int8)) != 0) | (np.abs(steps_of(typical)) > NEAR)) + 1
     edges = []
     for start, stop in pairwise([0, *changes.tolist(), len(ratio)]):
         part = ratio[start:stop]
@@ -295,7 +295,7 @@ def _rate_changes(ratio: Float64) -> list[int]:
 
 
 def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: bool = False) -> Regularity:
-    intervals_ns, ratios = np.diff(times_ns), ratio
+    intervals_ns, ratios = steps_of(times_ns), ratio
     steps = _settled(ratios)
     is_regular = (steps == 1) & (np.abs(ratios - 1) < REGULAR)
     regular_ns = intervals_ns[is_regular]
@@ -306,7 +306,7 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: b
     more = int((np.maximum(steps[is_gap], np.rint(long / fast)) - steps[is_gap]).sum())
     unsure = round(2 * np.sqrt(int((np.abs(ratios - np.rint(ratios)) > REGULAR).sum())))
     missing = max(int(steps.sum()) - len(steps), 0)
-    gaps = np.flatnonzero(is_gap)
+    gaps = indices_of(is_gap)
     gaps = gaps[np.argsort(-ratios[gaps], kind="stable")]
     gaps = np.sort(gaps[: np.searchsorted(np.cumsum(steps[gaps] - 1), missing) + 1] if missing else gaps[:0])
     least = np.where(is_explained(ratios, steps, gaps, has_phase=has_phase), 0, steps[gaps] - 1)
@@ -377,7 +377,7 @@ def _extremes(regular: Float64) -> tuple[float, float]:
 def _settled(ratio: Float64) -> Int64:
     """Return intervals in periods; corrected after late messages: what follows is in phase again."""
     steps = np.rint(ratio).astype(np.int64)
-    doubtful = np.flatnonzero((np.abs(ratio - steps) > NEAR) & (ratio < PATTERN))
+    doubtful = indices_of((np.abs(ratio - steps) > NEAR) & (ratio < PATTERN))
     before, after = levels_around(np.cumsum(ratio - steps), doubtful)
     shift = after - before
     wrong = np.abs(shift) > 1 - REGULAR
@@ -389,7 +389,7 @@ def _settled(ratio: Float64) -> Int64:
         at = doubtful[largest]
         steps[at] = np.maximum(steps[at] + np.rint(shift[largest]).astype(np.int64), 0)
     for late, soon in ((steps[:-1], steps[1:]), (steps[1:], steps[:-1])):  # one late message is not a missing one
-        pairs = np.flatnonzero((late > 1) & (soon == 0))
+        pairs = indices_of((late > 1) & (soon == 0))
         late[pairs] -= 1
         soon[pairs] += 1
     return steps
@@ -397,16 +397,16 @@ def _settled(ratio: Float64) -> Int64:
 
 def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
     """Count what a pattern lacks; without its jitter."""
-    usual_ns = median(ordered_ns[-max(len(ordered_ns) // in_pattern, 1) :])
+    usual_ns = middle(ordered_ns[-max(len(ordered_ns) // in_pattern, 1) :])
     periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
     # One of several publishers may begin later or end earlier.
     is_regular = np.abs(periods_ns - period_ns) < REGULAR * period_ns / in_pattern
-    regular = np.flatnonzero(is_regular)
+    regular = indices_of(is_regular)
     inner_ns = times_ns[regular[0] : regular[-1] + in_pattern + 1]
     missing = most = _lacking(inner_ns, period_ns, in_pattern, usual_ns)
     if len(inner_ns) < len(times_ns):
         most = _lacking(times_ns, period_ns, in_pattern, usual_ns)
-    gaps = np.flatnonzero(intervals_ns > usual_ns + (1 - NEAR) * period_ns)
+    gaps = indices_of(intervals_ns > usual_ns + (1 - NEAR) * period_ns)
     lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
     unsure = in_pattern + round(missing ** (1 / 2))
     seen = int(lost.sum())
@@ -431,9 +431,9 @@ def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns:
 
 def _lacking(times_ns: Int64, period_ns: float, in_pattern: int, usual_ns: float) -> int:
     if usual_ns > period_ns / 2:  # batches with a pause between them
-        starts = times_ns[np.append(0, np.flatnonzero(np.diff(times_ns) > usual_ns / 2) + 1)]
-        return max(in_pattern * int(np.rint(np.diff(starts) / period_ns).sum() + 1) - len(times_ns), 0)
+        starts = times_ns[np.append(0, indices_of(steps_of(times_ns) > usual_ns / 2) + 1)]
+        return max(in_pattern * int(np.rint(steps_of(starts) / period_ns).sum() + 1) - len(times_ns), 0)
     since = (times_ns - times_ns[0]) / period_ns
     # Wraps around: the last index is the first.
-    last = int(np.flatnonzero(np.abs(since - np.rint(since)) < NEAR / 2)[-1])
+    last = int(indices_of(np.abs(since - np.rint(since)) < NEAR / 2)[-1])
     return max(round(float(since[last])) * in_pattern - last, 0)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def plain(text: str) -> str:
     r"""Return text with all but line feeds and tabs spelled out as in JSON: `\u001b`, so that JSON stays JSON."""
-    if text.isprintable():
+    if text.replace("\n", "").replace("\t", "").isprintable():
         return text
     return "".join(c if c in "\n\t" or not is_hidden(c) else _spelled(c) for c in text)
 

@@ -25,6 +25,7 @@ import struct
 import sys
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,7 +37,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from dds_trace.extensions.bags.sqlite_rows import SQLITE_TABLES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 HERE = Path(__file__).parents[1]
 START_NS = 1_790_000_000_000_123_457
@@ -143,6 +144,12 @@ def write_ros1(path: Path, seconds: float, like: Recording) -> Recording:
     return Recording(path, like.messages, like=like.path)
 
 
+def cut_in_the_middle(whole: Recording) -> Recording:
+    path = whole.path.with_name("cut.mcap")
+    path.write_bytes(whole.path.read_bytes()[: whole.path.stat().st_size // 2])
+    return Recording(path, whole.messages // 2, whole.path, 0.5)
+
+
 def run_of(checkout: Path, command: str, recording: Path, out: Path) -> Ran:
     """Run a command of a checkout; the recordings are whole, and those that are not are recovered."""
     if command == "recover":
@@ -168,28 +175,26 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="bench-bag-") as name:
         folder = Path(name)
         few = write_recording(folder / "few.mcap", FEW_SECONDS)
-        topics = write_recording(folder / "topics.mcap", SECONDS * part)
-        cut = Recording(folder / "cut.mcap", topics.messages // 2, topics.path, 0.5)
-        cut.path.write_bytes(topics.path.read_bytes()[: topics.path.stat().st_size // 2])
-        camera = write_recording(folder / "camera.mcap", CAMERA_SECONDS * part, (*TOPICS, CAMERA), is_packed=False)
-        many = write_recording(folder / "many.mcap", MANY_SECONDS, (MANY,) * int(MANY_TOPICS * part))
-        rows = {
-            "bag topics": topics,
-            "bag camera": camera,
-            "bag many": many,
-            "recover topics": topics,
-            "recover cut": cut,
-        }
         seconds = SECONDS * part * OTHERS_PART
-        like = write_recording(folder / "like.mcap", seconds)
-        rows["bag sqlite"] = write_database(folder / "like.db3", seconds, like)
-        rows["bag ros1"] = write_ros1(folder / "like.bag", seconds, like)
-        for row, recording in rows.items():
+        topics = cache(lambda: write_recording(folder / "topics.mcap", SECONDS * part))
+        like = cache(lambda: write_recording(folder / "like.mcap", seconds))
+        rows: dict[str, Callable[[], Recording]] = {
+            "bag topics": topics,
+            "bag camera": lambda: write_recording(
+                folder / "camera.mcap", CAMERA_SECONDS * part, (*TOPICS, CAMERA), is_packed=False
+            ),
+            "bag many": lambda: write_recording(folder / "many.mcap", MANY_SECONDS, (MANY,) * int(MANY_TOPICS * part)),
+            "recover topics": topics,
+            "recover cut": lambda: cut_in_the_middle(topics()),
+            "bag sqlite": lambda: write_database(folder / "like.db3", seconds, like()),
+            "bag ros1": lambda: write_ros1(folder / "like.bag", seconds, like()),
+        }
+        for row, write in rows.items():
             if options.only in row:
                 against = options.against if options.all or row in BEFORE_BARS else None
                 missed += measure(
                     row,
-                    recording,
+                    write(),
                     few,
                     options.rounds,
                     against,

@@ -95,7 +95,7 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
         zeros = _array(np.zeros(len(frame), np.int32))
         columns = {
             **{column.name: column.to_arrow() for column in frame.drop("outcome").iter_columns()},
-            **{column.name: _repeated(column, rows_of_exchange) for column in others},
+            **{column.name: _in_pages(column, rows_of_exchange) for column in others},
             "outcome": pa.DictionaryArray.from_arrays(outcome, outcomes),
         }
         for name, text in texts.items():
@@ -106,19 +106,21 @@ def tables_of(rows: RoundTrips) -> Iterator[pa.Table]:
         yield pa.Table.from_arrays([columns[name] for name in _WRITTEN_SCHEMA.names], schema=_WRITTEN_SCHEMA)
 
 
-def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array | pa.ChunkedArray:
-    rows = int(rows_of_exchange.sum())
-    if rows > _ROWS_PER_PAGE and rows == rows_of_exchange.max():  # one page in memory is repeated
-        only = int(rows_of_exchange.argmax())
-        page = _repeated(values[only : only + 1], np.array([_ROWS_PER_PAGE]))
-        return pa.chunked_array(
-            [page.slice(0, min(rows - first, _ROWS_PER_PAGE)) for first in range(0, rows, _ROWS_PER_PAGE)]
-        )
+def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array:
     if values.null_count() == len(values):
         return pa.nulls(int(rows_of_exchange.sum()), values.to_arrow().type)
     if values.null_count():
         return values.gather(np.repeat(np.arange(len(values), dtype=np.uint32), rows_of_exchange)).to_arrow()
     return _array(np.repeat(values.to_numpy(), rows_of_exchange))
+
+
+def _in_pages(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array | pa.ChunkedArray:
+    rows = int(rows_of_exchange.sum())
+    if rows <= _ROWS_PER_PAGE or rows != rows_of_exchange.max():
+        return _repeated(values, rows_of_exchange)
+    only = int(rows_of_exchange.argmax())  # one page in memory is repeated
+    page = _repeated(values[only : only + 1], np.array([_ROWS_PER_PAGE]))
+    return pa.chunked_array([page.slice(0, min(rows - at, _ROWS_PER_PAGE)) for at in range(0, rows, _ROWS_PER_PAGE)])
 
 
 def _array(values: NDArray[np.generic]) -> pa.Array:

@@ -91,7 +91,6 @@ class Details:
     deadline_metric: str = "response"
 
     def __repr__(self) -> str:
-        """Return the frames with their heights."""
         frames = (f"{name}: {counted(len(getattr(self, name)), 'row')}" for name in DETAIL_FRAMES)
         return f"<Details: {', '.join(frames)}; answers: {len(self.answers)}>"
 
@@ -135,7 +134,6 @@ class Analysis:
     topic_hops: pl.DataFrame = field(default_factory=lambda: pl.DataFrame(schema=HOP_SCHEMA))
 
     def __repr__(self) -> str:
-        """Return one line with counts: notebooks store it next to `_repr_html_`."""
         counts = (
             counted(len(self.sources), "file"),
             counted(len(self.runs), "run"),
@@ -217,7 +215,6 @@ class Analysis:
         )
 
     def _repr_html_(self) -> str:
-        """Return the first screen of the report."""
         screen: str = load("parts", "presenter").first_screen(self)
         return screen
 

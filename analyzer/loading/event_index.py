@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from dds_trace.tracefile.format.events import EventColumns, Stage
+from dds_trace.tracefile.format.events import EVENT_COLUMNS, EventColumns, Stage
 
 EventKey = tuple[Stage, int, int]
 """Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says. Of a tap: 0 and the `publisher_id`."""
@@ -89,7 +89,7 @@ def split_events(columns: EventColumns, *, by_run: bool = True, by_relay: bool) 
         keys = [keys[code] for code in stretch_code]
     ends = np.cumsum(lengths)
     return {
-        key: EventColumns(**{f.name: getattr(columns, f.name)[end - length : end] for f in fields(columns)})
+        key: EventColumns(**{name: getattr(columns, name)[end - length : end] for name in EVENT_COLUMNS})
         for key, length, end in zip(keys, lengths.tolist(), ends.tolist(), strict=True)
     }
 

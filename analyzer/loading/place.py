@@ -71,5 +71,4 @@ class Place:
 
 
 def default_output(path: Paths) -> Path:
-    """Return the default folder for the results of `path`."""
     return Place.of(path).default_output

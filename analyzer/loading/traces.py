@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import BinaryIO
 
 from dds_trace.base.errors import OutputError, TraceFormatError
 from dds_trace.base.extension import load as load_part
@@ -57,7 +58,6 @@ class TraceSpool:
         return self._folder.path
 
     def room(self) -> int:
-        """Return how many more events may stay in memory."""
         parts = (part for loaded in self._loaded.values() for part in loaded.parts.values())
         return max(0, MOST_EVENTS_IN_MEMORY - sum(p.count for p in parts if isinstance(p.events, EventColumns)))
 
@@ -83,14 +83,17 @@ def load(path: Path, folder: Path, room: int = 0) -> LoadedTrace | TraceFormatEr
     in_memory: list[Mapping[Stage, EventColumns]] = []
     written: dict[EventKey, list[tuple[int, int, SpooledPiece]]] = {}
     try:
-        with file.open("wb") as stream:
+        with ExitStack() as opened:
+            stream: BinaryIO | None = None
 
             def take(piece: Mapping[Stage, EventColumns]) -> None:
+                nonlocal stream
                 in_memory.append(piece)
                 if not written and len(in_memory) == 1 and sum(map(len, piece.values())) <= room:
                     return
                 for key, part in chain.from_iterable(split_trace(events, 0).items() for events in in_memory):
                     try:
+                        stream = stream or opened.enter_context(file.open("wb"))
                         spooled = write_events(stream, part.load())
                     except OSError as err:  # not of reading the trace
                         raise _full(path, err) from err

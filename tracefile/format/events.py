@@ -48,6 +48,8 @@ class Stage(Enum):
     T4 = "t4"
     TAP = "tap"
 
+    __hash__ = object.__hash__  # of the name it would be a call of Python
+
     @property
     def topic(self) -> str:
         """Topic in the file."""
@@ -110,11 +112,14 @@ class EventColumns:
     def concatenate(cls, parts: Iterable[EventColumns]) -> EventColumns:
         """Join the events of `parts` in order."""
         columns = list(parts) or [cls.empty()]
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in columns]) for f in fields(cls)})
+        return cls(**{name: np.concatenate([getattr(p, name) for p in columns]) for name in EVENT_COLUMNS})
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> EventColumns:
         """Return the events at `index` (integer positions or a boolean mask)."""
-        return EventColumns(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return EventColumns(**{name: getattr(self, name)[index] for name in EVENT_COLUMNS})
+
+
+EVENT_COLUMNS = tuple(column.name for column in fields(EventColumns))
 
 
 Records: TypeAlias = "NDArray[np.void]"
@@ -203,7 +208,7 @@ class TapColumns:
     @classmethod
     def from_events(cls, events: EventColumns) -> TapColumns:
         """Give the events of `Stage.TAP` their names, in the order of the fields; no copy."""
-        return cls(*(getattr(events, column.name) for column in fields(events)))
+        return cls(*(getattr(events, name) for name in EVENT_COLUMNS))
 
 
 def event_fault(stage: Stage, encoding: str, schema_name: str | None) -> str | None:

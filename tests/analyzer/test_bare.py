@@ -20,7 +20,7 @@ OF_OTHERS = {"drive/traces"}
 """A bag without our events."""
 QUICK = {"two-clocks/traces", "two-machines/traces", "fan-out/traces"}
 BY_MORE = {"fan-out/traces", "flows/traces", "lossy-link/traces", "lossy-link-held/traces", "outages/traces"}
-BY_MORE |= {"two-machines/traces"}
+BY_MORE |= {"two-machines/traces", "stacks/links", "stacks/nodes", "stacks/rmw-zenoh"}
 """Campaigns that vary more than the settings of `bare.SETTINGS`: these groups are the analyzer's."""
 RESTARTED = {"outages/traces"}
 """Campaigns in which one relay follows another within a run, so that a message has one row."""

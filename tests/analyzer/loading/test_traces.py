@@ -1,6 +1,5 @@
 import shutil
 import tempfile
-import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -42,7 +41,7 @@ def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read, spool):
     write_runs(runs, range(3))
     analyze(runs, spool=spool)
     assert sorted(files_read) == ["ping0.mcap", "ping1.mcap", "ping2.mcap", *(f"relay{n}.mcap" for n in range(3))]
-    assert not any(path.stat().st_size for path in spool.folder.iterdir())  # what fits in memory is not written
+    assert not [*spool.folder.iterdir()]  # what fits in memory is not written
     files_read.clear()
     write_runs(runs, range(3, 4))
     grown = analyze(runs, spool=spool)
@@ -50,15 +49,17 @@ def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read, spool):
     assert_same_results(grown, analyze(runs))
 
 
-def test_a_trace_that_changed_or_moved_is_read_again_and_its_earlier_events_are_gone(tmp_path, files_read, spool):
+def test_a_changed_or_moved_trace_is_read_again_and_its_earlier_events_are_gone(
+    tmp_path, monkeypatch, files_read, spool
+):
+    monkeypatch.setattr(traces, "MOST_EVENTS_IN_MEMORY", 0)
     runs = tmp_path / "runs"
     write_runs(runs, range(2))
     analyze(runs, spool=spool)
-    files_read.clear()
     (runs / "ping0.mcap").rename(runs / "other.mcap")
     write_runs(runs, range(1, 2), latency_ns=999)
     again = analyze(runs, spool=spool)
-    assert files_read == ["other.mcap", "ping1.mcap", "relay1.mcap"]
+    assert files_read[4:] == ["other.mcap", "ping1.mcap", "relay1.mcap"]
     assert_same_results(again, analyze(runs))
     assert len(list(spool.folder.iterdir())) == 4
 
@@ -98,21 +99,12 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
         assert set(whole.details.breakdown["group"]) == {0, 1}
 
 
-def test_a_large_batch_measured_side_by_side_says_the_same(tmp_path, monkeypatch):
+def test_large_batches_say_the_same(tmp_path, monkeypatch):
     runs = tmp_path / "runs"
     write_runs(runs, range(6), groups=2)
     whole = analyze(runs)
-    threads = set()
-
-    def measure_whole(*of_batch):
-        threads.add(threading.current_thread().name.partition("_")[0])
-        return measure(*of_batch)
-
-    measure = dds_trace.analyzer.engines.batches.measure_whole
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_whole", measure_whole)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)
     found = analyze(runs)
-    assert threads == {"measure"}
     assert_same_results(found, whole)
     for name in ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots"):
         assert_frame_equal(getattr(found.details, name), getattr(whole.details, name), check_exact=True)

@@ -197,10 +197,10 @@ def _analyze(
 def _write_rows(
     outputs: Iterable[BatchOutput], writer: RowWriter, advance: Callable[[int], None]
 ) -> Iterator[BatchResult]:
-    """Write the rows of every batch, and then wait for its result: a large batch is measured meanwhile."""
+    """Write the rows of every batch."""
     for number, output in enumerate(outputs):
         advance(number)
         writer.write(output.tables())
-        result = output.result()
+        result = output.result
         del output  # its rows are written
         yield result

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dds_trace.base.threads import InlineExecutor
 from dds_trace.tracefile.format.events import EventColumns
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
@@ -26,8 +23,6 @@ from ..pairing.parquet import tables_of
 from ..pairing.roundtrips import RoundTrips, pair_exchanges
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     import polars as pl
     import pyarrow as pa
 
@@ -122,45 +117,37 @@ class BatchResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchOutput:
-    """The rows of a batch, None of a sketch, and a function that waits for its result."""
+    """The rows of a batch, None of a sketch, and its result."""
 
     rows: RoundTrips | None
-    result: Callable[[], BatchResult]
+    result: BatchResult
 
     def tables(self) -> Iterator[pa.Table]:
         return iter(()) if self.rows is None else tables_of(self.rows)
 
 
-def process(batch: Batch, parts: Parts, pool: Executor | None = None) -> BatchOutput:
-    """Pair a batch, and begin to measure it in the pool; without one, all is done on return."""
-    pool, options = pool or InlineExecutor(), batch.options
-    keys = batch.event_keys()
-    merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
+def process(batch: Batch, parts: Parts) -> BatchOutput:
+    """Pair a batch and measure it, before its rows are written: both take hundreds of megabytes of a long run."""
+    options, keys = batch.options, batch.event_keys()
+    merged = {key: merge_parts(parts.get(key, ())) for key in keys}
     copies = {key: copied for key, (_, copied) in merged.items() if copied}
     events = {key: columns for key, (columns, _) in merged.items()}
     del merged
     if is_large(batch):
         _share_sequences(batch, events)
-    rows = pair_exchanges(batch.exchanges, events, details=options.details, pool=pool)
+    rows = pair_exchanges(batch.exchanges, events, details=options.details)
     del events  # gigabytes of a long run
-    makers = {**MAKERS, **(DETAIL_MAKERS if options.details else {})}
+    frames: Frames = {}
     if options.details:
-        measuring_whole = pool.submit(measure_whole, batch, rows)
+        statistics, frames["intervals"], frames["one_way"] = measure_whole(batch, rows)
     if not (options.details and batch.whole):
-        measuring = pool.submit(measure_batch, rows, batch.group_of_exchange)
-    begun = {name: pool.submit(make, batch, rows).result for name, make in makers.items()}
+        statistics = measure_batch(rows, batch.group_of_exchange)
+    makers = {**MAKERS, **(DETAIL_MAKERS if options.details else {})}
+    frames |= {name: make(batch, rows) for name, make in makers.items()}
     values = None
     if options.rows and not batch.whole:
         values = {metric: metric_values(rows, metric, 0, len(batch.exchanges)) for metric in METRICS}
-
-    def result() -> BatchResult:
-        frames = {name: wait() for name, wait in begun.items()}
-        if options.details:
-            statistics, frames["intervals"], frames["one_way"] = measuring_whole.result()
-        if not (options.details and batch.whole):
-            statistics = measuring.result()
-        return BatchResult(concatenate_frames([frames]), rows.counts, statistics, copies, values)
-
+    result = BatchResult(concatenate_frames([frames]), rows.counts, statistics, copies, values)
     return BatchOutput(rows if options.rows else None, result)
 
 
@@ -169,8 +156,3 @@ def _share_sequences(batch: Batch, events: dict[EventKey, EventColumns]) -> None
         for key in others:
             if np.array_equal(events[key].sequence, events[sent].sequence):
                 events[key] = replace(events[key], sequence=events[sent].sequence)
-
-
-def process_elsewhere(batch: Batch, parts: Parts) -> BatchOutput:
-    output = process(batch, parts)
-    return BatchOutput(output.rows, partial(itemgetter(0), (output.result(),)))

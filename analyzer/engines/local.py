@@ -17,7 +17,7 @@ from ..loading.campaign import Campaign, Progress, load_campaign
 from ..loading.event_index import EventIndex
 from ..loading.place import Place
 from ..loading.traces import LoadedTrace, TraceSpool, load, load_some
-from .batches import BatchOutput, is_large, keep_freed_memory, process, process_elsewhere
+from .batches import BatchOutput, is_large, keep_freed_memory, process
 
 _MOST_THREADS = 2  # each has a batch in memory; the caller writes the rows
 
@@ -50,16 +50,12 @@ class Engine(ExitStack):
         """Yield rows and results of the batches, in their order; two threads measure while the caller writes rows."""
         if not any(map(is_large, batches)):  # a large one leaves no room
             keep_freed_memory()
-        with (
-            ThreadPoolExecutor(self._count, thread_name_prefix="analyze") as threads,
-            ThreadPoolExecutor(1, thread_name_prefix="measure") as measuring,  # of a large batch, for its memory
-        ):
+        with ThreadPoolExecutor(self._count, thread_name_prefix="analyze") as threads:
 
             def begin(batch: Batch) -> Future[BatchOutput]:
                 parts = {key: index[key] for key in batch.event_keys() if key in index}
-                if self._executor is not None and (self.takes_large_batches or not is_large(batch)):
-                    return self._executor.submit(process_elsewhere, batch, parts)
-                return threads.submit(process, batch, parts, measuring if is_large(batch) else None)
+                others = self._executor if self.takes_large_batches or not is_large(batch) else None
+                return (others or threads).submit(process, batch, parts)
 
             jobs = ((batch.events, partial(begin, batch)) for batch in batches)
             yield from in_turn(jobs, self._count + 1, _MOST_EVENTS_AHEAD)

@@ -50,7 +50,8 @@ def measure_whole(batch: Batch, roundtrips: RoundTrips) -> tuple[Statistics, pl.
     """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
-    run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
+    numbers = np.array([number[run_id] for run_id in run_ids], np.min_scalar_type(len(number)))
+    run_of_row = roundtrips.per_row(numbers)
     measured: dict[tuple[int, str], Measured] = {}
 
     def take(group: int, metric: str, ordered: NDArray[np.int64]) -> None:
@@ -175,7 +176,8 @@ class _Sending:
 
     @classmethod
     def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
-        offsets = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
+        changes = np.flatnonzero(run_of_row[1:] != run_of_row[:-1])
+        offsets = np.concatenate([[0], changes + 1, [len(run_of_row)]])
         times = SendTimes(sent_ns, offsets)
         if all(bool((run[1:] >= run[:-1]).all()) for run in times.by_run):
             return cls(times, None)

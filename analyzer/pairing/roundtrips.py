@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import DTypeLike, NDArray
 
-from dds_trace.base.threads import InlineExecutor
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import EventColumns, Stage
@@ -37,10 +36,6 @@ from .pair import (
     published_messages,
 )
 from .utc import null_where_missing, utc_columns
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
@@ -128,18 +123,12 @@ class RoundTrips:
 
 
 def pair_exchanges(
-    exchanges: Sequence[Exchange],
-    events: Mapping[EventKey, EventColumns],
-    *,
-    details: bool = True,
-    pool: Executor | None = None,
+    exchanges: Sequence[Exchange], events: Mapping[EventKey, EventColumns], *, details: bool = True
 ) -> RoundTrips:
     """Pair the events of every exchange by its `event_keys`, count them, and compute the metrics of every round trip.
 
-    Without `details` no clocks are fitted, one-way times are null, and the middleware's stamps are dropped. `pool` counts
-    messages and fits clocks in parallel.
+    Without `details` no clocks are fitted, one-way times are null, and the middleware's stamps are dropped.
     """
-    pool = pool or InlineExecutor()
     # A run's messages are the same for each of its relays.
     published = {
         run_id: published_messages(
@@ -179,8 +168,7 @@ def pair_exchanges(
             messages, paired = all_messages.take(mask), paired.take(mask)
         absent = len(all_messages) - int(np.count_nonzero(is_there))
         counts.append(
-            pool.submit(
-                count_messages,
+            count_messages(
                 messages,
                 paired,
                 unsent=unsent,
@@ -198,7 +186,6 @@ def pair_exchanges(
 
     columns = filled.columns
     stamps = {name: columns[name] for name in _STAMPS}
-    fitting = pool.submit(fit_exchanges, exchanges, bounds, stamps) if details else None
     outcomes = [outcome.value for outcome in OUTCOMES]
     in_time = pl.DataFrame({"sequence": columns["sequence"]}).with_columns(
         *(null_where_missing(name, values) for name, values in stamps.items()),
@@ -207,7 +194,7 @@ def pair_exchanges(
         pl.Series("reordered", columns["reordered"]),
     )
     stamp_names = STAMP_NAMES if columns.keys() >= RECEPTION_STAMPS else ()
-    one_way = fitting.result() if fitting else OneWay.unknown(rows, len(exchanges))
+    one_way = fit_exchanges(exchanges, bounds, stamps) if details else OneWay.unknown(rows, len(exchanges))
     measured = in_time.with_columns(*one_way.columns)
     if not (is_long := rows > ROWS_PER_FRAME):
         measured = with_metrics(measured).with_columns(utc_columns(exchanges, bounds, measured))
@@ -216,9 +203,7 @@ def pair_exchanges(
         described=describe(exchanges),
         outcome=columns["outcome"],
         bounds=bounds,
-        counts=pl.DataFrame(
-            [count.result() | more for count, more in zip(counts, of_all, strict=True)], schema=COUNT_SCHEMA
-        ),
+        counts=pl.DataFrame([count | more for count, more in zip(counts, of_all, strict=True)], schema=COUNT_SCHEMA),
         stamps=tuple(pl.Series(name, columns[name]) for name in stamp_names if name in columns),
         clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
         exchanges=tuple(exchanges) if is_long else (),

@@ -29,7 +29,7 @@ SLEEP = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); 
 
 class Sleeping(ProcessPoolExecutor):
     def submit(self, job, *more):
-        return super().submit(*((exec, SLEEP) if job is local.process_elsewhere else (job, *more)))
+        return super().submit(*((exec, SLEEP) if job is local.process else (job, *more)))
 
 processes.ProcessPoolExecutor = Sleeping
 local.FILES_FOR_PROCESSES = dds_trace.analyzer.engines.batches.BATCH_EVENTS = 1
@@ -92,8 +92,8 @@ def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, 
 
 def test_a_large_batch_stays_here(runs, monkeypatch, started):
     here = []
-    process = local.process
-    monkeypatch.setattr(local, "process", lambda *batch: here.append(batch) or process(*batch))
+    threads, submit = local.ThreadPoolExecutor, local.ThreadPoolExecutor.submit
+    monkeypatch.setattr(threads, "submit", lambda *j: (j[1] is local.process and here.append(j)) or submit(*j))
     analyze(runs)
     assert not here
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)

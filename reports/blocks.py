@@ -169,9 +169,9 @@ class Command(Block):
 
 @dataclass(frozen=True, slots=True)
 class Bars(Block):
-    """In one line of a terminal if one of `short` fits."""
+    """In one line of a terminal if one of `short` fits; rows are a name, a length, its words and words to leave out there."""
 
-    rows: Sequence[tuple[str, float, str]]
+    rows: Sequence[tuple[str, float, str, str]]
     where: str
     short: Sequence[str] = ()
 

@@ -118,15 +118,17 @@ def _fitted(block: blocks.Fitted) -> Drawn:
 
 
 def _bars(block: blocks.Bars) -> Drawn:
-    longest = max((value for _, value, _ in block.rows), default=1)
-    line = "  " + "   ".join(f"{name} {_bar(value, longest, INLINE_BAR)} {text}" for name, value, text in block.rows)
-    for end in block.short:
-        if len(f"{line}   {end}") < SCREEN_WIDTH:
-            return [Text(f"{line}   {end}")]
+    longest = max((value for _, value, *_ in block.rows), default=1)
+    for shown in (2, 1) if block.short else ():
+        bars = (f"{name} {_bar(ns, longest, INLINE_BAR)} {''.join(words[:shown])}" for name, ns, *words in block.rows)
+        line = "  " + "   ".join(bars)
+        for end in block.short:
+            if len(f"{line}   {end}") < SCREEN_WIDTH:
+                return [Text(f"{line}   {end}")]
     width = max(len(name) for name, *_ in block.rows)
-    bar = max(1, min(BAR, SCREEN_WIDTH - width - len("        999.9 ms")))
-    rows = [f"  {name:<{width}}  {_bar(value, longest, bar):<{bar}}  {text}" for name, value, text in block.rows]
-    return [Text(f"  median at {block.where}:", style="dim"), *map(Text, rows)]
+    bar = max(1, min(BAR, SCREEN_WIDTH - width - max(len("".join(words)) for _, _, *words in block.rows) - 7))
+    rows = [f"  {name:<{width}}  {_bar(ns, longest, bar):<{bar}}  {''.join(words)}" for name, ns, *words in block.rows]
+    return [Text(f"  {block.where}:", style="dim"), *map(Text, rows)]
 
 
 def _bar(value: float, longest: float, cells: int) -> str:
@@ -207,7 +209,6 @@ def _sheet(block: blocks.Table, columns: Sequence[blocks.Column], sheet: Sequenc
 
 
 def _is_short(cells: Sequence[Words], widths: Sequence[int]) -> bool:
-    """Return whether the cells are plain texts of one line."""
     return all(
         isinstance(text, str) and text.isprintable() and cell_len(text) <= width
         for text, width in zip(cells, widths, strict=True)

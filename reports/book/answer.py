@@ -38,6 +38,7 @@ from .losses import (
     MACHINE,
     UNREACHED,
     avoid_sentence,
+    cause_sentence,
     cure_sentence,
     few_lost_sentence,
     found_sentence,
@@ -58,6 +59,7 @@ class PointKind(str, Enum):
     RECOVERY = "recovery"
     INTERFERENCE = "interference"
     LOSS = "loss"
+    CAUSE = "cause"
     AVOID = "avoid"
     CURE = "cure"
     FEW_LOST = "few lost"
@@ -139,10 +141,9 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         *((PointKind.RECOVERY, text) for text in recovery_sentences(analysis, usable)),
         *((PointKind.INTERFERENCE, text) for text in interference_sentences(analysis, usable)),
         (PointKind.LOSS, losses),
+        (PointKind.CAUSE, cause_sentence(analysis, usable) if losses else ""),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures, busy)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
-        (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
-        (PointKind.FEW_LOST, unreached),
         (PointKind.THROUGHPUT, throughput_sentence(usable, values)),
         first,
         (
@@ -153,6 +154,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),
+        (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
+        (PointKind.FEW_LOST, unreached),
     ]
     kinds, (headline, *points) = zip(*[(kind, text) for kind, text in sentences if text], strict=True)
     is_decided = any(kind.is_decided for kind in fastest)
@@ -275,7 +278,11 @@ def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Media
     if not spans:
         return f"{joined(sorted(names))}: no message came back"
     what = f"edian {_of(chosen, medians)}"
-    return f"M{what}: {joined(spans)}" if len(names) > 1 else f"{names.pop()}: m{what} {joined(spans)}"
+    if len(names) > 1:
+        return f"M{what}: {joined(spans)}"
+    tails_ns = [ns for group in chosen if group.index in medians and (ns := medians[group.index].p99_ns) is not None]
+    ends = dict.fromkeys(time_words(end(tails_ns)) for end in (min, max)) if tails_ns else ()
+    return f"{names.pop()}: m{what} {joined(spans)}{', p99 ' if ends else ''}{' to '.join(ends)}"
 
 
 def _span(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:

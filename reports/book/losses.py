@@ -36,7 +36,6 @@ UNREACHED = {"unreached": "Lost on the way to the relay"}
 
 
 def found_sentence(analysis: Analysis, groups: Groups, words_of: Mapping[str, str] = _FORGED) -> str:
-    """Return the results of the findings of each code in `words_of`."""
     labels = group_labels(groups)
     sentences = []
     for code, words in words_of.items():
@@ -58,6 +57,21 @@ def loss_sentence(groups: Groups, values: Values) -> str:
     where = f", all of them {scope}" if scope else ""
     never = f", {format_count(unsent)} of them never sent" if unsent else ""
     return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}{never}){where}."
+
+
+CAUSES = ("udp_buffer_overflow", "fragments_lost", "unrequested_relay")
+
+
+def cause_sentence(analysis: Analysis, groups: Groups) -> str:
+    """Return what loses messages in the recordings with losses, the worst, and what to do."""
+    lossy = {group.index for group in groups.groups if group.received < group.published}
+    for code in CAUSES:
+        seen = [finding for finding in analysis.findings if finding.code == code and lossy & {*finding.groups}]
+        for worst in seen[:1]:
+            others = f", as in {len(seen) - 1} more" if len(seen) > 1 else ""
+            action = worst.action.partition(": ")[2] or worst.action
+            return printable(f"Seen with losses: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
+    return ""
 
 
 def replaces(groups: Groups, group: Group) -> bool:

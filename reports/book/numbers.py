@@ -70,13 +70,15 @@ class Median:
 
     ns: float
     of: str
+    p99_ns: float | None = None
 
 
 def shown_medians(analysis: Analysis, groups: Groups, values: Values) -> dict[int, Median]:
     details, metric = analysis.details, values.default_metric
     label = METRIC_LABELS[metric].lower()
-    between = {"metric": metric, "percentile": "p50", "basis": Basis.BETWEEN_RUNS.value}
-    typical_ns = dict(details.intervals.filter(**between).select("group", "typical_ns").iter_rows())
+    between = {"metric": metric, "basis": Basis.BETWEEN_RUNS.value}
+    rows = details.intervals.filter(**between).select("percentile", "group", "typical_ns").iter_rows()
+    typical_ns = {(percentile, group): time_ns for percentile, group, time_ns in rows}
     with_losses_ns = {
         group: setup.p50_ns
         for answer in (details.answers if metric == "latency" else ())
@@ -87,12 +89,15 @@ def shown_medians(analysis: Analysis, groups: Groups, values: Values) -> dict[in
     medians = {}
     for group in groups.groups:
         is_whole = group.received == group.published and not values.plain["unsent"][group.index]
-        run_ns = (typical_ns if is_whole else with_losses_ns).get(group.index)
-        all_ns = values.times_ns[metric]["p50"][group.index]
+        run_ns = typical_ns.get(("p50", group.index)) if is_whole else with_losses_ns.get(group.index)
+        all_ns, all_p99_ns = (values.times_ns[metric][name][group.index] for name in ("p50", "p99"))
         if run_ns is not None:
-            medians[group.index] = Median(run_ns, f"{label} of {TYPICAL_RUN}")
+            p99_ns = typical_ns.get(("p99", group.index)) if is_whole else None
+            medians[group.index] = Median(run_ns, f"{label} of {TYPICAL_RUN}", p99_ns)
         elif all_ns is not None:
-            medians[group.index] = Median(all_ns, f"{label} of all {'' if is_whole else 'received '}messages")
+            medians[group.index] = Median(
+                all_ns, f"{label} of all {'' if is_whole else 'received '}messages", all_p99_ns
+            )
     return medians
 
 
@@ -193,7 +198,6 @@ def cost_of(row: Mapping[str, Any]) -> Cost | None:
 def bridge_costs(
     analysis: Analysis, groups: Groups, loads: Mapping[int, float]
 ) -> tuple[Mapping[int, BridgedCell], int]:
-    """Return the groups with at least one cost, and how many lost too much for any."""
     # The comparison pools domain ids, so a row belongs to the first of several groups.
     first: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(analysis.summary.iter_rows(named=True)):

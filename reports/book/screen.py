@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from dds_trace.analyzer.model.finding import Severity
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from ..blocks import FAIL, MARKS, OPEN, PASS, TERMINAL, Bars, Block, Fitted, Section, Sentence, Span
@@ -13,19 +14,21 @@ from .answer import PointKind
 from .contents import Contents
 from .fastest import Fastest
 from .findings import severity_counts
+from .groups import time_words
 from .headline import COMPARED, bridge_facts
+from .numbers import ALL_MESSAGES, TYPICAL_RUN
 from .sizes import SizeTable
 from .verdicts import contender_labels
 
-MOST_LINES = 18
-"""With the lines of the written files it is a screen of 20."""
+MOST_LINES = 20
+"""With the lines of the written files it is a screen of 24."""
 MOST_SETUPS = 4
 MOST_ADVICE = 6
 """Setups of a recommendation without `--all`."""
 
 NONE = Span("")
 LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
-FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CURE)
+FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CAUSE, PointKind.CURE)
 
 
 def screen(book: Contents) -> list[Section]:
@@ -51,13 +54,16 @@ def _brief(book: Contents) -> Fitted:
     parts += _thresholds(book.sizes)
     if PointKind.FASTEST in answer.kinds:
         parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
-    for kind, sentence in sorted(answer.sentences, key=lambda pair: pair[0] is PointKind.FEW_LOST):
+    for kind, sentence in answer.sentences:
         if kind is PointKind.BRIDGE:
             facts = bridge_facts(book.analysis.details.bridge_costs, vendors)
             sentences = [Sentence(fact.replace(" as long", ""), mark=PASS) for fact in facts]
             parts.append([Sentence(COMPARED, "strong", NONE), *sentences])
         elif kind not in (*FIRST, PointKind.FASTEST):
             parts.append([Sentence(sentence, mark=OPEN)])
+    if PointKind.FASTEST not in answer.kinds:
+        labels = contender_labels(book.analysis.details.answers, vendors)
+        parts += [[bars] for kind in book.fastest[:1] for bars in _bars(kind, labels, kind.place)]
     findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
     results = len(book.groups.groups)
     more = ", ".join([*findings, *([f"tables of {counted(results, 'result')}"] if results else [])])
@@ -75,11 +81,9 @@ def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[li
 
 
 def _bars(kind: Fastest, labels: Mapping[str, str], place: str) -> list[Bars]:
-    if not kind.is_decided:
-        return []
     case = kind.shown
     times = sorted(
-        (setup.p50_ns, labels[setup.name])
+        (setup.p50_ns, labels[setup.name], "" if setup.p99_ns is None else f", p99 {time_words(setup.p99_ns)}")
         for setup in case.contenders
         if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
     )[:MOST_SETUPS]
@@ -87,7 +91,9 @@ def _bars(kind: Fastest, labels: Mapping[str, str], place: str) -> list[Bars]:
         return []
     size = format_size(case.payload_bytes)
     where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))
-    return [Bars([(name, ns, format_duration(ns)) for ns, name in times], where, () if place else (where, size))]
+    rows = [(name, ns, format_duration(ns), p99) for ns, name, p99 in times]
+    of = TYPICAL_RUN if case.fewest_runs >= MIN_RUNS else ALL_MESSAGES
+    return [Bars(rows, f"median of {of}, {where}", () if place else (f"median, {where}", where, size))]
 
 
 def _thresholds(sizes: SizeTable | None) -> list[list[Block]]:

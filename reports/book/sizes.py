@@ -242,7 +242,9 @@ def _tint(cell: SizeCell, row: SizeRow) -> int:
     return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 
-MOST_BLOCKS, MOST_ROWS, MOST_LINKS = 6, 18, 4
+MOST_BLOCKS, MOST_ROWS = 6, 18
+LONGEST_HEADS = 40
+"""Letters of all links that are columns; longer ones are above their rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +297,7 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         if cell
         for ns in _ends(cell, intervals)
     ]
-    if not reached or len(columns) > MOST_LINKS:  # in more columns texts overlap
+    if not reached:
         return None
     low, high = math.log(min(reached)), math.log(max(reached))
 
@@ -334,10 +336,12 @@ def _scale(low_ns: float, high_ns: float, most: int) -> list[float]:
 
 def _by_place(places: Sequence[PlaceRows], size: str, rate: str) -> dict[str, dict[str, SizeRow]]:
     blocks: dict[str, dict[str, SizeRow]] = {}
+    are_columns = len("".join({site.link for site in places})) <= LONGEST_HEADS
     for site in places:
+        name, column = (site.devices, site.link) if are_columns else (f"{site.devices}, {site.link}", "")
         for row in site.rows:
             if (row.size, row.rate) == (size, rate):
-                blocks.setdefault(site.devices, {})[site.link] = row
+                blocks.setdefault(name, {})[column] = row
     return blocks
 
 

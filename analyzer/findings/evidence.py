@@ -174,11 +174,9 @@ class Check:
         for seen in self.observe(evidence):
             if self.code in _NOT_OF_BEACONS and not evidence.beacons.isdisjoint(seen.groups):
                 continue
-            action = self.action.format(**seen.blanks)
+            action, cure = map(evidence.campaign.remedy, (self.action.format(**seen.blanks), seen.cure))
             seen_there = seen.where, seen.what, action, seen.groups
-            yield Finding(
-                self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject, cure=seen.cure
-            )
+            yield Finding(self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject, cure=cure)
 
 
 def _check(severity: Severity, code: str, subject: Subject, action: str) -> Callable[[Observe], Check]:

@@ -271,7 +271,7 @@ def _answered_together(exchanges: Sequence[Exchange]) -> bool:
 @warning(
     "unrequested_relay",
     Subject.RUN,
-    "End the others and record again; where all are to answer, give the ping -o relays={relays}.",
+    "End the others and record again; where all are to answer, `record ping` takes -o relays={relays}.",
 )
 def unrequested_relays(evidence: Evidence) -> Iterator[Observation]:
     """More relays answered a ping than it was to wait for."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
-from dds_trace.base.files import real_path
+from dds_trace.base.files import KEPT_PLAN, real_path
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.reading.storage import find_traces
@@ -27,10 +29,13 @@ Progress = Callable[[int, int, Path], None]
 """Called before each trace is read with the number done, the number of all, and its path."""
 
 
-_FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
+_FILES_OF_A_SWEEP = frozenset({KEPT_PLAN, "state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
 """Files of `dds-trace sweep` are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
+
+_AGAIN = re.compile(r"record again|[Rr]epeat the runs?")
+_OPTION = re.compile(r"(?<!`)--(depth|reliability) (\w+)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +60,14 @@ class Campaign:
 
     def name(self, trace: int) -> str:
         return _relative(self.traces[trace].path, self.folder)
+
+    def remedy(self, text: str) -> str:
+        """Return a remedy as a sweep takes it, which does not repeat what is complete and has options as axes."""
+        plan = self.folder / KEPT_PLAN
+        if not plan.is_file():
+            return text
+        text = _OPTION.sub(lambda option: f"{option[1]} = {_in_toml(option[2])} in the plan's [axes]", text)
+        return _AGAIN.sub(lambda words: f"{words[0]} (dds-trace sweep {shlex.quote(str(plan))} --out again)", text, 1)
 
     def names(self, traces: Iterable[int]) -> str:
         return ", ".join(self.name(trace) for trace in sorted(set(traces)))
@@ -144,6 +157,10 @@ def _read_sources(
             detail = f"{detail}; {remark}" if detail else remark
             status = "duplicate" if copied == events else status
         yield Source(name, status, detail, events - copied)
+
+
+def _in_toml(value: str) -> str:
+    return value if value.isdecimal() else f'"{value}"'
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:

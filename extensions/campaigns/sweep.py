@@ -11,11 +11,12 @@ from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, TraceError
+from dds_trace.base.files import KEPT_PLAN
 from dds_trace.base.units import counted
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.base import Meeting
 
-from .folder import TRACE_ENDINGS, locked_folder, log_path, make_parts, remove_files, segment_of
+from .folder import TRACE_ENDINGS, locked_folder, log_path, make_parts, remove_files, replace_text, segment_of
 from .plan.cells import Cell
 from .plan.plan import Plan, depth_warnings
 from .plan.schedule import number_groups, schedule, schedule_pass
@@ -78,6 +79,8 @@ def open_runner(
 ) -> Iterator[Runner]:
     """Lock the folder and open the station of a plan within the block; `command` is `dds-record`, None for the installed one."""
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note, command=command) as station:
+        if plan.text:
+            replace_text(folder / KEPT_PLAN, plan.text)
         yield Runner(plan, folder, station, progress, is_installed_here=command is None)
 
 

@@ -199,6 +199,7 @@ class Plan:
         partners: cell without pass -> cell of the other plan that it alternates with.
         hosts: of `[[devices]]`, the relays' devices; `relay` is the first of them.
         thresholds: what each result has to meet.
+        text: the file, of which the sweep keeps a copy.
     """
 
     name: str
@@ -217,6 +218,7 @@ class Plan:
     thresholds: tuple[Threshold, ...] = ()
     flows: tuple[str, ...] = ()
     hosts: tuple[DeviceSettings, ...] = ()
+    text: str = field(default="", repr=False, compare=False)
 
     @property
     def discovery(self) -> str:

@@ -104,6 +104,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         thresholds=tuple(read_thresholds(root.table("thresholds"))),
         flows=tuple(flow.name for flow in flows),
         hosts=hosts,
+        text=text,
     )
     _check(plan, where)
     return plan

@@ -19,6 +19,9 @@ from .errors import OptionError, OutputError
 if TYPE_CHECKING:
     from io import BufferedReader
 
+KEPT_PLAN = "plan.toml"
+"""Copy of its plan in the folder of a sweep."""
+
 
 @contextmanager
 def given_to_caller(out: Path) -> Iterator[None]:

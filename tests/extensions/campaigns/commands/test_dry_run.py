@@ -1,5 +1,8 @@
 import json
 import os
+import re
+import shlex
+import shutil
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -12,7 +15,9 @@ from hypothesis import strategies as st
 from namespaces import needs_namespaces
 from rich.console import Console
 
+from dds_trace.analyzer.loading.campaign import Campaign
 from dds_trace.base.errors import OptionError
+from dds_trace.base.files import KEPT_PLAN
 from dds_trace.extensions.campaigns.commands.dry_run import argument_check
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.extensions.campaigns.rehearsal import rehearse_plan
@@ -79,6 +84,21 @@ def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, p
     assert (name in [cell["name"] for cell in shown["cells"]], "-o transport=shm" in reason) == (True, True)
     one = plan("[axes]\nbackend = 'socket'\n")
     assert call(one, "--rehearse", "--json", "--out", tmp_path)[0] == 0
+
+
+def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(plan, tmp_path):
+    folder = tmp_path / "of two"
+    folder.mkdir()
+    campaign = Campaign(folder, (), (), {}, {}, {}, {}, None, ())
+    lost = "see what ended the relay, and record again; or give both sides --depth 12, or --reliability reliable"
+    assert campaign.remedy(lost) == lost
+    shutil.copy(plan("[axes]\nbackend = 'socket'\n"), folder / KEPT_PLAN)
+    remedy = campaign.remedy(lost)
+    command = re.search(r"record again \(dds-trace (.*?)\)", remedy)[1]
+    assert run_trace(*shlex.split(command), "--dry-run") == 0
+    axes = "\n".join(re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy))
+    cells = parse_plan(f"[axes]\nbackend = 'ros2'\n{axes}", "small", "small").cells
+    assert [(cell.depth, cell.reliability) for cell in cells] == [(12, "reliable")]
 
 
 CODE = """[axes]

@@ -6,7 +6,6 @@ import glob
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +15,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError
+from dds_trace.base.streams import say
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from .program import argument, option, starting
@@ -108,7 +108,5 @@ def show_page(pages: list[Path], *, open_it: bool) -> None:
     for page in pages:
         has_desktop = any(map(os.environ.get, DESKTOP_VARIABLES))
         if open_it and not (has_desktop and webbrowser.open(page.absolute().as_uri())):
-            print(
-                "no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr
-            )
+            say("no desktop here: open the file below in a browser, here or copied to another machine")
         print(page.absolute().as_uri())

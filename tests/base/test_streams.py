@@ -104,3 +104,15 @@ def test_a_label_of_any_length_stays_a_label():
 def test_nothing_is_left_that_steers_a_terminal_or_that_xml_forbids(character):
     assert character not in printable(f"a{character}b")
     assert printable(f"a{character}b").startswith("a\\")
+
+
+@pytest.mark.parametrize("columns", [80, 40])
+def test_a_line_to_a_person_is_as_wide_as_the_terminal_and_one_in_a_log_is_whole(capsys, monkeypatch, columns):
+    text = "word " * 40 + "a" * 90
+    monkeypatch.delenv("COLUMNS", raising=False)
+    say(text)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    say(text)
+    whole, *lines, path = capsys.readouterr().err.splitlines()
+    assert (whole, path.strip()) == (text, "a" * 90)
+    assert columns / 2 < max(map(len, lines)) <= columns

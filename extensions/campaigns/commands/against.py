@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import say
+from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted
 from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
@@ -173,7 +173,7 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
         print_complete(outcome, f"{side}: ")
     print(f"Compare: dds-trace compare {shlex.join([str(sides.base.folder), str(sides.new.folder)])} --paired")
     if alarms is not None:
-        print(_in_words(alarms))
+        print(wrapped(_in_words(alarms)))
     if judged is not None:
         judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
 

@@ -15,7 +15,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import plain_console
+from dds_trace.base.streams import plain_console, say
 from dds_trace.cli.program import command, make_app, option
 from dds_trace.extensions.gates.command import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
 
@@ -208,7 +208,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     for name, width in outcome.too_wide.items():
         assert until is not None
         width_words = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
-        print(f"{name}: {until.statistic} is {width_words} after the last repeat", file=sys.stderr)
+        say(f"{name}: {until.statistic} is {width_words} after the last repeat")
     if outcome.missing:
         return INCOMPLETE_EXIT_CODE
     code = 0 if judged is None else judged.outcome.exit_code

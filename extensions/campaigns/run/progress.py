@@ -9,7 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.streams import SCREEN_WIDTH, plain_console
+from dds_trace.base.streams import SCREEN_WIDTH, plain_console, wrapped
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ class PlainProgress(SweepProgress):
             self.note(part)
 
     def note(self, text: str) -> None:
-        self._console.print(printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True)
+        line = wrapped(printable(text, MAX_FINDING_CHARACTERS))
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 class RichProgress(PlainProgress):

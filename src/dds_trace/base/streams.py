@@ -111,7 +111,18 @@ def plain_streams() -> Iterator[PlainStream]:
 
 
 def say(text: object) -> None:
-    print(printable(text, MAX_FINDING_CHARACTERS), file=sys.stderr, flush=True)
+    print(wrapped(printable(text, MAX_FINDING_CHARACTERS)), file=sys.stderr, flush=True)
+
+
+def wrapped(text: str) -> str:
+    """Return a line as a terminal shows it, words whole; in a log, which has no width, it stays one line."""
+    import textwrap  # noqa: PLC0415 - with `shutil` for text that is shown
+    from shutil import get_terminal_size  # noqa: PLC0415
+
+    width = min(get_terminal_size().columns, WIDEST_SCREEN)
+    if len(text) < width or not (sys.stderr.isatty() or "COLUMNS" in os.environ):
+        return text
+    return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def plain_console(**options: Any) -> Console:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..book.facets import Facets
@@ -78,20 +78,28 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
     return tuple(styles[index] for index in range(len(setups)))
 
 
-def option_styles(count: int) -> tuple[Style, ...]:
+def option_styles(indices: Sequence[int]) -> tuple[Style, ...]:
     return tuple(
         Style(
             *PALETTE[index % len(PALETTE)],
             SYMBOLS[index % len(SYMBOLS)],
-            DASHES[index // len(PALETTE) % len(DASHES)],
+            DASHES[(index // len(PALETTE) + indices[:place].count(index)) % len(DASHES)],
             TINTS[index % len(TINTS)],
         )
-        for index in range(count)
+        for place, index in enumerate(indices)
     )
+
+
+def vendor_indices(labels: Sequence[str]) -> list[int]:
+    """Return the indices that vendors, of any version, have in every report; others follow."""
+    known = [next((at for at, name in enumerate(VENDORS.values()) if label.startswith(name)), -1) for label in labels]
+    return [at if at >= 0 else len(VENDORS) + known[:place].count(-1) for place, at in enumerate(known)]
 
 
 def line_styles(facets: Facets) -> Mapping[str, tuple[Style, ...]]:
     return {
-        key: choice_styles(facets) if key == "choice" else option_styles(len(dimension.options))
+        key: choice_styles(facets)
+        if key == "choice"
+        else option_styles(vendor_indices(dimension.options) if key == "vendor" else range(len(dimension.options)))
         for key, dimension in facets.dimensions.items()
     }

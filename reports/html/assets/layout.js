@@ -43,7 +43,7 @@ const MOST_PANELS = 24; // of one figure, until the reader asks for all
 const PAGE_HEIGHT = 933; // px of the 247 mm that a page has room for
 const LEAST_COLUMN = 96; // px of a panel in a labelled grid
 const LEAST_ROW = 64;
-const [LETTER, BOLD] = [6.2, 7]; // px of a letter of 12 px
+const [LETTER, BOLD] = [6.2, 7.5]; // px of a letter of 12 px
 const END_STEP = 13; // px between two labels at line ends
 
 /**
@@ -55,7 +55,7 @@ const END_STEP = 13; // px between two labels at line ends
 function gridOf(
   panels,
   width,
-  { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {},
+  { minWidth = 300, height = 215, yTitle = "", left = 70, right = 16, below = 40, columns = 0, all = true } = {},
 ) {
   if (panels.some(({ y }) => y.startsAt)) left += 16; // px of the line that says so
   const colors = theme();
@@ -89,7 +89,9 @@ function gridOf(
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
   const titles = every.map(({ title }) => wrapped(title, (panelWidth - 10) / BOLD));
   const lines = Math.max(1, ...titles.map((own) => own.length));
-  const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 11 + 15 * lines;
+  const rowHeads = (grid?.rows || []).map((label) => wrapped(label, (width - 20) / BOLD));
+  const rowLines = Math.max(1, ...rowHeads.map((own) => own.length));
+  const gapTop = grid ? (grid.rows.some(Boolean) ? 10 + 15 * rowLines : 8) : 11 + 15 * lines;
   const titled = below > 40 ? 16 : 0; // px that the title of an axis takes; only the last row has one
   const between = gapTop + below - titled;
   const spotOf = (place) => grid?.spots[place] || { row: Math.floor(place / wide), column: place % wide };
@@ -201,9 +203,9 @@ function gridOf(
       const text = `<b>${lines.map(plain).join("<br>")}</b>`;
       add(text, (column * (panelWidth + gapX)) / inner, head, { xanchor: "left", yanchor: "bottom", align: "left" });
     });
-    grid.rows.slice(page.row, page.row + high).forEach((label, row) => {
-      const from = { xanchor: "left", yanchor: "bottom", xshift: -left + 8 };
-      if (label) add(`<b>${plain(label)}</b>`, 0, starts[row] + gapTop - 2, from);
+    rowHeads.slice(page.row, page.row + high).forEach((own, row) => {
+      const from = { xanchor: "left", yanchor: "bottom", xshift: -left + 8, align: "left" };
+      if (own[0]) add(`<b>${own.map(plain).join("<br>")}</b>`, 0, starts[row] + gapTop - 2, from);
     });
     const soft = { xanchor: "left", yanchor: "bottom", xshift: 8 - left, font: { size: 12, color: colors.soft } };
     if (yTitle) add(plain(yTitle), 0, named, soft);
@@ -253,7 +255,7 @@ function labelledGrid(panels) {
         other.share === share,
     ),
   );
-  return { rows, columns, spots, shares, gap: spots.every(({ column }, place) => !column || shares[place]) ? 24 : 58 };
+  return { rows, columns, spots, shares, gap: spots.every(({ column }, place) => !column || shares[place]) ? 32 : 58 };
 }
 
 function wrapped(text, most) {
@@ -273,14 +275,22 @@ function besideMarks({ beside, y }, x, width, height, suffix) {
   const ordered = beside
     .map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height }))
     .sort((a, b) => a.at - b.at);
-  const isEdge = ({ left }) => left > width - 24;
-  const start = (one) => one.left + (isEdge(one) ? -34 : 6); // a label takes 28 px
+  const long = ({ text }) => LETTER * text.length;
+  const isEdge = (one) => one.left + long(one) > width + 6;
+  const start = (one) => one.left + (isEdge(one) ? -6 - long(one) : 6);
   const placed = [];
   for (const one of ordered) {
     for (const other of placed.sort((a, b) => a.at - b.at))
-      if (Math.abs(start(other) - start(one)) < 28 && one.at - other.at < END_STEP) one.at = other.at + END_STEP;
+      if (Math.abs(start(other) - start(one)) < long(other) && one.at - other.at < END_STEP)
+        one.at = other.at + END_STEP;
     placed.push(one);
   }
+  placed.reverse().forEach((one, place) => {
+    one.at = Math.min(one.at, height - 6);
+    for (const other of placed.slice(0, place))
+      if (Math.abs(start(other) - start(one)) < long(other) && other.at - one.at < END_STEP)
+        one.at = other.at - END_STEP;
+  });
   return placed.map((one) => {
     const edge = isEdge(one);
     return {
@@ -383,7 +393,7 @@ function loadAxis(values, title = "") {
   const near = powers
     .flatMap((value) => [value, 3 * value])
     .filter((value) => value >= low / 1.3 && value <= high * 1.3);
-  const ticks = inside.length > 2 ? inside : near.length > 1 ? near : [...new Set([low, high])];
+  const ticks = inside.length > 2 ? inside : near.length > 1 ? near : high > 1.3 * low ? [low, high] : [low];
   return {
     type: "log",
     tickmode: "array",
@@ -394,6 +404,13 @@ function loadAxis(values, title = "") {
     range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12],
     title: axisTitle(title),
   };
+}
+
+/** An axis of counts from 0, named at whole numbers. */
+function countAxis(counts, title) {
+  const most = Math.max(1, ...counts);
+  const tickvals = [...new Set(linearTicks(0, most, 6).map(Math.round))];
+  return () => ({ type: "linear", title: axisTitle(title), zeroline: false, range: [-0.05 * most, 1.05 * most], tickvals });
 }
 
 /** An axis of named options at 0, 1, 2 ...; upright where they have no room side by side. */
@@ -448,7 +465,7 @@ function cellAxis(cells) {
   };
   const notes = sizes.map((size) => (width, colors) => ({
     text: plain(
-      ((size.end - size.start + 1) * width) / cells.length < size.size.length * 6.4
+      ((size.end - size.start + 1) * width) / cells.length < size.size.length * 8.3
         ? size.size.replace(/ .*/, "")
         : size.size,
     ),

@@ -179,14 +179,10 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
       .flatMap(({ value }) => [value[key], value[`${key}_low`], value[`${key}_high`]])
       .filter((value) => value > 0 && value < 20 * Math.max(...found.points.map((point) => point.value[key] || 0), 1));
   const ratios = [...ends("ratio"), 1, 1.2];
-  const ratioAxis = {
-    type: "log",
-    range: logRange(Math.min(...ratios), Math.max(...ratios)),
-    nticks: 5,
-    tickprefix: "×",
-    tickformat: "~g",
-    minor: { showgrid: false },
-  };
+  const range = logRange(Math.min(...ratios), Math.max(...ratios));
+  const tickvals = logTicks(10 ** range[0], 10 ** range[1], 6);
+  const ticktext = tickvals.map((value) => `×${digits(value)}`);
+  const ratioAxis = { type: "log", range, tickmode: "array", tickvals, ticktext, minor: { showgrid: false } };
   /** Differences of one row of panels share an axis: a message of 4 MB must not flatten those of 300 bytes. */
   const differenceAxis = (row) => {
     const values = found.panels

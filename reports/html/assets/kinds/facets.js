@@ -270,10 +270,12 @@ function logTicks(low, high, most) {
   );
   const within = (steps) =>
     decades.flatMap((power) => steps.map((step) => step * power)).filter((value) => value >= low && value <= high);
+  const isApart = (ratio) => 2 * most * Math.log(ratio) >= Math.log(high / low);
   return (
     [[1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]]
       .map(within)
-      .find((ticks) => ticks.length <= most) || within([1])
+      .find((ticks) => ticks.length <= most && ticks.every((at, place) => !place || isApart(at / ticks[place - 1]))) ||
+    within([1])
   );
 }
 
@@ -288,14 +290,15 @@ function linearTicks(low, high, most) {
 }
 
 /** The axis of times (values in ns) on the chosen scale. */
-function timeAxis(values) {
+function timeAxis(values, ticks = 6) {
   const own = values.filter((value) => value !== null && value > 0);
   const least = S * own.reduce((a, b) => Math.min(a, b), Infinity),
     most = S * own.reduce((a, b) => Math.max(a, b), 0);
   const linear = [0, own.length ? 1.08 * most : 1];
-  if (view.scale === "linear" || !own.length) return { type: "linear", range: linear, ...timeTicks(linear) };
+  if (view.scale === "linear" || !own.length)
+    return { type: "linear", range: linear, ...timeTicks(linear, false, ticks) };
   const range = logRange(least, most);
-  return { type: "log", range, minor: { showgrid: false }, ...timeTicks(range, true) };
+  return { type: "log", range, minor: { showgrid: false }, ...timeTicks(range, true, ticks) };
 }
 
 /** A range of a log axis around two values; one of nearly nothing is widened, so that no chance looks like a step. */

@@ -12,9 +12,10 @@ KINDS.dots = function dots(plan, width) {
       DATA.dimensions.choice.options.length > 1 ? choiceLook(group).short : "",
       varies("place") ? labelIn("place", group) : "",
     ].filter(Boolean);
-    return plain(shorten(parts.join(", "), phone ? 26 : 60));
+    return wrapped(parts.join(", "), phone ? 26 : 60).map(plain).slice(0, 2).join("<br>");
   };
-  const left = Math.min(phone ? 165 : 390, 20 + 6.6 * Math.max(...passing.map((group) => name(group).length)));
+  const longest = Math.max(...passing.flatMap((group) => name(group).split("<br>")).map((line) => line.length));
+  const left = Math.min(phone ? 180 : 390, 20 + 6.6 * longest);
   const rows = {
     type: "linear",
     range: [-0.6, passing.length - 0.4],
@@ -67,7 +68,7 @@ KINDS.dots = function dots(plan, width) {
     hoverinfo: "text",
     hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
   };
-  const height = 30 + 24 * passing.length;
+  const height = 30 + (passing.some((group) => name(group).includes("<br>")) ? 34 : 24) * passing.length;
   const values = timed.flatMap((group) => [statisticOf(group), ...intervalOf(group)]);
   const axis = timeAxis(values);
   const room = Object.keys(plan.cells).length ? 0.25 * (axis.range[1] - axis.range[0]) : 0; // for what a bridge costs
@@ -75,7 +76,7 @@ KINDS.dots = function dots(plan, width) {
   const x = {
     ...axis,
     range,
-    ...timeTicks(range, axis.type === "log", phone ? 3 : 6),
+    ...timeTicks(range, axis.type === "log", Math.max(2, Math.min(6, Math.floor((width - left) / (phone ? 60 : 75))))),
     title: axisTitle(view.scale === "log" ? "log scale" : ""),
   };
   const panels = [{ title: statisticLabel(), traces, x: () => x, y: rows, height }];
@@ -94,7 +95,7 @@ KINDS.dots = function dots(plan, width) {
     };
     drawn.data.push({ ...shares, xaxis: "x2", yaxis: "y" });
     const title = drawn.layout.annotations[0];
-    drawn.layout.annotations.push({ ...title, text: "<b>Received</b>", x: 0.86 });
+    drawn.layout.annotations.push({ ...title, text: "<b>Received</b>", x: 1, xanchor: "right" });
     for (const group of passing) {
       const cost = plan.cells[group]?.costs[view.statistic];
       if (cost?.ratio)

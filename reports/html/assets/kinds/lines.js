@@ -138,7 +138,7 @@ function alongAxis(x, panel, title, width = Infinity) {
     };
   const labels = positions.map((at) => DATA.dimensions[x].options[at].label);
   const longest = (parts) => Math.max(...labels.flatMap((label) => label.split(parts)).map((part) => part.length));
-  const isUpright = (width - 78) / labels.length < Math.min(65, 6.2 * longest(/, | → /));
+  const isUpright = Math.min(65, (width - 86) / labels.length) < LETTER * longest(/, | → /);
   return {
     x: optionAxis(labels, isUpright),
     place,
@@ -215,6 +215,7 @@ KINDS.lines = function lines(plan, width, all) {
   return {
     ...gridOf(panels, width, {
       yTitle: value.title,
+      left: value.unit === "bytes/s" ? 80 : 70, // as wide as "10 MB/s", upright title and all
       columns: found.columns,
       all,
       below: ["cell", "plane"].includes(x) ? 40 : 42 + Math.max(0, ...panels.map((panel) => panel.below || 0)),
@@ -410,7 +411,10 @@ KINDS.fan_out = function fanOut(plan, width, all) {
       const ends = (point) => [point.first_ns, point.last_ns];
       return { ...trace, error_y: errorBars(shown, (point) => point[key], ends, 1 / S, trace.marker.color) };
     }),
-    x: () => ({ type: "linear", title: axisTitle(plan.of), zeroline: false, rangemode: "tozero", tickformat: "d" }),
+    x: countAxis(
+      lines.flatMap(({ points }) => points.map((one) => one.count)),
+      plan.of,
+    ),
     y: timeAxis(
       lines.flatMap(({ points }) => points.flatMap((one) => (key === "last_ns" ? [one.first_ns, one[key]] : one[key]))),
     ),

@@ -69,13 +69,10 @@ Object.assign(KINDS, {
         trace.error_y = errorBars(points, (point) => point.p50_ns, ends, 1 / S, trace.marker.color);
         return trace;
       }),
-      x: () => ({
-        type: "linear",
-        title: axisTitle("Sent again, times"),
-        zeroline: false,
-        rangemode: "tozero",
-        tickformat: "d",
-      }),
+      x: countAxis(
+        groups.flatMap((group) => timed(group).map((point) => point.repeats)),
+        "Sent again, times",
+      ),
       y: timeAxis(groups.flatMap((group) => timed(group).flatMap((point) => [point.p50_ns, point.max_ns]))),
     };
     return {

@@ -131,19 +131,23 @@ function headOf({ data, layout }, title, width, mm) {
   const text = [title, layout.title?.text].filter(Boolean).join(": ");
   const head = text ? wrapped(text, (width - 20) / (size * 0.68)) : [];
   const titled = 14 + head.length * (size + 5);
-  const legend = names.length > 1 ? Math.ceil(names.length / columns) * (size + 11) + 6 : 0;
-  return { size, head, legend, entry: Math.floor((width - 4 * EDGE) / columns) - SYMBOL, above: titled + legend };
+  const entry = Math.floor((width - 4 * EDGE) / columns) - SYMBOL;
+  const fit = (name) => wrapped(name, entry / (size * 0.56)).map((line) => line.trim());
+  const lines = names.reduce((sum, name) => sum + fit(name).length - 1, Math.ceil(names.length / columns));
+  const legend = names.length > 1 ? lines * (size + 11) + 6 : 0;
+  return { size, head, legend, fit, entry, above: titled + legend };
 }
 
 /** The figure with title and legend of its own on white ground; room for both is made above it. */
 function onWhite(drawn, title, width, mm) {
   const { data, layout } = drawn;
-  const { size, head, legend, entry, above } = headOf(drawn, title, width, mm);
+  const { size, head, legend, fit, entry, above } = headOf(drawn, title, width, mm);
   const seen = new Set();
   const traces = data.map((trace) => {
     const named = trace.name && trace.type !== "heatmap" && !seen.has(trace.name);
     if (trace.name) seen.add(trace.name);
-    return { ...trace, showlegend: Boolean(named), legendgroup: undefined };
+    const name = trace.name && fit(trace.name).join("<br>");
+    return { ...trace, name, showlegend: Boolean(named), legendgroup: undefined };
   });
   for (const [at, tiles] of traces.filter(({ type }) => type === "heatmap").entries()) tiles.showscale = at === 0;
   const margin = { ...layout.margin, b: layout.margin.b + EDGE, l: layout.margin.l + EDGE, r: layout.margin.r + EDGE };

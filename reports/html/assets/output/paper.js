@@ -12,6 +12,7 @@ function toPaper() {
   const themeBefore = root.dataset.theme;
   const figures = PRINTED_FIGURES.map((name) => blocks.find((one) => one.name === name)).filter(Boolean);
   let room = MOST_PANEL_ROWS;
+  for (const figure of figures.slice(0, 4)) figure.plan(); // one that was never in the window
   const fitting = figures.slice(0, 4).filter(({ rows }) => (room -= rows.length) >= 0);
   const folds = fitting.map(({ article }) => article.querySelector(".fold:not([open])"));
   const opened = [...document.querySelectorAll(OPENED_ON_PAPER), ...folds.filter(Boolean)];

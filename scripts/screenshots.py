@@ -170,7 +170,7 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
     try:
         tab.goto(address)
         if picture.campaign != BAG:
-            tab.locator(".count").filter(has_text="result").wait_for()
+            tab.locator(".count").filter(has_text="result").wait_for(state="attached")
         cells = tab.locator("#choose-cell option").all_text_contents()
         chosen = next((cell for cell in cells if picture.cell and picture.cell in cell), None)
         if chosen is not None:

@@ -69,7 +69,7 @@ USERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "sed -n '/\\[run\\]/,/rate = 100/s/^ *//p' docs/how-to/ci.md > plan.toml",
             "mkdir main; cp plan.toml main/",
             "dds-trace sweep plan.toml --out runs --against SAME",
-            "ln -s runs/plan-against-SAME/base base; ln -s runs/plan-against-SAME/new new",
+            "ln -s runs/plan-against-same/base base; ln -s runs/plan-against-same/new new",
         ),
         ("docs/how-to/ci.md",),
     ),

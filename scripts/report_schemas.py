@@ -33,7 +33,7 @@ from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, judgement_f
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.extensions.gates import document as comparison_document
 from dds_trace.extensions.gates.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.extensions.gates.comparison_rows import DELIVERY_SCHEMA, MEANINGS, WORST_FIRST
+from dds_trace.extensions.gates.comparison_rows import DELIVERY_SCHEMA, WORST_FIRST
 from dds_trace.extensions.gates.detectable import DetectableChange
 from dds_trace.extensions.gates.gate import GateOutcome
 from dds_trace.extensions.gates.gates import GateResult
@@ -186,6 +186,34 @@ def of_frame(name: str, frame: pl.DataFrame, text: str = "") -> Schema:
             columns[column] = NARROW["answers.basis"]
     rows = a_list(an_object(columns), text or described(Details)[name])
     return or_null({**rows, "description": f"{rows['description']}. Null where the analysis was made without details"})
+
+
+MEANINGS = {
+    "metric": "metric that is compared",
+    "statistic": "mean or a percentile such as p99_9",
+    "base_messages": "messages of the base that have the metric",
+    "base_ns": "the statistic with lost messages infinitely late, ns",
+    "base_typical_ns": "the statistic of the base's typical run, ns; the change is of the typical runs",
+    "difference_ns": "new - base, ns",
+    "ratio": "new / base",
+    "superiority": "probability that a message of the new side takes less than one of the base",
+    "cliffs_delta": "2 * superiority - 1",
+    "verdict": "better, worse, same or inconclusive, adjusted over the groups",
+    "base_published": "messages that were sent",
+    "base_received_ratio": "share of the messages that were received",
+    "difference": "new - base of the received ratio",
+    "base_survivors_ns": "the statistic of the received messages, ns",
+    "base_episodes": "bursts that the tail rests on",
+    "basis": "between runs, or within one run",
+    "is_dead": "whether messages were received on the base and none on the new side",
+    "environment": "same, unknown (no fingerprint), or unlike: with the fields that differ",
+    "pairs": "repeats that were compared one by one; 0 without",
+    "p_value": "of no difference; null within one run",
+    "p_adjusted": "adjusted over the groups, of times over metrics and statistics, too",
+    "smallest_ratio": "change that this group by itself would have shown with a probability of 80 %",
+    "smallest_drop": "loss of share that would have been shown with a probability of 80 %",
+}
+"""Of both frames; `new_*` is of the new side what `base_*` is of the base."""
 
 
 def of_comparison(columns: Mapping[str, type[pl.DataType]]) -> Schema:

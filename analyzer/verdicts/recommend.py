@@ -117,16 +117,6 @@ class Recommendation:
         """Candidates that meet the deadline and are tied with the first of their place."""
         return tuple(c for c in self.candidates if c.fit is Fit.MEETS and c.tied)
 
-    @property
-    def is_conclusive(self) -> bool:
-        """Whether at every place a single candidate is best, or every candidate surely misses the deadline."""
-        rankings = alternatives_of(self.candidates)
-        return bool(rankings) and all(
-            sum(c.fit is Fit.MEETS and c.tied for c in candidates) == 1
-            or all(c.fit is Fit.MISSES and c.measured for c in candidates)
-            for candidates in rankings
-        )
-
 
 def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
     """Return device pair, link and conditions of a setting: others are no alternatives."""

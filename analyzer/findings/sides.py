@@ -86,7 +86,7 @@ def dependent_passes(evidence: Evidence) -> Iterator[Observation]:
         yield Observation(
             some(evidence.group_names[group] for group in groups),
             f"With {counted(len(groups), 'kind')} of message, passes that follow each other are more alike than distant ones, so they "
-            "show less than as many independent ones, and no setup is called the fastest.",
+            "show less than as many independent ones, and no setup is called the fastest; `compare --paired` counts each by itself.",
             tuple(groups),
         )
 

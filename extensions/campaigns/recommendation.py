@@ -39,7 +39,7 @@ class Advice:
 
     def blocks(self, most: int | None = None) -> Iterator[Block]:
         yield Sentence(self.sentence, "headline")
-        yield Sentence(f"Job: {self.job}", "soft")
+        yield Sentence(f"Job: {self.job} Ranked by these recordings; `advise` goes by fresh runs of its own.", "soft")
         items = [
             [MARKS.get(fit, OPEN), Span(" ", ""), Span(f"{setting}: {fit}"), Span(f"; {numbers}", "soft")]
             for setting, fit, numbers in self.rows[:most]

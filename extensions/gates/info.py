@@ -367,5 +367,6 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
         f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",
         "Lost messages count as later than any deadline.",
         f"A verdict needs at least {MIN_RUNS} runs per side.",
+        *["Repeats count as independent; `analyze` tests that, and may name no winner."] * comparison.options.paired,
         f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
     )

@@ -22,7 +22,7 @@ from dds_trace.analyzer.verdicts.judgements import LOST_MUCH
 from dds_trace.base.files import asset
 from dds_trace.base.printable import printable
 from dds_trace.base.units import DECIMAL_BYTES, MISSING, SHOWN_NS, format_rate, format_size, utc_words
-from dds_trace.base.version import __version__
+from dds_trace.base.version import YEAR, __version__
 
 from ..blocks import PAGE, WITHIN_QUANTITY, Block, Facts, Heading, Points, Report, Sentence, plain_text, visible
 from ..book.book import Book
@@ -174,7 +174,9 @@ def _render(book: Book, scripts: Iterable[str], version: str | None = None) -> s
 _BIBTEX = f"""@software{{dds_trace,
   title = {{dds-trace: MCAP trace recorder and offline analyzer for the latency of ROS 2 / DDS communication}},
   author = {{{{The dds-trace maintainers}}}},
-  version = {{{__version__}}}
+  version = {{{__version__}}},
+  year = {{{YEAR}}},
+  url = {{https://github.com/OWNER/dds-trace}}
 }}"""
 
 

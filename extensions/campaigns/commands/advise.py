@@ -151,6 +151,10 @@ def _say(event: Event) -> None:
 def shown(answer: Answer) -> list[str]:
     variables = (answer["recommended"] or {}).get("variables", {})
     lines = [answer["sentence"], *(f"  export {name}={shlex.quote(value)}" for name, value in variables.items())]
+    vendor = (answer["recommended"] or {}).get("vendor")
+    if vendor in ("cyclonedds", "zenoh") and "RMW_IMPLEMENTATION" not in variables:
+        lines.append(f"  export RMW_IMPLEMENTATION=rmw_{vendor}_cpp  # ROS 2 nodes; its own API was measured")
+    lines.append("By p50 and p99 of the response in fresh runs; `choose` ranks older recordings by a deadline.")
     lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
     lines.append("Candidates, response in the first looks:")
     for row in answer["candidates"][:MOST_ROWS]:

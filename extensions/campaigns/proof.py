@@ -58,8 +58,6 @@ def proof_lines(proof: Sequence[Mapping[str, Any]], received: Sequence[Mapping[s
 
 
 def why_not(proof: Sequence[Proof], received: Sequence[Proof]) -> str:
-    """Describe why the new side is not kept."""
-
     fewer, slower = speaks_against(proof, received)
     judged = [*map(_delivery, fewer), *map(_response, slower)]
     if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:

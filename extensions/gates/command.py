@@ -184,7 +184,6 @@ class JudgedSides(NamedTuple):
         _write(contents, report, file, render(self.info) if render else "")
 
     def end(self, *, strict: bool) -> int:
-        """Say the outcome, and return the exit code."""
         from .gate import GateOutcome
 
         is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
@@ -269,7 +268,6 @@ def topic_limits(texts: list[str]) -> "list[Gate]":
 
 
 def judge_topics(analysis: "Analysis", gates: "Sequence[Gate]") -> int:
-    """Print the outcomes of limits of topics; return the exit code."""
     judged = judge_sides(analysis, None, gates)
     judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
     return judged.end(strict=True)

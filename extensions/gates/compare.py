@@ -172,7 +172,7 @@ class Comparison:
         return judgement_frame([*self.judgements, *gates])
 
     def changes_of(self, metric: str, statistic: str = "") -> Iterator[tuple[dict[str, Any], Change]]:
-        """Yield the rows of a metric (by default all statistics) or of `received_ratio` with their changes."""
+        """Yield the rows of a metric or of `received_ratio` with their changes."""
         if metric == RECEIVED_RATIO:
             yield from zip(self.delivery.iter_rows(named=True), self.deliveries, strict=True)
             return
@@ -181,7 +181,7 @@ class Comparison:
                 yield row, change
 
     def sights(self) -> tuple[DetectableChange, ...]:
-        """Return the smallest change that the verdicts would have detected, for each metric and statistic."""
+        """Return the smallest change that the verdicts would have detected."""
         match = self.options.match
         results = {key: number for number, key in enumerate(self.delivery.select(match).rows())}
         rows = self.rows.select("metric", "statistic", *match).rows()

@@ -55,7 +55,7 @@ class GateOutcome(Enum):
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command if its gates have this outcome."""
+        """Of a command with this outcome."""
         return {"passed": 0, "regressed": 20, "inconclusive": 21}.get(self.value, 22)
 
 

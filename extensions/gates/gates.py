@@ -130,7 +130,7 @@ class _Measured:
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
-    """Add the metrics and statistics of the gates to the options."""
+    """Add what the gates are about."""
     timed = [gate for gate in gates if gate.statistic]
     return replace(
         options,

@@ -60,14 +60,12 @@ class Sections:
         return len(self._limits[kind]) > 1
 
     def counting(self, kind: Hashable, row: Mapping[str, object]) -> list[int]:
-        """Return the orders of the limits that count for a result."""
         limits = self._limits[kind]
         ordered = sorted((order, section) for section in self._fitting_of(row) for order in limits.get(section, ()))
         others = [order for order, section in ordered if section != ordered[-1][1]]
         return [order for order, _ in ordered if not others or order > others[-1]]
 
     def fitting(self, rows: Iterable[Mapping[str, object]]) -> frozenset[Patterns]:
-        """Return the sections that fit any of the results."""
         numbers = {number for row in rows for number in self._fitting_of(row)}
         return frozenset(patterns for patterns, number in self._numbers.items() if number in numbers)
 

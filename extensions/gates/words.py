@@ -130,7 +130,6 @@ def ends_words(low: str, high: str) -> str:
 
 
 def unit_of(words: str) -> str:
-    """Return the blank and the unit at the end of a number; nothing of `lost` or `unknown`."""
     return "".join(words.rpartition(" ")[1:]) if " " in words else ""
 
 
@@ -144,7 +143,6 @@ def why_words(result: GateResult) -> str:
 
 
 def seen_words(result: GateResult) -> str:
-    """Return the smallest change that the gate finds in this result, if no other changed."""
     if result.found_from is None:
         return ""
     if result.gate.against is Against.RATIO and result.found_from > MOST_RATIO:
@@ -218,10 +216,10 @@ def undecided_words(gates: Sequence[Gated]) -> str:
             unsure.setdefault(gated.result.gate.text, []).append(gated.result)
     parts = []
     for text, results in unsure.items():
-        reason = max(results, key=lambda result: result.needs or 0).reason or results[0].subject
-        where = f" in {len(results)} results" if len(results) > 1 else ""
-        parts.append(f"{text}{where} ({reason.rstrip('.')})")
-    return f"Undecided: {'; '.join(parts)}." if parts else ""
+        most = max(results, key=lambda result: result.needs or 0)
+        decides = f"takes {most.needs} runs a side" if most.needs else most.reason.rstrip(".") or most.subject
+        parts.append(f"{text} ({decides})")
+    return f"Undecided: {joined(parts)}." if parts else ""
 
 
 def with_undecided(answer: tuple[str, ...], gates: Sequence[Gated]) -> tuple[str, ...]:

@@ -47,8 +47,6 @@ class Figure(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureMaker(Figure):
-    """A figure of its own: `make` returns its plan."""
-
     make: Callable[[Book], Plan | None]
     opened: bool = True
     few: bool = True
@@ -169,7 +167,6 @@ def _position(book: Book, x: str, group: Group) -> float:
 
 
 def spread_plan(book: Book, facet: Facet, drawn: Test, **settings: object) -> Plan | None:
-    """Return the plan of the groups that have what is drawn, None without any."""
     groups = [group.index for group in book.groups.groups if drawn(group.index)]
     return {"facet": facet, "groups": groups, **settings} if groups else None
 

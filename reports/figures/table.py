@@ -43,7 +43,6 @@ FIGURES: list[Figure] = [
 
 
 def drawn_figures(book: Book) -> tuple[list[tuple[Figure, Plan]], list[tuple[Figure, str]]]:
-    """Return the figures with their plans, and those that are left out with the reason."""
     few, of_topics = is_few(book), is_of_topics(book.analysis)
     drawn: list[tuple[Figure, Plan]] = []
     left_out: list[tuple[Figure, str]] = []

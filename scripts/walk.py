@@ -37,7 +37,7 @@ SERVES = re.compile(
 )
 COMMAND = re.compile(r"^(?:sudo |\. |source |cd |tar |pip |uv |git |python3? |dds-|~/|PATH=|just |mkdir |DDS_|scp )")
 NOT_HERE = re.compile(
-    r"^sudo (?:apt|iw|cpupower|ip|useradd|cp|systemctl)|^sudoedit|^docker |^dask |(?:--cluster|--host robot)\b"
+    r"^sudo (?:apt|iw|cpupower|ip|useradd|cp|systemctl)|^sudoedit|^docker |^dask |(?:--cluster|--host robot|mine\.xml)\b"
 )
 OF_APT = "/opt/ros/"
 FETCHES = re.compile(r"git clone|pip install")
@@ -157,7 +157,10 @@ class Terminal:
         for line, process, log in self.serving:
             process.send_signal(signal.SIGINT)
             status = process.wait(60)
-            self.report(f"{line}  # until Ctrl-C", status, log.read_text(encoding="utf-8"))
+            ended = (
+                0 if status == 128 + signal.SIGINT else status
+            )  # as a search does, which goes on with the same command
+            self.report(f"{line}  # until Ctrl-C", ended, log.read_text(encoding="utf-8"))
         self.serving.clear()
 
     def report(self, line: str, status: int, said: str, seconds: float = 0) -> None:

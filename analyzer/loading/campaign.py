@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
-from dds_trace.base.files import KEPT_PLAN, real_path
+from dds_trace.base.files import PLAN_COPY, real_path
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.reading.storage import find_traces
@@ -29,7 +29,7 @@ Progress = Callable[[int, int, Path], None]
 """Called before each trace is read with the number done, the number of all, and its path."""
 
 
-_FILES_OF_A_SWEEP = frozenset({KEPT_PLAN, "state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
+_FILES_OF_A_SWEEP = frozenset({PLAN_COPY, "state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
 """Files of `dds-trace sweep` are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
@@ -63,7 +63,7 @@ class Campaign:
 
     def remedy(self, text: str) -> str:
         """Return a remedy as a sweep takes it, which does not repeat what is complete and has options as axes."""
-        plan = self.folder / KEPT_PLAN
+        plan = self.folder / PLAN_COPY
         if not plan.is_file():
             return text
         text = _OPTION.sub(lambda option: f"{option[1]} = {_in_toml(option[2])} in the plan's [axes]", text)

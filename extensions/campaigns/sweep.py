@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, TraceError
-from dds_trace.base.files import KEPT_PLAN
+from dds_trace.base.files import PLAN_COPY
 from dds_trace.base.units import counted
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.base import Meeting
@@ -80,7 +80,7 @@ def open_runner(
     """Lock the folder and open the station of a plan within the block; `command` is `dds-record`, None for the installed one."""
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note, command=command) as station:
         if plan.text:
-            replace_text(folder / KEPT_PLAN, plan.text)
+            replace_text(folder / PLAN_COPY, plan.text)
         yield Runner(plan, folder, station, progress, is_installed_here=command is None)
 
 

@@ -147,8 +147,8 @@ class ComparisonReport(blocks.Report):
                 yield Sentence([Span(more, "raw")], media=MARKDOWN)
 
 
-def gate_blocks(gates: Sequence[words.Gated], most: int | None, said: str = "") -> Iterator[Block]:
-    notes = [note for note in words.gate_notes(gates) if note not in said]
+def gate_blocks(gates: Sequence[words.Gated], most: int | None, answer: str = "") -> Iterator[Block]:
+    notes = [note for note in words.gate_notes(gates) if note not in answer]
     for media, shown in ((TERMINAL | MARKDOWN, most), (PAGE, None)):
         rows = [
             Row([[Span(mark, _TONES.get(outcome, "open"))], *cells], part=cells[-1])

@@ -83,17 +83,17 @@ def option_styles(indices: Sequence[int]) -> tuple[Style, ...]:
         Style(
             *PALETTE[index % len(PALETTE)],
             SYMBOLS[index % len(SYMBOLS)],
-            DASHES[(index // len(PALETTE) + indices[:place].count(index)) % len(DASHES)],
+            DASHES[(index // len(PALETTE) + indices[:number].count(index)) % len(DASHES)],
             TINTS[index % len(TINTS)],
         )
-        for place, index in enumerate(indices)
+        for number, index in enumerate(indices)
     )
 
 
 def vendor_indices(labels: Sequence[str]) -> list[int]:
     """Return the indices that vendors, of any version, have in every report; others follow."""
-    known = [next((at for at, name in enumerate(VENDORS.values()) if label.startswith(name)), -1) for label in labels]
-    return [at if at >= 0 else len(VENDORS) + known[:place].count(-1) for place, at in enumerate(known)]
+    fixed = [next((at for at, name in enumerate(VENDORS.values()) if label.startswith(name)), -1) for label in labels]
+    return [at if at >= 0 else len(VENDORS) + fixed[:number].count(-1) for number, at in enumerate(fixed)]
 
 
 def line_styles(facets: Facets) -> Mapping[str, tuple[Style, ...]]:

@@ -19,7 +19,7 @@ from .errors import OptionError, OutputError
 if TYPE_CHECKING:
     from io import BufferedReader
 
-KEPT_PLAN = "plan.toml"
+PLAN_COPY = "plan.toml"
 """Copy of its plan in the folder of a sweep."""
 
 

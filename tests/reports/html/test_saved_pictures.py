@@ -55,17 +55,6 @@ CUT = """async ({mm, drawn}) => {
     return wrong;
 }"""
 
-# Pairs of headings of panels that lie on one another, and headings beyond the window.
-HEADINGS = """() => blocks.flatMap(block => {
-    const heads = [...block.article.querySelectorAll(".plot text.annotation-text")].filter(text => text.innerHTML.includes("bold"));
-    const boxes = heads.map(text => [text.textContent, text.getBoundingClientRect()]);
-    const meet = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
-    return [
-        ...boxes.filter(([, box]) => box.right > innerWidth || box.left < 0).map(([text]) => text),
-        ...boxes.flatMap(([text, box], at) => boxes.slice(at + 1).filter(([, other]) => meet(box, other)).map(([other]) => text + " on " + other)),
-    ];
-})"""
-
 
 @pytest.mark.parametrize(
     ("name", "drawn"), [("small campaign", None), ("demo", None), ("study", ["latency_by_rate", "bridge_cost"])]
@@ -79,12 +68,10 @@ def test_no_label_is_cut_hidden_or_twice_and_no_legend_is_above_a_fifth_in_the_w
     assert reader.complaints == []
 
 
-def test_headings_of_panels_fit_a_phone(read_with, pages):
+@pytest.mark.parametrize(("name", "drawn"), [("small campaign", None), ("study", ["latency_by_rate", "bridge_cost"])])
+def test_texts_of_figures_fit_a_phone(read_with, pages, name, drawn):
     one = read_with(viewport={"width": 390, "height": 844})
-    tab = one.open(pages("study"))
-    tab.evaluate("for (const block of blocks) { block.fold.open = true; block.draw(); }")
-    assert tab.locator(".plot text.annotation-text").count() > 0
-    assert tab.evaluate(HEADINGS) == []
+    assert one.open(pages(name)).evaluate(CUT, {"mm": None, "drawn": drawn}) == []
     assert one.complaints == []
 
 

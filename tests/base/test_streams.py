@@ -106,13 +106,12 @@ def test_nothing_is_left_that_steers_a_terminal_or_that_xml_forbids(character):
     assert printable(f"a{character}b").startswith("a\\")
 
 
-@pytest.mark.parametrize("columns", [80, 40])
-def test_a_line_to_a_person_is_as_wide_as_the_terminal_and_one_in_a_log_is_whole(capsys, monkeypatch, columns):
+def test_a_line_to_a_person_is_as_wide_as_the_terminal_and_one_in_a_log_is_whole(capsys, monkeypatch):
     text = "word " * 40 + "a" * 90
     monkeypatch.delenv("COLUMNS", raising=False)
     say(text)
-    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("COLUMNS", "60")
     say(text)
     whole, *lines, path = capsys.readouterr().err.splitlines()
     assert (whole, path.strip()) == (text, "a" * 90)
-    assert columns / 2 < max(map(len, lines)) <= columns
+    assert 30 < max(map(len, lines)) <= 60

@@ -158,8 +158,8 @@ def test_annotations_are_commands_of_one_line_and_the_badge_is_an_endpoint():
     assert notice == f"::notice title=latency::{info.said}".replace(" %", " %25")
     badge = json.loads(document.render_badge(info))
     assert badge == {"schemaVersion": 1, "label": "latency", "message": "regressed", "color": "red"}
-    many_gates = replace(info, gates=info.gates * 30)
-    assert len(document.render_annotations(many_gates).splitlines()) == document.MOST_ANNOTATIONS
+    many_lines = document.render_annotations(replace(info, gates=info.gates * 30)).splitlines()
+    assert len(many_lines) == document.MOST_ANNOTATIONS
     assert json.loads(document.render_badge(replace(info, outcome=None)))["color"] == "lightgrey"
 
 
@@ -170,9 +170,8 @@ def test_junit_counts_and_names(sentences):
     assert [root.get(key) for key in ("tests", "failures", "errors", "skipped")] == ["4", "1", "0", "1"]
     cases = {case.get("name"): case for case in root.findall("testsuite/testcase")}
     assert set(cases) == {gate.text for gate in GATES}
-    assert {case.get("classname").partition(" payload_bytes")[0] for case in cases.values()} == {
-        "vendor=fastdds bridge=none data_type=binary"
-    }
+    classes = {case.get("classname").partition(" payload_bytes")[0] for case in cases.values()}
+    assert classes == {"vendor=fastdds bridge=none data_type=binary"}
     message = cases[GATES[0].text].find("failure").get("message")
     assert numbers(message) == [20, 20, 8, 10, 10]
     assert message.endswith(words.gate_rows(info.gates)[0][1][3])  # the same smallest change as in the table

@@ -6,8 +6,7 @@ from waiting import wait_until
 
 pytestmark = pytest.mark.browser
 
-PAGE_PX = 933
-"""247 mm."""
+PAGE_PX = 933  # 247 mm
 
 SVGS = """name => Promise.all(picturesOf(blocks.find(b => b.name === name)).map(svgOf))"""
 
@@ -25,8 +24,7 @@ WHISKERS = """() => blocks.filter(block => (block.plan(), block.drawn.data.lengt
 }))"""
 
 
-# [figure, text, px] of each text that reaches beyond its picture or lies on another, of each tick that an axis has twice, and of
-# each legend above a fifth of its height.
+# [figure, text, px] of texts beyond their picture or on another, ticks that an axis has twice, legends above a fifth of the height.
 CUT = """async ({mm, drawn}) => {
     const wrong = [];
     for (const block of blocks.filter(({name}) => !drawn || drawn.includes(name)).filter(block => (block.plan(), block.drawn.data.length)))
@@ -43,9 +41,8 @@ CUT = """async ({mm, drawn}) => {
                 if (over > 1) wrong.push([block.name, text, Math.round(over)]);
                 for (const [other, its] of boxes.slice(at + 1)) if (on(box, its) > 3) wrong.push([block.name, text + " on " + other, Math.round(on(box, its))]);
             });
-            const own = Object.entries(picture.layout).filter(([key, axis]) => /axis/.test(key) && axis.tickmode !== "array").map(([key]) => key.replace("axis", ""));
-            for (const name of own) {
-                const ticks = [...place.querySelectorAll(`.${name}tick text`)].map(text => text.textContent);
+            for (const key of Object.keys(picture.layout).filter(key => /axis/.test(key) && picture.layout[key].tickmode !== "array")) {
+                const ticks = [...place.querySelectorAll(`.${key.replace("axis", "")}tick text`)].map(text => text.textContent);
                 if (new Set(ticks).size < ticks.length) wrong.push([block.name, ticks.join(), 0]);
             }
             const legend = place.querySelector(".legend .bg")?.getBoundingClientRect().height || 0;
@@ -56,19 +53,18 @@ CUT = """async ({mm, drawn}) => {
 }"""
 
 
-@pytest.mark.parametrize(
-    ("name", "drawn"), [("small campaign", None), ("demo", None), ("study", ["latency_by_rate", "bridge_cost"])]
-)
-def test_no_label_is_cut_hidden_or_twice_and_no_legend_is_above_a_fifth_in_the_widths_of_print(
-    reader, pages, name, drawn
-):
+DRAWN = [("small campaign", None), ("demo", None), ("study", ["latency_by_rate", "bridge_cost"])]
+
+
+@pytest.mark.parametrize(("name", "drawn"), DRAWN)
+def test_texts_are_whole_apart_and_once_and_legends_low_in_the_widths_of_print(reader, pages, name, drawn):
     tab = reader.open(pages(name))
     for mm in (84, 174):
         assert tab.evaluate(CUT, {"mm": mm, "drawn": drawn}) == [], mm
     assert reader.complaints == []
 
 
-@pytest.mark.parametrize(("name", "drawn"), [("small campaign", None), ("study", ["latency_by_rate", "bridge_cost"])])
+@pytest.mark.parametrize(("name", "drawn"), DRAWN[::2])
 def test_texts_of_figures_fit_a_phone(read_with, pages, name, drawn):
     one = read_with(viewport={"width": 390, "height": 844})
     assert one.open(pages(name)).evaluate(CUT, {"mm": None, "drawn": drawn}) == []

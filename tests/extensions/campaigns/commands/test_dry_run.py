@@ -87,18 +87,15 @@ def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, p
 
 
 def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(plan, tmp_path):
-    folder = tmp_path / "of two"
-    folder.mkdir()
+    (folder := tmp_path / "of two").mkdir()
     campaign = Campaign(folder, (), (), {}, {}, {}, {}, None, ())
     lost = "see what ended the relay, and record again; or give both sides --depth 12, or --reliability reliable"
     assert campaign.remedy(lost) == lost
     shutil.copy(plan("[axes]\nbackend = 'socket'\n"), folder / PLAN_COPY)
     remedy = campaign.remedy(lost)
-    command = re.search(r"record again \(dds-trace (.*?)\)", remedy)[1]
-    assert run_trace(*shlex.split(command), "--dry-run") == 0
-    axes = "\n".join(re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy))
-    cells = parse_plan(f"[axes]\nbackend = 'ros2'\n{axes}", "small", "small").cells
-    assert [(cell.depth, cell.reliability) for cell in cells] == [(12, "reliable")]
+    words = shlex.split(re.search(r"record again \(dds-trace (.*?)\)", remedy)[1])
+    assert run_trace(*words, "--dry-run") == 0
+    assert re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy) == ["depth = 12", 'reliability = "reliable"']
 
 
 CODE = """[axes]

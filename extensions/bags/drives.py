@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from dds_trace.reports.blocks import MARKDOWN, Column, Heading, Points, Row, Sec
 
 from .analyze import TopicReport, analyze_topics
 from .card import DAMAGED, EMPTY
+from .clocks import and_more
 from .limits import JudgedTopic, judge_topics
 from .messages import find_recordings
 from .recover import is_of_others
@@ -74,7 +75,6 @@ class DriveComparison(blocks.Report):
     name = "comparison"
     title: str = "What changed between two bags?"
     kicker = "Two recordings"
-    scripts = ()
 
     @property
     def topics(self) -> dict[str, tuple[TopicRow | None, ...]]:
@@ -111,17 +111,36 @@ class DriveComparison(blocks.Report):
             facts.append(
                 f"{printable(str(path))}: {verdict_words(health, rows)}{ended_words(health, rows)} {facts_words(health, len(rows))}"
             )
+        headline = " ".join(_changes(topics)) or "No topic is known to lack a larger share of its messages."
         summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in _COLUMNS[:2]) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
         heading = Heading(self.title, 1, media=MARKDOWN)
         gates = judged_blocks(self.judged) if self.judged else []
-        return [Section([heading, Sentence(summary, "headline"), Points(facts)]), Section([table]), Section(gates)]
+        return [
+            Section([heading, Sentence(headline, "headline"), Sentence(summary), Points(facts)]),
+            Section([table]),
+            Section(gates),
+        ]
 
     def _row(self, name: str, rows: Sequence[TopicRow | None]) -> Row:
         sides = [_cells(row) for row in rows]
         changed = [was if was == now else f"{was} → {now}" for was, now in zip(*sides, strict=True)]
         return Row([printable(name), *changed])
+
+
+def _changes(topics: Mapping[str, tuple[TopicRow | None, ...]]) -> Iterator[str]:
+    for what, order in (("larger", 1), ("smaller", -1)):
+        names = [printable(name) for name, rows in topics.items() if _lacks_more(*rows[::order])]
+        if names:
+            yield f"A {what} share of messages is missing on {and_more(names)}."
+
+
+def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> bool:
+    if not was or not now or None in (was["missing"], now["missing"]):
+        return False
+    most, least = was["missing_high"], now["missing_low"]
+    return bool(least / (now["messages"] + least) > most / (was["messages"] + most))
 
 
 def _cells(row: TopicRow | None) -> tuple[str, ...]:

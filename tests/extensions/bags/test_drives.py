@@ -38,7 +38,13 @@ def test_both_sides_are_shown_by_topic(drives):
     assert [topics["/camera"][side]["missing"] for side in ("base", "new")] == [0, 60]
     assert [round(topics["/imu"][side]["rate_hz"]) for side in ("base", "new")] == [100, 90]
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
-    for words in ("2 topics on both sides, 2 on one", "50 Hz → - | 0 → -", "100 Hz → 90 Hz | 0", "0 → 60 (5 %)"):
+    for words in (
+        "larger share of messages is missing on /camera.",
+        "2 topics on both sides, 2 on one",
+        "50 Hz → - | 0 → -",
+        "100 Hz → 90 Hz | 0",
+        "0 → 60 (5 %)",
+    ):
         assert words in shown, shown
 
 
@@ -103,6 +109,7 @@ def test_files_are_written_for_each_report(tmp_path, drives):
     words = [word for file in files for word in ("--report", file.suffix[1:], "--out", file)]
     assert compared(*drives, *words).exit_code == 0
     assert all("/camera" in file.read_text() for file in files)
+    assert 'id="theme"' in files[1].read_text()
 
 
 def test_traces_are_no_drives(tmp_path, drives):

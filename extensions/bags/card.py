@@ -18,7 +18,7 @@ from .holes import Holes
 from .losses import Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .neighbours import find_silences
-from .observations import Observation, explained, has_losses, observe
+from .observations import Observation, has_losses, noted, observe, rhythm_notes
 from .periods import Int64
 from .quantiles import median, named_quantile, spread
 from .read import copied_messages
@@ -143,7 +143,7 @@ OTHER_CLOCK_NS = DAY_NS
 
 STRIP_PARTS = 60
 """Of the time of a recording, in its row of the table."""
-WHOLE, HOLES, EMPTY, DAMAGED = VERDICTS = "whole", "holes", "empty", "damaged"
+WHOLE, UNKNOWN, HOLES, EMPTY, DAMAGED = VERDICTS = "whole", "unknown", "holes", "empty", "damaged"
 """The worst last."""
 
 
@@ -152,7 +152,7 @@ class RecordingHealth:
     """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
 
     `readable` topics have a reading that could have shown a loss. `doubtful` pauses may be of the publishers.
-    It is `certain` that nothing is missing where some topic could have shown a loss, and none may lack a message.
+    It is `certain` that nothing is missing (`whole`) where some topic could have shown a loss, and none may lack one.
     """
 
     path: str
@@ -194,12 +194,13 @@ class Card:
         losses, pauses, readable = self._weigh(columns, condition) if columns else ([], Holes(), 0)
         for words in _silent_topics(condition, columns):
             self._note(words)
-        self.observed += explained(self._notes)
+        self.observed += noted(self._notes)
         duration_ns, paused_ns = self._end_ns - self._start_ns, int(pauses.duration_ns.sum())
         is_doubtful = np.ones(len(pauses), np.bool_)
         for loss in losses:
             is_doubtful &= ~pauses.meet(loss.holes.at(loss.holes.low > 0))
-        sound = HOLES if has_losses(self.observed) else WHOLE if columns else EMPTY
+        is_certain = readable > 0 and not any(row["missing_high"] for row in self.rows)
+        sound = HOLES if has_losses(self.observed) else WHOLE if is_certain else UNKNOWN if columns else EMPTY
         self.health = RecordingHealth(
             path,
             DAMAGED if condition.damages else sound,
@@ -209,7 +210,7 @@ class Card:
             len(condition.chunks),
             1 - paused_ns / duration_ns if duration_ns else 1.0,
             tuple(condition.damages),
-            (*(note.words for note in self._notes), *_overlaps(condition.chunks)),
+            tuple(note.words for note in self._notes),
             tuple(
                 zip(
                     *((part / SECOND_NS).tolist() for part in (pauses.start_ns - self._start_ns, pauses.duration_ns)),
@@ -218,7 +219,7 @@ class Card:
             ),
             readable,
             tuple(is_doubtful.tolist()),
-            readable > 0 and not any(row["missing_high"] for row in self.rows),
+            is_certain,
         )
 
     def _weigh(self, columns: Sequence[TopicMessages], condition: Condition) -> tuple[list[Losses], Holes, int]:
@@ -240,10 +241,11 @@ class Card:
         pauses, stalls = find_silences(logged, evidence.losses)
         if stalls:
             longest_ns, start, _ = max(stalls)
+            more = f" and {counted(len(stalls) - 1, 'more time')}" if len(stalls) > 1 else ""
             self._note(
-                f"the recorder stalled {'once' if len(stalls) == 1 else f'{len(stalls)} times'}, for up to {format_duration(longest_ns)} at "
-                f"{clock_words((start - self._start_ns) / SECOND_NS)}: about {sum(late for *_, late in stalls):,} messages of all topics came late at "
-                "once, none of them is lost by it"
+                f"all topics: nothing for {'' if len(stalls) == 1 else 'up to '}{format_duration(longest_ns)} at "
+                f"{clock_words((start - self._start_ns) / SECOND_NS)}{more}, then about {sum(late for *_, late in stalls):,} messages at once: late, not "
+                "lost; the recorder or the way to it stalled"
             )
         for topic, times, loss, early in zip(columns, evidence.times, evidence.losses, evidence.history, strict=True):
             self._add(topic, times, loss, pauses, early, evidence.clocks)
@@ -316,6 +318,7 @@ class Card:
         }
         self.rows.append(row)
         self.strips.append(self._strip(times.log_ns, losses))
+        self._notes += rhythm_notes(about.name, times, self._start_ns) if regularity and losses.high else []
         observed = list(observe(about.name, losses, self._start_ns))
         self.observed += observed
         self.holes += [
@@ -336,7 +339,8 @@ class Card:
         edges = np.linspace(self._start_ns, max(self._end_ns, self._start_ns + 1), STRIP_PARTS + 1)
         if losses.regularity is None:
             return tuple(np.minimum(np.histogram(log_ns, edges)[0], 1).astype(float).tolist())
-        holes = Holes.of([Holes.between([self._start_ns], [int(log_ns[0])]), losses.holes])
+        drawn = losses.holes if losses.low else losses.holes.at(losses.holes.duration_ns > SECOND_NS)
+        holes = Holes.of([Holes.between([self._start_ns], [int(log_ns[0])]), drawn])
         lengths = np.maximum(holes.duration_ns, 0)
         silent_ns = np.append(0, np.cumsum(lengths))
         # Time in holes before each edge: whole holes, and a part of the last that began.
@@ -346,12 +350,3 @@ class Card:
         before = np.where(begun > 0, silent_ns[last] + within, 0)
         share = 1 - np.diff(before) / (edges[1] - edges[0])
         return tuple(np.clip(share, 0, 1).tolist())
-
-
-def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
-    latest_ns, overlapping = NONE, 0
-    for first_ns, last_ns, _ in chunks:
-        overlapping += first_ns < latest_ns
-        latest_ns = max(latest_ns, last_ns)
-    if overlapping:
-        yield f"{overlapping} of {counted(len(chunks), 'chunk')} {'begins' if overlapping == 1 else 'begin'} before the end of an earlier one"

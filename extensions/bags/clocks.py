@@ -142,10 +142,11 @@ def count_history(stamps: Stamps, start_ns: int, usual_ns: float) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What explains a topic's times, or all topics' (empty)."""
+    """What explains a topic's times, or all topics' (empty), or was seen of them."""
 
     words: str
     topic: str = ""
+    kind: str = "explained"
 
 
 @dataclass(slots=True)
@@ -389,7 +390,12 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     if len(jumps) > FEWEST * WINDOW:  # more than a clock is set
         return []
     edges = [0, *jumps, len(ages_ns)]
+    lengths = np.diff(edges)
     levels = [median(ages_ns[start:stop]) for start, stop in pairwise(edges)]
+    spans = ([np.ptp(times[a:b]) for a, b in pairwise(edges)] for times in (stamps.log_ns, stamps.stamp_ns))
+    is_burst = [
+        2 * log_ns < stamp_ns for log_ns, stamp_ns in zip(*spans, strict=True)
+    ]  # a queue that empties, no clock
     return [
         _Step(
             topic,
@@ -400,8 +406,8 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
         )
         for number, at in enumerate(jumps)
         if abs(levels[number + 1] - levels[number]) > least_ns
-        and at - edges[number] > FEWEST // 2
-        and edges[number + 2] - at > FEWEST // 2
+        and min(lengths[number : number + 2]) > FEWEST // 2
+        and not any(is_burst[number : number + 2])
     ]
 
 

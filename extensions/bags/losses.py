@@ -197,7 +197,9 @@ class TopicTimes:
             older, newer = levels_around(log_ns - stamps_ns, at + 1)
             silent_ns = (steps[at] - 1) * stamp_period_ns
             is_set = np.abs(older - newer - silent_ns) < silent_ns / (2 * 2)  # the clock that stamps was set
-            lacking[is_set & (steps[at] > 2 * 2)] = 0
+            few = np.maximum(at - FEWEST // 2, 0)
+            is_queue = 2 * (log_ns[at] - log_ns[few]) < stamps_ns[at] - stamps_ns[few]
+            lacking[is_set & ~is_queue & (steps[at] > 2 * 2)] = 0
         usual = usual_steps(steps[steps > 0])
         least = lacking
         if usual is not None:

@@ -1,6 +1,6 @@
 """What is said of a recording, in one frame: what was seen, what is counted, what explains it.
 
-`seen` rests on times, numbers, stamps and sizes alone: a hole at its place. `counted` is what a reading shows to be missing, within `low` to
+`seen` rests on times, numbers, stamps and sizes alone: a hole at its place, in words regular gaps and changed rates. `counted` is what a reading shows to be missing, within `low` to
 `high`; the reading `all` is their union, and messages are missing where its `low` is above 0. `explained` is a test that its rivals fail.
 """
 
@@ -12,10 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
-from dds_trace.base.units import SECOND_NS
+from dds_trace.base.units import SECOND_NS, clock_words, counted, format_rate
+from dds_trace.tracefile.reading.source import NONE
 
+from .bounds import SHOWN
 from .clocks import Note
-from .losses import Losses
+from .losses import Losses, TopicTimes
+from .periods import rate_stretches, regular_gaps
 
 ALL_READINGS = "all"
 OBSERVATION_SCHEMA = frame_schema(
@@ -61,9 +64,23 @@ def observe(topic: str, losses: Losses, start_ns: int) -> Iterator[Observation]:
         yield Observation(topic, "seen", losses.evidence, low, missing, start_s, duration_s, "nothing came")
 
 
-def explained(notes: Sequence[Note]) -> Iterator[Observation]:
+def noted(notes: Sequence[Note]) -> Iterator[Observation]:
     for note in notes:
-        yield Observation(note.topic, "explained", words=note.words)
+        yield Observation(note.topic, note.kind, words=note.words)
+
+
+def rhythm_notes(topic: str, times: TopicTimes, start_ns: int) -> Iterator[Note]:
+    """Yield regular gaps, and rates that change, of a steady topic; whatever the cause."""
+    if gaps := regular_gaps(np.sort(times.stamp_ns[times.stamp_ns != NONE])) or regular_gaps(times.log_ns):
+        distance, length = gaps
+        lost = counted(length - 1, "message")
+        words = f"an interval of {length} periods after every {distance} messages: {lost} lost each time, or never sent"
+        yield Note(f"{topic}: {words}", topic, "seen")
+    (_, first_hz), *others = rate_stretches(times.log_ns) or [(0, 0.0)]
+    if others:
+        changes = [f"{format_rate(hz)} from {clock_words((at - start_ns) / SECOND_NS)}" for at, hz in others]
+        more = f" and {counted(len(changes) - SHOWN, 'more change')}" if len(changes) > SHOWN else ""
+        yield Note(f"{topic}: {format_rate(first_hz)}, then {', '.join(changes[:SHOWN])}{more}", topic, "seen")
 
 
 def has_losses(observations: Sequence[Observation]) -> bool:

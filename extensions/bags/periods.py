@@ -221,6 +221,35 @@ def usual_steps(steps: Int64) -> Int64 | None:
     return usual if changes and (len(changes) <= 2 or usual.max() > 2) else None
 
 
+def regular_gaps(times_ns: Int64) -> tuple[int, int] | None:
+    """Return after how many messages each a shorter gap of how many periods comes; None of other gaps, as of batches."""
+    grid = find_grid(times_ns)
+    at = np.flatnonzero(grid[1] > 1) if grid else np.empty(0, np.int64)
+    if grid is None or len(at) < FEWEST:
+        return None
+    apart, lengths = np.diff(at), grid[1][at]
+    distance, length = round(median(apart)), round(median(lengths))
+    is_alike = min((apart == distance).mean(), (lengths == length).mean()) >= MOST
+    return (
+        (distance, length)
+        if is_alike and distance > length and distance * len(at) > (1 - NEAR) * len(grid[1])
+        else None
+    )
+
+
+def rate_stretches(times_ns: Int64) -> list[tuple[int, float]]:
+    """Return when each rate begins, and the rate."""
+    intervals_ns = np.diff(times_ns)
+    ratio, _ = _without_queues(intervals_ns / max(median(intervals_ns), 1.0))
+    stretches = list[tuple[int, float]]()
+    for start, stop in pairwise([0, *_rate_changes(ratio), len(ratio)]):
+        rate_hz = SECOND_NS / max(median(intervals_ns[start:stop]), 1.0)
+        is_same = stretches and abs(rate_hz / stretches[-1][1] - 1) <= NEAR / 2
+        if stop - start >= PATTERN and not is_same:
+            stretches.append((int(times_ns[start]), rate_hz))
+    return stretches
+
+
 def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
     """Count what one rate lacks; with stretches of another rate, what the rates lack, within the interval of both readings."""
     raw = steps_of(times_ns) / period_ns

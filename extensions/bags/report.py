@@ -75,8 +75,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     missing = sum(row["missing"] for row in lacking)
     sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
     if health.verdict == "damaged":
-        damages = counted(len(health.damages), "damage")
-        return f"Damaged: {damages}" + (f"; {sentence} of what can be read." if lacking else ".")
+        copies = "`dds-trace recover` copies what can be read."
+        return f"Damaged: {sentence}. {copies}" if lacking else f"Damaged. {copies}"
     if health.verdict == "empty":
         return "No message was recorded."
     if health.verdict == "holes":
@@ -116,7 +116,7 @@ def facts_words(health: RecordingHealth, topics: int) -> str:
     messages = counted(health.messages, "message", text=f"{health.messages:,}")
     return (
         f"{seconds_words(health.duration_ns / SECOND_NS)} from {utc_words(health.start_ns)}, {messages}, "
-        f"{counted(topics, 'topic')}{chunks}; recording {_share_words(health.coverage)} of the time"
+        f"{counted(topics, 'topic')}{chunks}; with messages {_share_words(health.coverage)} of the time"
     )
 
 
@@ -124,10 +124,11 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
     longest = sorted(zip(health.pauses, health.doubtful, strict=True), key=lambda pause: -pause[0][1])
     for (start_s, duration_s), is_doubtful in sorted(longest[:SHOWN]):
         why = (
-            "a publisher stood still, or they were paused"
+            "the publishers or the recorder were paused, or messages were lost"
             if is_doubtful
-            else "lost inside the recorder, or it was paused"
+            else "lost in the recorder or on the way to it, or it was paused"
         )
+        why = f"in the damage, {why}" if health.verdict == "damaged" else why
         yield f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: {why}"
     others = longest[SHOWN:]
     if others:
@@ -144,16 +145,15 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         yield f"ends at {clock_words(holes[-1]['start_s'])}, {seconds_words(holes[-1]['duration_s'])} before the recording"
         holes = holes[:-1]
     is_unsure = row["missing_low"] == 0 < row["missing_high"]
-    if is_unsure:
-        yield f"none is known to be missing, {row['missing_high']:,} at most"
     least_s = max((1 + 1 / 2) * period_s, is_unsure)  # shorter ones are single messages
     large = sorted((hole for hole in holes if hole["duration_s"] > least_s), key=lambda hole: -hole["duration_s"])
     shown = sorted(large[:SHOWN], key=lambda hole: hole["start_s"])
     for hole in shown:
         inside = ", as of all topics" if hole["inside"] else ""
         count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
-        if hole["missing_low"] < hole["missing"]:
-            count = f"{hole['missing_low']:,} to {counted(hole['missing'], 'message')}"
+        low = 0 if is_unsure else hole["missing_low"]
+        if low < hole["missing"]:
+            count = f"{low:,} to {counted(hole['missing'], 'message')}"
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
     if elsewhere > 0 and not is_unsure and (shown or row["missing_from"] not in {"tap", "recorder"}):
@@ -213,8 +213,8 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
         yield f"{format_rate(row['expected_rate_hz'])} while no message is missing"
     if row["missing_low"] and row["missing_from"] != "period":
         yield f"{counted(row['missing'], 'message')} missing {READ_BY[row['missing_from']]}"
-    if row["missing_inside"] and row["missing_low"]:
-        yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
+    if row["missing_inside"] and row["missing_low"] and not row["lost_in_recorder"]:
+        yield f"{counted(row['missing_inside'], 'message')} of them while nothing of any topic came"
     if row["lost_in_transport"] or row["lost_in_recorder"]:
         who = "the tap" if row["missing_from"] == "tap" else "rosbag2"
         yield f"{who} counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
@@ -258,7 +258,7 @@ def topics_by_recording(report: TopicReport) -> dict[str, list[_Topic]]:
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
-_TONES = {"whole": "decided", "holes": "open", "empty": "lossy", "damaged": "lossy"}
+_TONES = {"whole": "decided", "unknown": "open", "holes": "open", "empty": "lossy", "damaged": "lossy"}
 _LEVELS = "·▁▂▃▄▅▆▇█"
 
 
@@ -320,7 +320,7 @@ class BagReport(blocks.Report):
         yield Heading(printable(health.path))
         yield Sentence(
             verdict_words(health, rows) + ended,
-            f"headline {_TONES[health.verdict] if (health.certain and not ended) or health.verdict != WHOLE else 'open'}",
+            f"headline {'open' if ended and health.verdict == WHOLE else _TONES[health.verdict]}",
         )
         yield Sentence(facts_words(health, len(rows)), "facts")
         chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)
@@ -376,6 +376,8 @@ def strip_parts(
     width = row["duration_ns"] / 1e9 * scale
     drawn = [(round(start, 2), round(width, 2), "there", "")]
     for hole in holes:
+        if not row["missing_low"] and hole["duration_s"] <= 1:
+            continue
         title = f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
         kind = "inside" if hole["inside"] else "hole"
         drawn.append((round(hole["start_s"] * scale, 2), round(max(hole["duration_s"] * scale, 0.1), 2), kind, title))

@@ -72,8 +72,7 @@ def weigh(times: Sequence[TopicTimes], sources: Sequence[Source], logged: Int64)
     pairs = [*zip(by_topic, evidence.times, strict=True)]
     evidence.losses = [agreed(readings, start_ns, end_ns, topic.log_ns) for readings, topic in pairs]
     evidence.readable = sum(
-        not source.is_of_tap and (bool(readings) or _has_numbers(topic))
-        for (readings, topic), source in zip(pairs, sources, strict=True)
+        not source.is_of_tap and bool(readings) for readings, source in zip(by_topic, sources, strict=True)
     )
     return evidence
 
@@ -116,11 +115,6 @@ def _name_writers(evidence: Evidence, sources: Sequence[Source], stamped: Collec
             clocks.notes.append(Note(words, source.name))
         elif evidence.history[number] >= len(topic.log_ns):
             clocks.no_age[source.name] = "latched"
-
-
-def _has_numbers(times: TopicTimes) -> bool:
-    numbers = times.sequence[times.sequence != NONE]
-    return len(numbers) > 1 and 2 * int((np.diff(numbers) == 1).sum()) > len(numbers)
 
 
 def _is_of_writer(times: TopicTimes) -> bool:

@@ -49,4 +49,5 @@ def timer(hz, seconds, *, without=(), since_ns=START_NS):
 def card(path):
     report = analyze_topics(path)
     (health,) = report.recordings
+    assert health.certain or health.verdict != "whole"
     return report, health, {row["topic"]: row for row in report.topics.iter_rows(named=True)}

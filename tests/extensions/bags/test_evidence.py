@@ -18,6 +18,7 @@ from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.clocks import Stamps
 from dds_trace.extensions.bags.command import app
 from dds_trace.extensions.bags.losses import TopicTimes
+from dds_trace.extensions.bags.periods import rate_stretches, regular_gaps
 from dds_trace.extensions.bags.report import verdict_words
 from dds_trace.extensions.bags.weighing import Source, weigh
 
@@ -63,15 +64,48 @@ def test_losses_are_found(loss, evidence):
         assert found >= 0.9 * len(SEEDS)
 
 
+def weighed(made):
+    columns = [*made.columns()]
+    times = [TopicTimes(*arrays) for _, _, arrays in columns]
+    return weigh(
+        times, [Source(name) for name, _, _ in columns], np.sort(np.concatenate([one.log_ns for one in times]))
+    )
+
+
 @pytest.mark.parametrize("evidence", EVIDENCE)
 def test_what_a_recorder_lost_of_all_topics_is_no_clock_that_was_set(evidence):
     for seed in SEEDS:
-        made = lossy(np.random.default_rng(seed), "of all topics", evidence)
-        columns = [*made.columns()]
-        times = [TopicTimes(*arrays) for _, _, arrays in columns]
-        logged = np.sort(np.concatenate([topic.log_ns for topic in times]))
-        notes = weigh(times, [Source(name) for name, _, _ in columns], logged).clocks.notes
+        notes = weighed(lossy(np.random.default_rng(seed), "of all topics", evidence)).clocks.notes
         assert not [note for note in notes if "clock was set" in note.words]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_regular_gaps_and_rates_that_change_are_seen(seed):
+    rng = np.random.default_rng(seed)
+    every, rates = int(rng.integers(4, 20)), rng.choice([10, 15, 22, 33, 50], 2, replace=False)
+    _, log_ns = made_timer(rng, seconds=60, jitter=0.02)
+    kept = np.arange(len(log_ns)) % every > 0
+    assert (regular_gaps(log_ns[kept]), rate_stretches(log_ns)[1:]) == ((every - 1, 2), [])
+    assert regular_gaps(log_ns[rng.random(len(log_ns)) > 1 / every]) is None
+    changed_ns = np.cumsum(np.repeat(1 / rates, 20 * rates) * S) + rng.normal(0, 0.3 * MS, 20 * rates.sum())
+    (_, before_hz), (at_ns, after_hz) = rate_stretches(changed_ns.astype(np.int64))
+    assert [before_hz, after_hz, at_ns / S] == pytest.approx([*rates, 20], rel=0.05)
+
+
+@pytest.mark.parametrize("kept", [3, 6, 12, 40])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_queue_that_drops_the_newest_hides_no_loss_and_sets_no_clock(kept, seed):
+    rng, topics = np.random.default_rng(seed), {}
+    at_s, stall_s = rng.uniform(10, 40), rng.uniform(1.5, 4)
+    for hz in (30, 50, 100):
+        due, log_ns = made_timer(rng, seconds=60, hz=hz, jitter=0.01)
+        stalled = np.flatnonzero((due > at_s * S) & (due < (at_s + stall_s) * S))
+        log_ns[stalled[:kept]] = (at_s + stall_s) * S - MS
+        topics[f"/{hz}"] = Topic(np.delete(log_ns, stalled[kept:]), np.delete(due, stalled[kept:]))
+    found = weighed(Made(topics))
+    for hz, loss, times in zip((30, 50, 100), found.losses, found.times, strict=True):
+        assert loss.low <= int(hz * 60) - len(times.log_ns) <= loss.high
+    assert not found.clocks.notes
 
 
 def stored_rows():
@@ -160,7 +194,7 @@ def test_the_part_has_few_bounds_and_its_rules_have_none_of_their_own():
 
 
 def test_gaps_that_pauses_explain_are_not_called_whole():
-    row, health = {"topic": "/a", "missing_low": 0}, SimpleNamespace(verdict="whole", readable=1)
+    row, health = {"topic": "/a", "missing_low": 0}, SimpleNamespace(verdict="unknown", readable=1)
     assert "found" in verdict_words(health, [row | {"missing_high": 0}])
     assert "5 messages may" in verdict_words(health, [row | {"missing_high": 5}])
     assert "analyze" in verdict_words(health, [row | {"topic": "/dds_trace/tap"}])

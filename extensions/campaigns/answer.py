@@ -8,6 +8,7 @@ import re
 import shlex
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -21,14 +22,13 @@ import numpy as np
 from dds_trace.base.records import to_json
 from dds_trace.base.units import counted, format_rate, format_size
 
-from .advice import variables_of
 from .folder import replace_text
 from .halving import FIRST_SECONDS, NO_TIME, Candidate, Event, Look, Measurer, Race, Standing
 from .link_probe import PROBE_S, probe_link
 from .plan.flows import recorded_together
 from .plan.plan import Plan
 from .proof import ignored, proof_of
-from .question import Question, as_learned, check_advisable, find_candidates
+from .question import Question, as_learned, check_advisable, find_candidates, settings_of
 from .search import Bisection, RateAnswer, round_rate
 from .trials import Durations, open_trials
 
@@ -109,7 +109,7 @@ def new_folder(out: Path, name: str) -> Path:
 
 @dataclass(slots=True)
 class _Imagined(Durations):
-    """A `Measurer` of a promise: records nothing, and lets its own time pass."""
+    """A `Measurer` that records nothing and lets its own time pass."""
 
     now_s: float = 0.0
     recordings: int = 0
@@ -170,23 +170,20 @@ class Search:
             chosen = min(measured, key=lambda standing: standing.rank(limits))
             fits = self._fit(chosen.candidate)
         result = self._result(chosen, fits)
-        text = json.dumps(to_json(result, not_finite=lambda _: None), indent=1)
-        replace_text(self.folder / "answer.json", f"{text}\n")
+        if chosen is not None:  # else the same command goes on
+            text = json.dumps(to_json(result, not_finite=lambda _: None), indent=1)
+            replace_text(self.folder / "answer.json", f"{text}\n")
         self._say(Event("answer", result["sentence"], None if chosen is None else chosen.candidate))
         return result
 
     def _use_link(self, link: Link | None) -> None:
         self.link = link
         if link is not None and link.rate_mbit_s:
-            self.load = self.question.load_mbit_s / self._carried_mbit_s(link)
-
-    @staticmethod
-    def _carried_mbit_s(link: Link) -> float:
-        return link.rate_mbit_s / (2 if link.shared else 1)
+            self.load = self.question.load_mbit_s * (2 if link.shared else 1) / link.rate_mbit_s
 
     def _load_words(self) -> str:
-        assert self.link is not None
-        return f"the messages need {self.question.load_mbit_s:.3g} Mbit/s each way, the link carries {self._carried_mbit_s(self.link):.3g}"
+        mbit_s = self.question.load_mbit_s
+        return f"the messages need {mbit_s:.3g} Mbit/s each way, the link carries {mbit_s / self.load:.3g}"
 
     def _open(self, plan: Plan, stage: str, folder: Path) -> AbstractContextManager[Measurer]:
         return self.open(plan, folder, partial(self._note, stage), FIRST_SECONDS, self.overheads_s)
@@ -216,7 +213,9 @@ class Search:
 
             def proof_s() -> float:
                 expected_s = partial(trials.expected_s, seconds=self.proof_seconds(trials, candidates))
-                return 3 * PROOFS * fmean(map(expected_s, candidates)) + 2 * JUDGE_S
+                turn_s = 3 * fmean(map(expected_s, candidates))
+                turns = min(PROOFS, max(LEAST_PROOFS, int(PROOF_SHARE * 60 * self.question.minutes / turn_s)))
+                return turns * turn_s + 2 * JUDGE_S
 
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
             return race.halve(candidates)
@@ -287,10 +286,7 @@ class Search:
             self.proofs.append(proof)
 
     def _choose(self) -> Standing | None:
-        """Return what keeps the limits in the fresh runs: the best of the looks, if not its default is as good or another is faster.
-
-        A default is as good unless the best is proven better; another one is faster by proof, or in these runs.
-        """
+        """Return what keeps the limits in the fresh runs: a default unless a bundle is proven better, and what was faster."""
         limits = self.question.limits
         fitting = [row for row in self.fresh if row.looks and not row.excess(limits)[0]]
         if not fitting or self.fresh[0] not in fitting:
@@ -298,7 +294,9 @@ class Search:
         best = chosen = self.fresh[0]
         for other, proof in zip(self.fresh[1:], self.proofs, strict=True):
             is_open, is_faster = proof["verdict"] != "better", other.level < chosen.level
-            if other in fitting and is_open and (_is_default(other, best) or proof["verdict"] == "worse" or is_faster):
+            is_as_simple = bool(chosen.candidate.bundle) or not other.candidate.bundle
+            is_better = _is_default(other, best) or (is_faster and is_as_simple) or proof["verdict"] == "worse"
+            if other in fitting and is_open and is_better:
                 chosen = other
         return chosen
 
@@ -352,7 +350,7 @@ class Search:
             "link": None if self.link is None else self.link.to_dict(),
             "load": self.load,
             "sentence": self._sentence(chosen, fits),
-            "recommended": None if chosen is None else _recommended(chosen.candidate),
+            "recommended": None if chosen is None else settings_of(chosen.candidate),
             "candidates": [{**row.event("look", limits).to_dict(), "dropped": row.dropped} for row in self.ranking],
             "proofs": self.proofs,
             "fits": fits,
@@ -364,8 +362,13 @@ class Search:
         limits = self.question.limits
         if chosen is None:
             failed = next(row for row in (*self.fresh, *self.ranking) if row.dropped)
-            return f"No answer: {failed.candidate.name} was not measured: {failed.dropped}."
+            return (
+                f"No answer: {failed.candidate.name} was not measured{' again' * bool(self.fresh)}: {failed.dropped}."
+            )
         name = chosen.candidate.name
+        missing = Counter(row.dropped == NO_TIME for row in self.ranking if not row.looks)
+        ends = ((missing[True], "had no time (--minutes)"), (missing[False], "could not run"))
+        more = "".join(f"; {counted(count, 'more setup')} {words}" for count, words in ends if count)
         if fits is not None:
             rows = [row for row in (*self.ranking, *self.fresh) if row.looks]
             tried = {row.candidate.name for row in rows}
@@ -374,8 +377,7 @@ class Search:
             reason = f"None of {counted(len(tried), 'setup')} fits ({nearest})"
             if tried - breaking:  # others were slower when nothing had broken a limit
                 reason = f"None of the {counted(len(breaking), 'setup')} that looked best fits ({nearest})"
-            if untried := sum(row.dropped == NO_TIME for row in self.ranking):
-                reason += f", {untried} more had no time (--minutes)"
+            reason += more
             if self.load > 1:
                 reason = f"No setting makes this fit ({self._load_words()})"
             return f"{reason}; with {name} {self._fits_words(fits)}."
@@ -393,7 +395,7 @@ class Search:
                 if other.looks and (breaks := other.excess(limits)[1]):
                     words = f"{{}} breaks a limit, {breaks}"
                 compared.append(words.format(other.candidate.name))
-        return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}."
+        return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}{more}."
 
     def _fits_words(self, fits: Answer) -> str:
         rate, size = fits["rate_hz"], fits.get("size_bytes")
@@ -427,17 +429,3 @@ def _scaled(value: float | None, scale: float) -> float | None:
     if value is None:
         return None
     return max(1, int(value * scale)) if isinstance(value, int) else round_rate(value * scale)
-
-
-def _recommended(candidate: Candidate) -> Answer:
-    path = None if candidate.path is None else candidate.path.absolute()
-    return {
-        "middleware": candidate.middleware,
-        "vendor": candidate.vendor,
-        "bundle": candidate.bundle,
-        "configuration": None if path is None else str(path),
-        "variables": {
-            **({"RMW_IMPLEMENTATION": rmw} if (rmw := candidate.cells[0].rmw) else {}),
-            **({} if path is None else variables_of(candidate.vendor, path)),
-        },
-    }

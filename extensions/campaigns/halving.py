@@ -167,7 +167,7 @@ class Standing:
         slow = f"p99 {ms_words(p99)}"
         if 0 < len(values) < minimum_messages(QUANTILES[-1]):
             slow = f"slowest {ms_words(float(values[-1]))}"
-        words = f"{name}: p50 {ms_words(p50)}, {slow}, {lost} of {len(values)} lost"
+        words = f"{name}: p50 {ms_words(p50)}, {slow}, {lost} of {len(values)} lost" if len(values) else name
         return Event(stage, text or words, self.candidate, state, len(self.looks), len(values), lost, late, p50, p99)
 
     def rank(self, limits: Limits) -> tuple[bool, float, float]:
@@ -190,7 +190,7 @@ class Measurer(Protocol):
 class Race:
     """The runs of some candidates, `tell` gets each; what begins is expected to end before `until_s` of `clock`.
 
-    `reserve_s` is the time before this that later steps need, by what runs take.
+    `reserve_s` is what later steps need of it.
     """
 
     measurer: Measurer

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from dds_trace.analyzer.model.parameters import QOS_DEFAULTS
 from dds_trace.analyzer.model.setting import write_setting
@@ -17,7 +18,7 @@ from dds_trace.base.units import parse_duration, parse_rate, parse_size, spell_s
 from dds_trace.recorder.backends import installed_middlewares, load_backend
 from dds_trace.recorder.backends.ros2 import middleware_of
 
-from .advice import bundles, write_bundles
+from .advice import bundles, variables_of, write_bundles
 from .halving import Candidate, Limits
 from .learning.model import order
 from .learning.results import read_campaigns
@@ -208,3 +209,16 @@ def as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
         rows.append({**row, "candidate": candidate})
     learned = [row["candidate"] for row in order(rows, read_campaigns(), "response 0.9")]
     return sorted(learned, key=lambda candidate: bool(candidate.bundle))
+
+
+def settings_of(candidate: Candidate) -> dict[str, Any]:
+    """Return what a person's own nodes need."""
+    path = None if candidate.path is None else candidate.path.absolute()
+    return {
+        **{key: getattr(candidate, key) for key in ("middleware", "vendor", "bundle")},
+        "configuration": None if path is None else str(path),
+        "variables": {
+            **({"RMW_IMPLEMENTATION": rmw} if (rmw := candidate.cells[0].rmw) else {}),
+            **({} if path is None else variables_of(candidate.vendor, path)),
+        },
+    }

@@ -35,7 +35,7 @@ SSH_OVERHEAD_S = 4.0
 """Start of a relay by ssh, and transfer of its trace."""
 
 
-def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
+def plan_of_trials(plan: Plan, seconds: float) -> Plan:
     """Return the plan with runs of such a length, without a measurement of the recorder's own cost after the first repeat."""
     run = replace(
         plan.run,
@@ -47,7 +47,7 @@ def plan_of_trials(plan: Plan, name: str, seconds: float) -> Plan:
         cutoff_seconds=CUTOFF_S,
         own_cost_passes=1,
     )
-    return replace(plan, name=name, run=run)
+    return replace(plan, run=run)
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class Durations:
 
     def expected_s(self, candidate: Candidate, seconds: float) -> float:
         """Return the duration of a run with its start and end; the mean of all candidates counts as one run more of this one."""
-        plan = plan_of_trials(self.plan, self.plan.name, seconds)
+        plan = plan_of_trials(self.plan, seconds)
         if self.overheads_s:
             own_s = self.overheads_s.get(candidate.name, [])
             mean_s = fmean(chain.from_iterable(self.overheads_s.values()))
@@ -73,7 +73,7 @@ class Durations:
         self.overheads_s.setdefault(candidate.name, []).append(elapsed_s - self._planned_s(candidate, seconds))
 
     def _planned_s(self, candidate: Candidate, seconds: float) -> float:
-        run = plan_of_trials(self.plan, self.plan.name, seconds).run
+        run = plan_of_trials(self.plan, seconds).run
         recordings = recorded_together(candidate.cells)
         return sum(max(run.planned_seconds(cell.rate) for cell in cells) for cells in recordings)
 
@@ -103,7 +103,7 @@ class Trials(Durations):
 
     def record(self, cells: Sequence[Cell], seconds: float) -> str:
         """Record each cell with a relay of its own settings; return why one could not be."""
-        self.runner.plan = plan_of_trials(self.runner.plan, self.runner.plan.name, seconds)
+        self.runner.plan = plan_of_trials(self.runner.plan, seconds)
         for group in group_by_relay(self.runner.plan, cells):
             waiting = [
                 together
@@ -149,7 +149,7 @@ def open_trials(
 
     `overheads_s` has the overheads of earlier runs, and gets further ones.
     """
-    plan = plan_of_trials(plan, plan.name, seconds)
+    plan = plan_of_trials(plan, seconds)
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note) as station:
         runner = Runner(plan, folder, station, Notes(note))
         runner.prepare(plan.cells)

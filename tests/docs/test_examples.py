@@ -65,7 +65,6 @@ OTHER_PROGRAMS = {
 }
 """First word of a line in a `sh` block -> why it is not run."""
 
-
 LINES = list(dict.fromkeys(line for _, line in command_lines()))
 
 
@@ -174,7 +173,6 @@ PART = re.compile(
     re.DOTALL,
 )
 """What a person does on a tutorial's page, in its order: types, writes a plan, reads an answer, presses Ctrl-C."""
-
 
 TIME = r"\d (ms|µs|s)\b"
 LAST_WORDS = {

@@ -108,7 +108,8 @@ def advise_command(
     def run() -> int:
         result = answer(question, out, _say, began_s=began_s)
         print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
-        return 0 if result["recommended"] else INCOMPLETE_EXIT_CODE
+        fits = result["fits"]
+        return 0 if result["recommended"] and (fits is None or any(fits.values())) else INCOMPLETE_EXIT_CODE
 
     run_until_interrupted(run, out)
 
@@ -161,7 +162,8 @@ def shown(answer: Answer) -> list[str]:
         lines.append(f"  {row['text']}" + (f" ({row['dropped']})" if row["dropped"] else ""))
     further = len(answer["candidates"]) - MOST_ROWS
     lines += [f"  and {further} more"] if further > 0 else []
-    return [*lines, f"Wrote {answer['folder']}/answer.json"]
+    last = f"Wrote {answer['folder']}/answer.json"
+    return [*lines, last if answer["recommended"] else f"The same command continues in {answer['folder']}"]
 
 
 def shown_proof(proof: Answer) -> list[str]:

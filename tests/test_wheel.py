@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from processes import executed
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("analyzer", "base", "cli", "extensions", "recorder", "reports", "tracefile")
@@ -89,14 +90,8 @@ def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_reposit
 )
 def test_commands_run_among_packages_with_the_names_of_our_rooms(environment, hostile, command, tmp_path):
     out = ["--out", str(tmp_path / "out")] if command[0] == "dds-analyze" else []
-    done = subprocess.run(
-        [environment / "bin" / command[0], *command[1:], *out],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": hostile},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = [environment / "bin" / command[0], *command[1:], *out]
+    done = executed(words, {"PYTHONPATH": hostile}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     if out:
@@ -104,14 +99,8 @@ def test_commands_run_among_packages_with_the_names_of_our_rooms(environment, ho
 
 
 def test_a_bridge_that_runs_as_a_module_is_started_among_them_too(environment, hostile, tmp_path):
-    done = subprocess.run(
-        [environment / "bin/python", "-m", "dds_trace.extensions.bridges.builtin", tmp_path / "missing"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": hostile},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = [environment / "bin/python", "-m", "dds_trace.extensions.bridges.builtin", tmp_path / "missing"]
+    done = executed(words, {"PYTHONPATH": hostile}, cwd=tmp_path)
     assert "imported" not in done.stderr
     assert "missing" in done.stderr
 

@@ -1,13 +1,13 @@
 """A process with little room ends with one line and a code, whatever library meets the limit first."""
 
 import resource
-import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
 import pytest
+from processes import executed
 
 from dds_trace.base.shortage import MEMORY, Room, shortage
 
@@ -54,17 +54,14 @@ COMMANDS = {
 }
 
 
+def ran(folder, words, before):
+    return executed([sys.executable, "-m", "dds_trace", *words], cwd=folder, preexec_fn=before)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(("kind", "value"), [("RLIMIT_AS", 300 << 20), ("RLIMIT_AS", 700 << 20), ("RLIMIT_NOFILE", 12)])
 def test_a_command_without_room_ends_with_one_line_and_leaves_nothing(tmp_path, command, kind, value):
-    run = subprocess.run(
-        [sys.executable, "-m", "dds_trace", *map(str, COMMANDS[command])],
-        check=False,
-        cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(getattr(resource, kind), (value, value)),
-        capture_output=True,
-        text=True,
-    )
+    run = ran(tmp_path, COMMANDS[command], lambda: resource.setrlimit(getattr(resource, kind), (value, value)))
     assert (run.returncode, run.stdout, len(run.stderr.splitlines())) == (1, "", 1), run.stderr
     assert "ulimit" in run.stderr
     assert not list(tmp_path.iterdir())
@@ -94,28 +91,14 @@ def few_threads():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_that_can_start_no_thread_ends_with_one_line_and_leaves_nothing(tmp_path, command, few_threads):
-    run = subprocess.run(
-        [sys.executable, "-m", "dds_trace", *map(str, COMMANDS[command])],
-        check=False,
-        cwd=tmp_path,
-        preexec_fn=lambda: few_threads.write_text("0"),
-        capture_output=True,
-        text=True,
-    )
+    run = ran(tmp_path, COMMANDS[command], lambda: few_threads.write_text("0"))
     assert (run.returncode, run.stdout, len(run.stderr.splitlines())) == (1, "", 1), run.stderr
     assert "ulimit -u" in run.stderr
     assert not list(tmp_path.iterdir())
 
 
 def test_descriptors_are_raised_where_they_may_be(tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-m", "dds_trace", *map(str, COMMANDS["recover"])],
-        check=False,
-        cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (12, 100)),
-        capture_output=True,
-        text=True,
-    )
+    run = ran(tmp_path, COMMANDS["recover"], lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (12, 100)))
     assert run.returncode == 0, run.stderr
     assert "ulimit" not in run.stderr  # an old numpy may warn
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from processes import executed
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceFormatError
 from dds_trace.cli.program import run_command
@@ -59,11 +60,8 @@ main()
     ],
 )
 def test_one_line_says_what_to_install(package, extra, arguments, tmp_path):
-    ran = subprocess.run(
-        [sys.executable, "-c", WITHOUT.format(module="dds_analyze"), package, SAMPLES, "--out", tmp_path, *arguments],
-        check=False,
-        capture_output=True,
-        text=True,
+    ran = executed(
+        [sys.executable, "-c", WITHOUT.format(module="dds_analyze"), package, SAMPLES, "--out", tmp_path, *arguments]
     )
     assert ran.returncode == BackendUnavailableError.exit_code
     (line,) = ran.stderr.splitlines()

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from analyses import Measured, make_analysis
 from otava import otava_alone
+from processes import executed
 
 from dds_trace.extensions.exports.history import bencher_json, github_benchmark_files, otava_csv, otava_yaml
 
@@ -27,14 +28,8 @@ def keep_day(folder, text, said="No regressions found in latency.", config="test
     (folder / "analysis/otava.yaml").write_text(config)
     (folder / "bin/otava").write_text(f"#!/bin/sh\nls latency.csv otava.yaml && echo '{said}'\n")
     (folder / "bin/otava").chmod(0o755)
-    return subprocess.run(
-        ["bash", "--noprofile", "--norc", "-e", "-c", RECIPE],
-        cwd=folder,
-        env=os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ["bash", "--noprofile", "--norc", "-e", "-c", RECIPE]
+    return executed(words, {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}"}, cwd=folder)
 
 
 def rows_of(path):

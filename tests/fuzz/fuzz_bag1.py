@@ -3,7 +3,7 @@
 import struct
 from pathlib import Path
 
-from bags import ROS1, text, write_bag1
+from bags import ROS1, chunk, record, text, write_bag1
 from fuzz_shapes import changed, must_name, shaped, shaped_seeds
 from rosbags.rosbag1 import Writer
 
@@ -14,16 +14,6 @@ from dds_trace.extensions.bags.recorded import Condition
 
 MOST_TRIES = 4
 """Tries of a record for each byte; a byte is met when it is searched, when it begins a record, and when one ends before it."""
-
-
-def record(data: bytes, **fields: bytes) -> bytes:
-    values = [f"{name}=".encode() + value for name, value in fields.items()]
-    header = b"".join(struct.pack("<I", len(value)) + value for value in values)
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
-def chunk(data: bytes) -> bytes:
-    return record(data, op=b"\5", compression=b"none", size=struct.pack("<I", len(data)))
 
 
 ABOUT = b"\x14\0\0\0type=std_msgs/String"

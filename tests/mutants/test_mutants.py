@@ -3,8 +3,6 @@
 import ast
 import importlib.util
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import pytest
 from grafting import graft
 from mutants import CORE, EQUIVALENT, ROOT, modules_of
 from mutations import mutants_of
+from processes import executed
 
 TOY = '''"""Docstring 1."""
 from dataclasses import dataclass, field
@@ -145,15 +144,8 @@ def test_a_part_that_queries_while_it_is_collected_is_refused_and_a_test_that_fa
     test.write_text(COMPUTING.format(query=query))
     code = f"import mutants; mutants.CORE['toy'] = mutants.Part(('recorder/payloads/stamp.py',), ({str(test)!r},))"
     code += "; print(mutants.tried('toy', 0.1, 0, 1))"
-    found = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(Path(mutants.__file__).parent)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    path = {"PYTHONPATH": str(Path(mutants.__file__).parent)}
+    found = executed([sys.executable, "-c", code], path, cwd=ROOT, timeout=300)
     assert bool(found.returncode) == is_refused, found.stderr
     assert ("runs a query of polars" in found.stderr) == is_refused
     assert ("Counter({'tried': 7, 'killed': 0})" in found.stdout) != is_refused

@@ -9,6 +9,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from processes import executed
 
 from dds_trace.base.version import __version__
 
@@ -41,9 +42,7 @@ class ArmPython:
         return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def run(self, *arguments: object) -> str:
-        done = subprocess.run(
-            [*self.words, *map(str, arguments)], env=self.environment, capture_output=True, text=True, check=False
-        )
+        done = executed([*self.words, *arguments], env=self.environment)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

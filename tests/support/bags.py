@@ -1,5 +1,6 @@
 """Bags as other programs record them, made with rosbags: ROS 1, ROS 2 folders, single MCAP files."""
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -107,3 +108,14 @@ def _write(bag: Any, topics: dict[str, Sequence[Any]], store: Any, serialize: An
             for n, message in enumerate(messages):
                 log_ns = 1_700_000_000_000_000_000 + n * PERIOD_NS if times_ns is None else times_ns[n]
                 bag.write(connection, log_ns, serialize(message, message.__msgtype__))
+
+
+def record(data: bytes = b"", **fields: bytes) -> bytes:
+    """A record of a ROS 1 bag."""
+    values = [f"{name}=".encode() + value for name, value in fields.items()]
+    header = b"".join(struct.pack("<I", len(value)) + value for value in values)
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def chunk(data: bytes) -> bytes:
+    return record(data, op=b"\5", compression=b"none", size=struct.pack("<I", len(data)))

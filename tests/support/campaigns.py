@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
 from trace_files import (
     WALL_ANCHOR_NS,
     Event,
@@ -104,3 +105,10 @@ def assert_same_results(found: Analysis, expected: Analysis) -> None:
     assert found.findings == expected.findings
     assert found.sources == expected.sources
     assert found.runs == expected.runs
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """A folder of six runs of three groups, of 1000, 1001 and 1002 bytes in turn."""
+    write_runs(tmp_path / "runs", range(6), groups=3)
+    return tmp_path / "runs"

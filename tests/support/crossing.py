@@ -6,12 +6,12 @@ domain answers on the `_relay` twin, and the sender counts the answers.
 """
 
 import json
-import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from threading import Event
 
+from processes import executed
 from waiting import PATIENCE_S
 
 CDR_HEADER = b"\x00\x01\x00\x00"
@@ -37,9 +37,7 @@ def watch_crossing(first, second, topics, *, until, count=5, reliability="reliab
     order = json.dumps(
         {"first": first, "second": second, "topics": topics, "until": until, "count": count, "reliability": reliability}
     )
-    ran = subprocess.run(
-        [sys.executable, __file__, order], capture_output=True, text=True, timeout=PATIENCE_S + 30, check=False
-    )
+    ran = executed([sys.executable, __file__, order], timeout=PATIENCE_S + 30)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     return Crossing(**json.loads(ran.stdout))
 

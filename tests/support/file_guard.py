@@ -7,10 +7,11 @@ inotify. A SQLite connection has to be to a file of ours, in the first of `allow
 import ctypes
 import os
 import struct
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from processes import executed
 
 _HOOK = """
 import os, sys
@@ -51,13 +52,7 @@ def touched(program: str, arguments: Sequence[str | Path], watched: Path, allowe
         assert libc.inotify_add_watch(events, os.fsencode(folder), _CLOSED_AFTER_WRITING | _CHANGED) > 0
     report_read, report_write = os.pipe()
     hook_arguments = [str(report_write), os.pathsep.join(map(str, allowed)), *map(str, arguments)]
-    result = subprocess.run(
-        [sys.executable, "-B", "-c", _HOOK + program, *hook_arguments],
-        pass_fds=[report_write],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    result = executed([sys.executable, "-B", "-c", _HOOK + program, *hook_arguments], pass_fds=[report_write])
     os.close(report_write)
     with os.fdopen(report_read) as report:
         found = report.read().splitlines()

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,3 +171,10 @@ def sweep(folder: Path, text: str) -> dict[str, Any]:
     done = run("dds-trace", "sweep", plan, "--out", folder / "runs", "--json", environment=cold)
     assert done.status == 0, done.stderr
     return json.loads(done.stdout)
+
+
+def executed(words: Sequence[object], variables: Mapping[str, str] | None = None, **options: Any) -> Any:
+    """Run a program to its end, with variables beside ours, and return what it printed."""
+    if variables is not None:
+        options["env"] = {**os.environ, **variables}
+    return subprocess.run([*map(str, words)], capture_output=True, text=True, check=False, **options)

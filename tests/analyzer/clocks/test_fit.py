@@ -98,7 +98,7 @@ def test_a_slow_message_borrows_the_bound_of_its_fast_neighbour():
     messages=st.integers(1, 400),
     seed=st.integers(0, 2**32),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_known_offset_and_drift_come_back_within_the_bound(
     *, offset_ns, drift_ppb, slow_return, rate_hz, messages, seed
 ):
@@ -122,7 +122,7 @@ def test_a_known_offset_and_drift_come_back_within_the_bound(
     step_at_ms=st.integers(2_000, 28_000),
     seed=st.integers(0, 2**32),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_step_is_found_and_splits_the_fit(*, step_ns, backwards, drift_ppb, step_at_ms, seed):
     jump = -step_ns if backwards else step_ns
     drawn = draw(Truth(10**9, drift_ppb, jump, step_at_ms * MS), seed=seed)
@@ -256,7 +256,7 @@ def test_a_long_campaign_has_a_knot_every_ten_seconds():
     assert segment.residual_ns < 50_000
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(messages=st.integers(1, 200), drift=st.floats(-DRIFT, DRIFT), seed=st.integers(0, 2**32))
 def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, seed):
     generator = np.random.default_rng(seed)

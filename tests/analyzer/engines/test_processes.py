@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 from campaigns import assert_same_results
+from processes import executed
 from waiting import PATIENCE_S, wait_until
 
 import dds_trace.analyzer.engines.batches
@@ -186,8 +187,6 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
         "    with multiprocessing.get_context('spawn').Pool(1) as pool:\n"
         "        print(pool.apply(height, sys.argv[1:]))\n"
     )
-    done = subprocess.run(
-        [sys.executable, script, runs], capture_output=True, text=True, check=False, timeout=PATIENCE_S
-    )
+    done = executed([sys.executable, script, runs], timeout=PATIENCE_S)
     assert (done.stdout, done.stderr) == ("(False, 3)\n", "")
     assert can_start_processes()

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from paired_by_hand import paired
 from roundtrip_frames import MS, roundtrips, steady, with_one_way
@@ -175,7 +175,6 @@ def test_one_update_has_no_age_over_time():
 
 
 @given(gaps=st.lists(st.integers(1, 1000), min_size=2, max_size=30), delay=st.integers(0, 5000))
-@settings(deadline=None)
 def test_a_constant_delay_adds_to_the_mean_age(gaps, delay):
     made = np.cumsum(np.array(gaps, np.int64))
     without, delayed = age(made, made), age(made, made + delay)

@@ -1,6 +1,5 @@
 import json
 import re
-import subprocess
 import sys
 
 import polars as pl
@@ -8,6 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 from one_row import ROOT, with_rows
 from page_reader import unpacked
+from processes import executed
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
@@ -27,12 +27,9 @@ def analyze_with(tmp_path, file, rows, runs, *options):
     out = tmp_path / "out"
     command = "from dds_trace.cli.dds_analyze import main; main()"
     reports = [option for kind in ("html", "md", "json", "terminal") for option in ("--report", kind)]
-    ran = subprocess.run(
+    ran = executed(
         [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), "--all", *reports, *options],
         env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert ran.returncode == 0, ran.stderr
     (out / "terminal.txt").write_text(ran.stdout, encoding="utf-8")
@@ -96,14 +93,7 @@ def test_tests_of_outputs_follow_a_new_row(tmp_path, file, rows):
         "-p",
         "no:cacheprovider",
     ]
-    ran = subprocess.run(
-        [sys.executable, "-m", "pytest", *options, *FOLLOWING],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    ran = executed([sys.executable, "-m", "pytest", *options, *FOLLOWING], cwd=ROOT, env=environment)
     assert ran.returncode == 0, ran.stdout[-3000:]
 
 

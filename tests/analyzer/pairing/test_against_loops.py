@@ -100,7 +100,7 @@ def found_rows(analysis):
 CHANGES = st.sampled_from([{"reverse": True}, {"copies": True}, {"reverse": True, "copies": True}])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(recordings(), CHANGES)
 def test_rows_are_those_of_the_loops_in_any_order_and_any_number_of_copies(files, changed):
     expected = expected_rows(files)
@@ -122,7 +122,7 @@ def test_rows_are_those_of_the_loops_in_any_order_and_any_number_of_copies(files
         assert again.distributions.equals(analysis.distributions)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(recordings())
 def test_the_summary_is_that_of_its_rows(files):
     if not files["ping"][Stage.T1]:

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 from drawn_series import change_of_runs, log_normal_groups
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pinned import PINNED, assert_pinned
 
@@ -157,7 +157,6 @@ def test_sides_without_messages_are_not_compared():
     base=st.lists(st.floats(0.1, 100) | st.just(math.inf), min_size=3, max_size=6),
     new=st.lists(st.floats(0.1, 100), min_size=3, max_size=6),
 )
-@settings(deadline=None)
 def test_sides_can_be_exchanged(base, new):
     one = change_of_runs(constant_runs(*base), constant_runs(*new), P50)
     other = change_of_runs(constant_runs(*new), constant_runs(*base), P50)

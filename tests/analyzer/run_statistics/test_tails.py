@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
@@ -42,7 +42,6 @@ def test_the_tail_begins_at_an_order_statistic():
     groups=st.lists(st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=40), min_size=1, max_size=5),
     quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
 )
-@settings(deadline=None)
 def test_a_group_has_the_limit_of_all_its_values(groups, quantile):
     runs = Runs(tuple(Run(np.array(values, np.float64)) for values in groups))
     levels = runs.levels
@@ -60,7 +59,6 @@ def test_a_group_has_the_limit_of_all_its_values(groups, quantile):
     groups=st.lists(st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=60), min_size=1, max_size=4),
     quantiles=st.permutations([0.01, 0.1, 0.5, 0.9, 0.95, 0.99]),
 )
-@settings(deadline=None)
 def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
     def compared(beyond, tails):
         rows = [(tail.sizes.tolist(), tail.streaks, tail.bursts, tail.squares) for tail in tails]
@@ -81,7 +79,6 @@ def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
     values=st.lists(st.integers(-5, 50) | st.just(math.inf), min_size=1, max_size=60),
     quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
 )
-@settings(deadline=None)
 def test_one_run_alone_has_the_same_inflation_either_way(values, quantile):
     run, other = Run(np.array(values, np.float64)), Run(np.arange(50.0))
     (tail,) = tails_of([run], quantile)

@@ -4,7 +4,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 from drawn_series import autoregressive
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.between_runs import has_few_bursts, interval_of_runs
@@ -106,7 +106,6 @@ def test_nineteen_of_twenty_quantiles_are_held(correlation, quantile):
     values=st.lists(st.integers(0, 10**9) | st.just(math.inf), min_size=100, max_size=300),
     q=st.sampled_from([0.5, 0.9, 0.95, 0.99]),
 )
-@settings(deadline=None)
 def test_ends_enclose_the_value(values, q):
     found = interval_of_runs([Run(np.array(values, np.float64))], Statistic(q))
     assert found.lower is None or found.lower <= found.value

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import pdtr, pdtrc
 
@@ -27,7 +27,6 @@ def test_quantiles_are_those_of_a_library(probability, degrees, quantile):
 
 
 @given(t=st.floats(-50, 50), degrees=st.floats(0.5, 500))
-@settings(deadline=None)
 def test_the_distribution_is_symmetric_and_its_quantile_leads_back(t, degrees):
     probability = student_cdf(t, degrees)
     assert probability + student_cdf(-t, degrees) == pytest.approx(1.0, abs=1e-12)
@@ -80,7 +79,6 @@ def test_poisson_limits_are_garwoods(count, low, high):
 
 
 @given(count=st.integers(0, 60), confidence=st.sampled_from([0.5, 0.95, 0.999999]))
-@settings(deadline=None)
 def test_each_poisson_limit_is_wrong_with_half_of_the_rest(count, confidence):
     (low, high), tail = poisson_limits(count, confidence), (1 - confidence) / 2
     assert pdtr(count, high) == pytest.approx(tail, rel=1e-6)

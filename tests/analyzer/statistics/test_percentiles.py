@@ -67,7 +67,6 @@ def test_percentiles_are_numpys_linear_and_monotonic(values):
 
 
 @given(values=st.lists(st.integers(-(10**12), 10**12), min_size=1, max_size=60), q=st.floats(0.01, 0.99))
-@settings(deadline=None)
 def test_quantiles_are_numpys(values, q):
     ordered = np.sort(np.array(values, np.int64))
     assert quantile_of(ordered, q) == pytest.approx(float(np.quantile(ordered, q)), rel=1e-12, abs=1e-3)
@@ -137,7 +136,7 @@ def test_an_end_that_no_rank_gives_is_none():
 
 
 @given(n=st.integers(1, 120), quantile=st.sampled_from([0.05, 0.5, 0.9, 0.95, 0.99]))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_ranks_are_the_tightest_that_exact_sums_allow(n, quantile):
     lower, upper = order_statistic_ranks(n, quantile)
     if lower is None:

@@ -72,7 +72,7 @@ def test_what_lies_at_the_limit_is_never_decided():
 
 
 @given(distance=st.floats(0.02, 1), spread=st.floats(0.01, 0.2))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_more_spread_takes_more_runs(distance, spread):
     few, many = runs_to_decide(distance, spread, spread), runs_to_decide(distance, 2 * spread, 2 * spread)
     assert many is None or few <= many

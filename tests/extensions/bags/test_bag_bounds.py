@@ -5,7 +5,7 @@ import struct
 from contextlib import suppress
 
 import pytest
-from bags import ROS1, ROS2, text, write_bag1, write_bag2
+from bags import ROS1, ROS2, chunk, record, text, write_bag1, write_bag2
 from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -73,16 +73,6 @@ def test_no_piece_is_unpacked_beyond_a_record(write_bag, monkeypatch):
     with suppress(TraceFormatError):
         assert not list(read_messages(path, condition))
     assert re.search(r"unpacks to more than|it claims", f"{condition.damages}") or path.name == "ros2-messages"
-
-
-def record(data=b"", **fields):
-    values = [f"{name}=".encode() + value for name, value in fields.items()]
-    header = b"".join(struct.pack("<I", len(value)) + value for value in values)
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
-def chunk(data):
-    return record(data, op=b"\5", compression=b"none", size=struct.pack("<I", len(data)))
 
 
 CONNECTION = record(

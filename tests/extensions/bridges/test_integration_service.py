@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from processes import executed
 from ruamel.yaml import YAML
 from stand_in_integration_service import install
 from waiting import wait_until
@@ -101,12 +102,7 @@ def test_the_program_serves_with_either_handle_and_its_log_has_no_colours(instal
 
 def test_a_program_without_any_handle_ends_with_exit_code_9_and_its_own_line(installed):
     installed()
-    done = subprocess.run(
-        [sys.executable, "-m", "dds_trace", "bridge", "integration-service"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = executed([sys.executable, "-m", "dds_trace", "bridge", "integration-service"])
     assert done.returncode == 9
     assert "\x1b" not in done.stderr
     assert "ended with status 1" in done.stderr

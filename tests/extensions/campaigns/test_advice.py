@@ -1,10 +1,10 @@
 import json
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from processes import executed
 
 from dds_trace.extensions.campaigns.advice import bundles, variables_of, write_bundles
 from dds_trace.extensions.campaigns.plan.link import Link
@@ -48,9 +48,7 @@ def test_cyclone_dds_accepts_its_bundles():
         pytest.skip("cyclonedds is not installed")
     code = "import sys, json; from cyclonedds.domain import Domain\nfor n, text in enumerate(json.load(sys.stdin)): Domain(100 + n, text)"
     texts = [text.partition("?>")[2] for text in bundles("cyclonedds", *SLOW).values()]
-    done = subprocess.run(
-        [sys.executable, "-c", code], input=json.dumps(texts), capture_output=True, text=True, check=False
-    )
+    done = executed([sys.executable, "-c", code], input=json.dumps(texts))
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -68,9 +66,7 @@ def test_fast_dds_accepts_the_bundle_with_every_key(tmp_path):
     )
     program = Path(sys.executable).with_name("dds-record")
     options = ["--role", "relay", "--backend", "ros2", "--configuration", path, "--discovery", "localhost", "--check"]
-    done = subprocess.run(
-        [program, *options, "--out", tmp_path / "x.mcap"], capture_output=True, text=True, check=False
-    )
+    done = executed([program, *options, "--out", tmp_path / "x.mcap"])
     assert done.returncode == 0, done.stderr
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import loopback_sshd
 import pytest
 from namespaces import needs_namespaces
+from processes import executed
 
 from dds_trace.extensions.campaigns.answer import answer
 from dds_trace.extensions.campaigns.plan.link import Link
@@ -100,9 +101,7 @@ def test_two_devices_are_asked_over_ssh_and_their_link_is_measured(tmp_path, dom
         plan.write_text(f'{head}{PLAN}{robot}address = "{pair.relay.address}"\n')
         command = [str(BIN / "dds-trace"), "advise", str(plan), "--minutes", "2", "--json", "--out", str(tmp_path)]
         environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": ""}
-        done = subprocess.run(
-            [*pair.ping.prefix, *command], capture_output=True, text=True, check=False, env=environment
-        )
+        done = executed([*pair.ping.prefix, *command], env=environment)
         assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert 25 < found["link"]["rate_mbit_s"] < 55

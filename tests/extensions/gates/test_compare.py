@@ -3,7 +3,7 @@ import math
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from roundtrip_frames import MS, in_runs, of_sizes, steady
 
@@ -23,7 +23,6 @@ def drawn(messages, mean_ns, seed):
     base=st.lists(st.integers(0, 50), min_size=1, max_size=30),
     new=st.lists(st.integers(0, 50), min_size=1, max_size=30),
 )
-@settings(deadline=None)
 def test_superiority_is_the_mean_over_all_pairs(base, new):
     pairs = [(b > n) + (b == n) / 2 for b in base for n in new]
     assert probability_of_superiority(np.sort(base), np.sort(new)) == pytest.approx(np.mean(pairs))

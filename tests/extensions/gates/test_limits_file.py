@@ -144,7 +144,7 @@ def test_a_saving_larger_than_the_base_is_refused(tmp_path):
 NAMES = st.text(st.characters(codec="utf-8"), max_size=30) | st.text("[]*?!=\\\"' \t/ab\x7f\U0001f600", max_size=12)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(NAMES, min_size=1, max_size=6, unique=True))
 def test_written_limits_of_topics_are_read_for_every_name(names):
     topics = pl.DataFrame({"topic": names}).with_columns(
@@ -160,7 +160,7 @@ def test_written_limits_of_topics_are_read_for_every_name(names):
     assert all(len(indices) == 1 for indices in chosen)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(NAMES, min_size=2, max_size=3, unique=True))
 def test_written_limits_of_results_are_read_for_every_name(names):
     good = pl.concat(

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from lossy_link import SUPPORT, lossy_link, record_watched, running_session
 from namespaces import needs_namespaces
+from processes import executed
 from record_reader import events_of
 from waiting import read_past
 from wire_truth import truth_of
@@ -181,12 +181,9 @@ def fastdds_statistics(tmp_path_factory):
         pytest.skip("no cargo here to build the listener with")
     folder = SUPPORT / "fastdds_statistics"
     target = tmp_path_factory.mktemp("target")
-    built = subprocess.run(
+    built = executed(
         ["cargo", "build", "--release", "--quiet", "--manifest-path", folder / "Cargo.toml"],
         env={**os.environ, "CARGO_TARGET_DIR": str(target)},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     if built.returncode != 0:
         pytest.skip(f"the listener cannot be built: {built.stderr.splitlines()[-1:]}")

@@ -1,11 +1,11 @@
 import os
 import re
-import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from processes import executed
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import load_backend
@@ -60,9 +60,7 @@ def test_an_unknown_key_ends_the_start_in_one_line(backend, tmp_path):
     (tmp_path / name).write_text(text)
     program = Path(sys.executable).with_name("dds-record")
     options = ["--role", "relay", "--backend", backend, "--configuration", name, "--discovery", "localhost", "--check"]
-    done = subprocess.run(
-        [program, *options, "--out", "x.mcap"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = executed([program, *options, "--out", "x.mcap"], cwd=tmp_path)
     assert done.returncode == 2
     assert key in done.stderr
     assert len(done.stderr.splitlines()) == 1

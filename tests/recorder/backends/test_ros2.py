@@ -1,6 +1,4 @@
-import os
 import signal
-import subprocess
 import sys
 import textwrap
 import threading
@@ -8,7 +6,7 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from processes import PATIENCE_S
+from processes import PATIENCE_S, executed
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.applied.vendors import ros_middleware
@@ -221,14 +219,7 @@ def test_there_is_no_other_backend():
 
 def python(code, **environment):
     """`code` in a process of its own; the middleware is chosen when rclpy is imported."""
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return executed([sys.executable, "-c", textwrap.dedent(code)], environment, timeout=PATIENCE_S)
 
 
 @pytest.mark.parametrize(

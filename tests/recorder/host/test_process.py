@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from processes import executed
 from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import OptionError
@@ -56,9 +57,7 @@ release.set()
 
 
 def run(script, *arguments):
-    return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False
-    )
+    return executed([sys.executable, "-c", script, *arguments])
 
 
 def test_without_options_nothing_changes():

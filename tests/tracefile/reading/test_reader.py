@@ -136,7 +136,7 @@ any_message = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     messages=st.lists(any_message, max_size=80),
     repeat=st.integers(1, 40),
@@ -179,7 +179,7 @@ def test_nothing_of_a_block_is_lost_when_its_memory_is_used_again(tmp_path, comp
     assert trace.notes == ()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(events=st.lists(any_event, max_size=300), chunk_bytes=st.sampled_from([300, 5000, 1 << 20]))
 def test_batches_are_the_trace_in_pieces(tmp_path_factory, events, chunk_bytes):
     path = write_trace(

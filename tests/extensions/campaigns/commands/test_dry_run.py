@@ -280,7 +280,7 @@ def test_generated_plans_that_pass_start_their_cells(tmp_path, domains, examples
     tried, head = count(), HEAD.format(domains.take(), domains.take())
     started = 0
 
-    @settings(max_examples=examples, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
+    @settings(max_examples=examples, derandomize=True, database=None, phases=[Phase.generate])
     @given(text=plans())
     def passes_or_starts(text):
         nonlocal started

@@ -43,7 +43,7 @@ CORE = {
     "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
     "headline": Part(
         tuple(f"reports/book/{name}.py" for name in ("answer", "fastest", "headline", "losses")),
-        ("tests/reports/book",),
+        ("tests/reports/book", "tests/extensions/gates/test_interference.py"),
     ),
     "applied": Part(("recorder/applied/differences.py",), ("tests/recorder/applied",)),
     # `process.py` runs in a process of its own, which no trial reaches.

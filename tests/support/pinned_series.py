@@ -14,8 +14,16 @@ from dds_trace.analyzer.run_statistics.bursts import (
     share_inflations,
 )
 from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find_warm_up
-from dds_trace.analyzer.run_statistics.received import received_interval
+from dds_trace.analyzer.run_statistics.received import late_share, loss_excesses, received_interval
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
+from dds_trace.analyzer.run_statistics.setups import (
+    RunLogarithms,
+    campaign_variance,
+    overlap_in_time,
+    passes_depend,
+    residuals_by_setup,
+    setup_means,
+)
 from dds_trace.analyzer.run_statistics.spread import spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of_all
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, paired_test, welch_test
@@ -161,6 +169,53 @@ def samples() -> list[Any]:
     return found + [order_statistic_ranks(n, q, c) for n in sizes for q in (0.1, 0.5, 0.99) for c in (0.8, 0.95)]
 
 
+def excesses() -> list[Any]:
+    """Groups of no, one, few or many runs, which lost none, some or all of their messages."""
+    found: list[Any] = []
+    for seed in range(30):
+        draw, groups = np.random.default_rng([9, seed]), []
+        for _ in range(1 + seed % 4):
+            lost = draw.choice([0, 0.01, 0.1, 1.0], int(draw.integers(0, 7)))
+            groups.append([draw.random(int(draw.integers(1, 400))) >= share for share in lost])
+            for run in groups[-1][1:]:
+                run[: int(draw.integers(0, 30))] = False
+        of_groups = loss_excesses(groups, float(draw.choice([0.001, 0.02, 0.3])), 0.9)
+        found += [of_groups, [one.share for one in of_groups]]
+    return found
+
+
+def late() -> list[Any]:
+    """Runs of unlike levels, whose slow messages or whose quick ones lie far from the others."""
+    found = []
+    for seed in range(30):
+        draw = np.random.default_rng([10, seed])
+        levels, away = draw.normal(0, 0.2, 2 + seed % 5), 0.3 * (-1) ** seed
+        runs = [Run(1e6 * np.exp(level + away * draw.exponential(size=int(draw.integers(1, 200))))) for level in levels]
+        found.append(late_share(Runs(tuple(runs)), 1e6 * np.exp(draw.normal(0, 0.6)), 0.9))
+    return found
+
+
+def setups() -> list[Any]:
+    """Repeats of one to three kinds that drift or not, together or not, of some setups with unlike spreads or none."""
+    found: list[Any] = []
+    for seed in range(120):
+        draw = np.random.default_rng([11, seed])
+        kinds, repeats = 1 + seed % 3, draw.integers(3, 9, 2)
+        runs = {}
+        for setup, count in zip("ab", (repeats[0], repeats[seed % 2]), strict=True):
+            common = draw.standard_normal(count)
+            common = np.cumsum(common) if seed % 5 == 0 else common
+            for kind in range(kinds):
+                own = draw.uniform(0.1, 1) * common + draw.choice([0.1, 1, 1]) * draw.standard_normal(count)
+                runs[kind, setup] = RunLogarithms(own * (seed % 13 != kind), tuple(range(count)))
+        starts = [draw.integers(0, 20, draw.integers(0, 5)) for _ in range(2)]
+        residuals = [rows for _, rows in residuals_by_setup(runs).values()]
+        found += [list(setup_means(runs).values()), passes_depend(runs), campaign_variance(residuals)]
+        found.append(overlap_in_time(*starts))
+    return found
+
+
 SERIES = {
-    each.__name__: each for each in (modes, warm_ups, trends, losses, tails, spreads, dependence, bursts, samples)
+    each.__name__: each
+    for each in (modes, warm_ups, trends, losses, tails, spreads, dependence, bursts, samples, excesses, late, setups)
 }

@@ -147,5 +147,6 @@ def test_more_is_judged_by_an_f_test(times, more):
 
 
 def test_one_kind_has_no_others():
+    assert spreads_more(residuals_of(1, 20.0), 1) is True  # P(F > 19) = 5 % of 2 and 2
     assert spreads_more(QUIET[np.newaxis], 0) is False
     assert spreads_more(np.zeros((3, 3)), 0) is False

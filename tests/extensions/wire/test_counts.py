@@ -1,4 +1,5 @@
 import json
+from dataclasses import astuple
 
 from dds_trace.base.records import from_json
 from dds_trace.extensions.wire.counts import ClassCount, InterfaceCount, TcpConnection, WireCounts, ip_counts
@@ -67,6 +68,7 @@ def test_drops_make_it_incomplete():
 
 def test_nothing_is_divided_by_nothing():
     empty = WireCounts()
+    assert {each for each in astuple(empty) if isinstance(each, float | int)} == {0}
     assert empty.wire_bytes_per_sample_byte is None
     assert empty.discovery_bytes_per_minute is None
     assert empty.again_bytes_share is None

@@ -60,12 +60,13 @@ def kept():
         ipv4(udp(b"not RTPS, and a port that nobody asked for")),
         ipv4(udp(b"RT")),
         ipv4(tcp(1, b"x", source_port=7511), protocol=6),
+        ipv4(tcp(1, b"x"), protocol=6, offset=1480),
         ipv4(bytes(8), protocol=1),
         bytes(12) + b"\x08\x06" + bytes(28),
         bytes(12) + b"\x86\xdd" + bytes(60),
         bytes(5),
     ],
-    ids=["udp", "short udp", "tcp", "icmp", "arp", "ipv6", "no frame"],
+    ids=["udp", "short udp", "tcp", "later tcp", "icmp", "arp", "ipv6", "no frame"],
 )
 def test_traffic_of_others_is_dropped(kept, frame):
     assert kept(frame) == 0

@@ -4,20 +4,21 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from processes import executed
 from waiting import PATIENCE_S
 from wire_packets import SPDP_WRITER, data, data_frag, rtps, stamped
 
 from dds_trace.base.errors import OptionError
+from dds_trace.extensions.wire import capture as capture_module
 from dds_trace.extensions.wire.capture import WireCapture, WireOptions, domain_ports, run_interfaces
 from dds_trace.extensions.wire.format import Direction
-from dds_trace.extensions.wire.packet_filter import wire_program
+from dds_trace.extensions.wire.packet_filter import PortRange, wire_program
 from dds_trace.extensions.wire.ring import NO_CAPTURE, PacketRing
 from dds_trace.recorder.choices import Discovery
 
@@ -135,13 +136,8 @@ def test_an_interface_that_is_not_there():
 @needs_root
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv (util-linux) is not installed")
 def test_without_the_capability_there_is_one_clear_line():
-    script = "from dds_trace.extensions.wire.capture import WireCapture\nfrom dds_trace.extensions.wire.capture import WireOptions\nWireCapture(WireOptions(('lo',)))"
-    done = subprocess.run(
-        ["setpriv", "--bounding-set", "-net_raw", sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    script = "from dds_trace.extensions.wire.capture import WireCapture, WireOptions\nWireCapture(WireOptions(('lo',)))"
+    done = executed(["setpriv", "--bounding-set", "-net_raw", sys.executable, "-c", script])
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].endswith(NO_CAPTURE)
 
@@ -166,6 +162,7 @@ def test_a_capture_that_was_killed_says_so(own):
 
 def test_localhost_discovery_keeps_to_loopback():
     assert run_interfaces(Discovery.LOCALHOST) == ("lo",)
+    assert domain_ports(0) == PortRange(7400, 7649)
 
 
 def test_subnet_discovery_uses_all_that_are_up_and_no_port_of_a_bridge(tmp_path, monkeypatch):
@@ -175,3 +172,5 @@ def test_subnet_discovery_uses_all_that_are_up_and_no_port_of_a_bridge(tmp_path,
     assert run_interfaces(Discovery.SUBNET, tmp_path) == ("lo",)
     (tmp_path / "lo" / "master").mkdir(parents=True)
     assert run_interfaces(Discovery.SUBNET, tmp_path) == ()
+    monkeypatch.setattr(capture_module, "ask_interface", lambda *_: 0x1002)  # all but up
+    assert run_interfaces(Discovery.SUBNET, tmp_path / "none") == ()

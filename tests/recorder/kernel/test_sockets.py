@@ -4,13 +4,13 @@ import struct
 import subprocess
 import sys
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
 
 from dds_trace.recorder.kernel import sockets
-from dds_trace.recorder.kernel.sockets import DiagError, dump_sockets, read_sockets
+from dds_trace.recorder.kernel.sockets import DiagError, TcpState, dump_sockets, read_sockets
 
 
 def found(opened):
@@ -153,4 +153,5 @@ def test_a_protocol_that_the_kernel_does_not_know_is_an_error():
 
 
 def test_of_a_process_that_is_gone_nothing_is_known():
+    assert {*astuple(TcpState())} == {"", 0}
     assert read_sockets(1 << 22) is None

@@ -68,6 +68,11 @@ def case(*setups, size=1000, p50="", p99="", mode="same", data_type="binary", ra
     )
 
 
+def lost_row(name, share, verdict=DO_NOT_USE, reason="", group=0):
+    fields = {"verdict": verdict, "reason": reason, "group": group, "lost": round(128 * share), "messages": 128}
+    return Judgement(Claim.LOSSY, name, "lost", value=share, **fields)
+
+
 A, B, C = setup("a", 2.0), setup("b", 4.0), setup("c", 10.0)
 TESTED = tuple(replace(one, letters_p99="a") for one in (A, B))
 TAILS = setup("a", 2.0, 30.0, tiers=("a", "b")), setup("b", 4.0, 10.0, tiers=("b", "a"))
@@ -77,6 +82,11 @@ TAIL_OF_ONE = (
     setup("a", 2.0, 4.0, tiers=("a", "ab")), setup("b", 4.0, 3.9, tiers=("b", "a")), setup("c", 9.0, 11.7, tiers=("c", "b")),
 )  # fmt: skip
 MIDDLE = setup("a", 2.0, tiers=("ab", "")), setup("b", 2.2, tiers=("a", "")), setup("c", 11.0, tiers=("b", ""))
+
+
+def losing(name):
+    return case(A, B, p50="a", judgements=(*shown((A, B), "a", ""), lost_row(name, 0.5)))
+
 
 SLOW_TAILS = [
     replace(one, p50_ns=None, letters_p50="", p99_ns=ns * MS, letters_p99=tier)
@@ -135,6 +145,8 @@ def on_devices(won):
         pytest.param([case(*TIERS[:2], replace(TIERS[2], p50_ns=inf))], [1], id="slower as it lost messages"),
         pytest.param([case(A, replace(B, p50_ns=None), C, p50="a")], [1, 5], id="one without a median"),
         pytest.param([case(A, replace(B, p50_ns=inf), p50="a")], [1], id="the other lost its messages"),
+        pytest.param([losing("a")], [1, 2], id="the leader loses"),
+        pytest.param([losing("b")], [1, 2], id="the other loses"),
         pytest.param([case(setup("a", 1.0), setup("b", 1000.0), p50="a")], [1, 1000], id="a thousand times"),
     ],
 )
@@ -143,11 +155,6 @@ def test_who_is_fastest(answers, said, sentences):
     found = [*winner_sentences(fastest_setups(answers, VENDORS)), tail_sentence(answers, labels)]
     sentences(*found)
     assert numbers(" ".join(found)) == said
-
-
-def lost_row(name, share, verdict=DO_NOT_USE, reason="", group=0):
-    fields = {"verdict": verdict, "reason": reason, "group": group, "lost": round(128 * share), "messages": 128}
-    return Judgement(Claim.LOSSY, name, "lost", value=share, **fields)
 
 
 def lossy(*shares, size=1000, device="d", **more):
@@ -303,7 +310,8 @@ WITHIN = {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
 def undecided(number, reason):
     measured = (1.023, 1.007, 1.039) if reason is Reason.BELOW_MARGIN else (1.5, 0.9, 2.0)
     row = Judgement(Claim.FASTEST, "a", "latency_p50", "b", *measured, reason=reason.value)
-    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, **WITHIN)
+    mode = ("same", "different")[number - 1]
+    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, mode=mode, **WITHIN)
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_each_sentence_has_its_kind():
     assert len(lossy.sentences) == len(lossy.kinds) == 1 + len(lossy.points)
     assert {"bridge", "where"} <= {kind.value for kind in lossy.kinds}
     demo = Book(CAMPAIGNS["demo"]()).answer
+    assert [one.outcome for one in (lossy, demo)] == ["lossy", "open"]
     assert [kind.value for kind in demo.kinds] == ["undecided", "undecided", "bridge", "where"]
     assert [kind.value for kind in Book(EVERY_ANALYSIS["empty folder"]()).answer.kinds] == ["nothing"]
 

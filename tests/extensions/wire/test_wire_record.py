@@ -30,6 +30,7 @@ class Capture:
 
     def take(self):
         self._check()
+        self.begun.append("taken")
         return WireResult(WireCounts(messages=len(self.rows), requests=5), self.rows)
 
     def _check(self):
@@ -59,7 +60,7 @@ def test_a_run_gets_its_counts_and_its_records_follow(sink):
     record = WireRecord(capture, print)
     record.begin(7)
     described = record.write_run(finished, sink)
-    assert capture.begun == [7]
+    assert capture.begun == ["taken", 7, "taken"]
     assert record.processes == {"wire": 4711}
     assert sink.runs == [described]
     assert described.extra["seed"] == 1
@@ -78,7 +79,7 @@ def test_a_relay_writes_counts_that_name_their_runs_and_goes_on(sink):
     assert counts["run_ids"] == ["0000000000000007", "0000000000000009"]
     assert counts["counts"]["requests"] == 5
     assert [text["run_id"] for text in rows] == counts["run_ids"]
-    assert capture.begun == [None, None]
+    assert capture.begun == [None, "taken", None]
 
 
 def test_a_relay_without_new_messages_writes_nothing(sink):

@@ -28,3 +28,10 @@ def test_a_test_keeps_its_first_case_and_others_spread_over_it(cases, keeps, kep
     mark_thorough([slow, *items, other])
     assert [place for place, item in enumerate(items) if "thorough" not in item.marks] == kept
     assert other.marks == slow.marks == []
+
+
+@pytest.mark.parametrize(("names", "kept"), [(["demo", "study-a", "500 groups"], [0]), (["study", "500 groups"], [0])])
+def test_a_large_page_is_thorough_where_there_is_a_smaller_one(names, kept):
+    items = [Case(f"a.py::test[{name}]", None) for name in names]
+    mark_thorough(items)
+    assert [place for place, item in enumerate(items) if "thorough" not in item.marks] == kept

@@ -12,6 +12,8 @@ from dds_trace.analyzer.findings.table import all_checks
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.recorder import errors
 
+pytestmark = pytest.mark.thorough  # the site is built
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 

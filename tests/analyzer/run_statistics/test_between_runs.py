@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn_series import log_normal_groups
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.between_runs import (
@@ -182,7 +182,6 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(runs, correlation, quantile
     values=st.lists(st.lists(st.integers(1, 10**9), min_size=20, max_size=40), min_size=3, max_size=6),
     factor=st.sampled_from([2, 10, 1000]),
 )
-@settings(deadline=None)
 def test_intervals_follow_their_unit(values, factor):
     runs = [Run(np.array(run)) for run in values]
     scaled = [Run(np.array(run) * factor) for run in values]
@@ -221,7 +220,7 @@ def test_the_page_of_figures_is_made_of_its_data():
         assert text.count("\n| --- ") == len(tables.MARK.findall(text)) > 0
 
 
-@pytest.mark.keeps(1)
+@pytest.mark.thorough
 @pytest.mark.usefixtures("coverage")
 def test_changes_that_equal_sides_name_are_found_in_about_80_of_100():
     comparisons = importlib.import_module("coverage_comparisons")

@@ -39,6 +39,7 @@ def test_the_page_names_the_addresses_and_every_section_has_its_commands():
     assert PAGE.read_text().count("```sh") == len(blocks)
 
 
+@pytest.mark.thorough
 @pytest.mark.middleware
 @needs_devices
 def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):

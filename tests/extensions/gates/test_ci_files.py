@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
-from processes import socket_plan
+from processes import executed, socket_plan
 from warm_start import stand_ins
 from wording import numbers
 
@@ -58,14 +58,8 @@ def desk(tmp_path, domain_id):
 def bash(script, folder, environment):
     """A script as a step of a composite action, or GitLab's runner, has it run."""
     path = f"{folder / 'bin'}:{stand_ins()}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    return subprocess.run(
-        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", script],
-        cwd=folder,
-        env=os.environ | {"PATH": path} | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", script]
+    return executed(words, {"PATH": path} | environment, cwd=folder)
 
 
 class Job:
@@ -314,6 +308,7 @@ def test_the_workflow_with_a_history_feeds_each_tool(desk):
     assert "--adapter json --file analysis/bencher.json" in (folder / "tools.log").read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.middleware
 @pytest.mark.parametrize(("delay", "status"), [(0.02, 0), (0.2, 20)])
 def test_a_slower_package_in_the_environment_of_the_pull_request_fails_the_gate(desk, tmp_path, delay, status):
@@ -334,6 +329,7 @@ def test_a_slower_package_in_the_environment_of_the_pull_request_fails_the_gate(
     assert not [note for note in compared["notes"] if "Measured in turns" in note or "nvironment" in note]
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.middleware
 @pytest.mark.parametrize(
     ("gate", "notes", "sent"),

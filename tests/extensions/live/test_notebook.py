@@ -37,6 +37,7 @@ def of_500_with_itself():
     return compare(campaign, campaign)
 
 
+@pytest.mark.thorough
 def test_25_cells_of_the_largest_campaigns_stay_below_300_kb():
     first, second = CAMPAIGNS["study"](), CAMPAIGNS["500 groups"]()
     both = compare(first, first), of_500_with_itself()

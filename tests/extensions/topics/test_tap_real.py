@@ -308,7 +308,7 @@ def test_the_state_of_the_topics_is_on_diagnostics(tmp_path, domain_id):
     assert any(b"/camera/image" in state for state in states)
 
 
-@pytest.mark.keeps(1)
+@pytest.mark.thorough
 @needs("cyclonedds")  # announces them
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_names_of_strangers_cost_only_their_topics(tmp_path, domain_id, backend, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from lossy_link import lossy_link, running_session
 from namespaces import needs_namespaces
+from processes import executed
 from record_reader import records_of
 from report_schemas import REPORT
 from waiting import read_past
@@ -114,6 +115,7 @@ def test_the_figures_have_data_and_the_report_follows_its_schema(analysis):
     Draft202012Validator(REPORT).validate(json.loads(report_as("json", analysis)))
 
 
+@pytest.mark.thorough
 def test_a_sweep_captures_each_cell_in_its_namespaces(tmp_path):
     pytest.importorskip("cyclonedds")
     plan = tmp_path / "plan.toml"
@@ -137,11 +139,9 @@ def test_a_sweep_captures_each_cell_in_its_namespaces(tmp_path):
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv (util-linux) is not installed")
 @pytest.mark.parametrize("role", ["ping", "relay"])
 def test_without_the_capability_the_recording_ends_with_one_line(tmp_path, role):
-    done = subprocess.run(
+    done = executed(
         ["setpriv", "--bounding-set", "-net_raw", PROGRAM, "--role", role, "--out", tmp_path / "t.mcap",
-         "--backend", "socket", "--discovery", "localhost", "--wire"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+         "--backend", "socket", "--discovery", "localhost", "--wire"])  # fmt: skip
     assert done.returncode == OptionError.exit_code
     (line,) = done.stderr.splitlines()
     assert "--wire needs the capability CAP_NET_RAW" in line

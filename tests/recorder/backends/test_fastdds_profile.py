@@ -118,6 +118,7 @@ def assert_honest(side):
     } <= (ON_THIS_MACHINE)
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.middleware
 @pytest.mark.parametrize("tuned", [False, pytest.param(True, marks=needs_large_buffers)])
 @pytest.mark.parametrize("payload_bytes", [502_000, 1_000_000])

@@ -100,6 +100,7 @@ SERVER = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11999", "ROS_SUPER_CLIENT": "TRUE"}
 GONE = {installation.fast_dds().profile_variables[0]: "gone.xml"}
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.middleware
 @needs("ros2")
 @needs_devices
@@ -135,6 +136,7 @@ def test_a_static_peer_that_is_no_host_is_named(tmp_path, domain_id):
     assert (done.status, "ROS_STATIC_PEERS no-such-host.invalid" in done.stderr) == (7, True), done.stderr
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.middleware
 @needs("cyclonedds")
 @needs_devices

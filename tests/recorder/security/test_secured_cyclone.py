@@ -39,6 +39,7 @@ def environment():
     return secured_environment()
 
 
+@pytest.mark.thorough
 def test_a_sweep_measures_every_level_with_keys_of_its_own(domain_id, tmp_path, environment):
     plan = tmp_path / "levels.toml"
     plan.write_text(PLAN.format(domain=domain_id, environment=environment, levels=LEVELS))

@@ -290,6 +290,7 @@ def check_media(book):
             assert re.sub(r"\W+", " ", sentence).strip()[:40] in text, (name, kind, sentence)
 
 
+@pytest.mark.keeps(6)
 @pytest.mark.parametrize("name", [*STORED, *SAMPLE_NAMES, *DRAWN])
 def test_no_sentence_denies_a_proven_row(tmp_path, name):
     analysis = DRAWN[name]() if name in DRAWN else campaign(name, tmp_path)

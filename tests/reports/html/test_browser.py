@@ -299,6 +299,7 @@ def test_the_keyboard_is_enough(reader, pages):
     assert tab.evaluate("document.activeElement.textContent") == "Data: Binary"
 
 
+@pytest.mark.thorough
 def test_figures_download(reader, pages):
     tab = reader.open(pages("small campaign"))
     reader.draw_all()  # a figure that is drawn when it is scrolled to would move the button away from the pointer

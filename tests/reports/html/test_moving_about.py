@@ -14,7 +14,7 @@ new PerformanceObserver(list => {
 """
 
 
-@pytest.mark.keeps(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["demo", "lossy machine"])
 def test_links_land_where_they_say_and_nothing_shifts(new_tab, pages, name):
     one = Reader(new_tab)
@@ -135,6 +135,7 @@ def test_a_narrower_window_draws_narrower_figures(reader, pages):
     assert tab.evaluate("document.documentElement.scrollWidth") <= 420
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("name", "paper"), [("demo", "A4"), ("lossy machine", "Letter")])
 def test_paper_is_whole(reader, pages, name, paper):
     tab = reader.open(pages(name))
@@ -212,6 +213,7 @@ def test_verdict_picture_and_best_setup_are_on_the_first_screen(read_with, pages
         assert tab.locator("table.sizes").first.bounding_box()["y"] < height / 2
 
 
+@pytest.mark.thorough
 def test_p99_is_beside_the_median_by_a_switch_and_both_open_their_result(reader, pages):
     tab = reader.open(pages("study"))
     assert not tab.locator(".p99").first.is_visible()

@@ -48,6 +48,7 @@ def test_no_panel_has_more_lines_than_seven_and_each_looks_like_no_other(reader,
     assert reader.complaints == []
 
 
+@pytest.mark.thorough
 def test_the_page_spreads_groups_as_python_does(reader, pages):
     book = Book(CAMPAIGNS["study"]())
     tab = reader.open(pages("study"))
@@ -73,6 +74,7 @@ def test_the_page_spreads_groups_as_python_does(reader, pages):
     assert shown("latency_by_rate") == told(LATENCY_BY_RATE.info(book, panels="device", lines="link").panels)
 
 
+@pytest.mark.thorough
 def test_the_papers_figures_are_one_click(reader, pages):
     tab = reader.open(pages("study"))
     tab.locator("#paper").click()
@@ -114,6 +116,7 @@ def test_losses_are_seen_on_marks_bars_and_curves(reader, pages):
     assert columns[4] == "Share of planned"
 
 
+@pytest.mark.thorough
 def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):
     tab = reader.open(pages("lossy machine"))
     traces = "blocks.find(b => b.name === 'latency_by_rate').drawn.data.map(t => t.meta)"
@@ -175,6 +178,7 @@ def test_a_few_groups_are_one_chart(reader, pages):
     assert " of the same domain" in tab.locator("#figure-dots").text_content()
 
 
+@pytest.mark.keeps(1)
 @pytest.mark.parametrize(("width", "most"), [(1360, 7_000), (390, 12_000)])
 def test_a_page_of_126_groups_is_no_longer_than_it_has_to_be(read_with, pages, width, most):
     one = read_with(viewport={"width": width, "height": 900})
@@ -198,6 +202,7 @@ def test_the_figure_of_what_the_campaign_varies_is_open_and_few_panels_are(reade
     assert max(dict(open_ones).values()) <= 9
 
 
+@pytest.mark.thorough
 def test_controls_are_one_row_and_a_filter_says_what_it_leaves_as_it_is(reader, pages):
     tab = reader.open(pages("study"))
     tops = tab.evaluate(

@@ -100,6 +100,7 @@ def test_pictures_have_the_widths_of_print_on_white_in_any_theme(read_with, page
     assert one.complaints == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("figure", ["latency_by_rate", "latency_by_size", "domain_difference"])
 @pytest.mark.parametrize(("choice", "is_paper"), [("page", True), ("page", False), ("column", True)])
 def test_a_picture_of_the_study_is_a_grid_on_pages_with_each_label_once(reader, pages, figure, choice, is_paper):
@@ -133,6 +134,7 @@ def test_no_picture_is_higher_than_a_page_and_no_whisker_leaves_its_panel(reader
     assert [one for one in pictures if one[2]] == []
 
 
+@pytest.mark.thorough
 def test_the_papers_figures_on_the_page_are_that_grid_too(reader, pages):
     tab = reader.open(pages("study"))
     tab.locator("#paper").click()
@@ -206,6 +208,7 @@ def test_a_picture_as_pdf_is_a_page_of_vectors_of_its_size_with_its_fonts(reader
     assert reader.complaints == []
 
 
+@pytest.mark.thorough
 def test_the_paper_is_four_figures_with_captions_and_versions(reader, pages):
     tab = reader.open(pages("study"))
     before = tab.evaluate("JSON.stringify(view)")

@@ -67,6 +67,7 @@ def test_bad_thresholds_end_the_sweep_before_its_first_recording(sweep, tmp_path
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.middleware
 def test_a_sweep_ends_with_pass_or_fail(sweep):
     passed = sweep("latency_p50 = '< 10 s'\nreceived_ratio = ['> 10 %', '<= 100 %']", "--json")

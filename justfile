@@ -51,7 +51,7 @@ test *args: setup (_tests 'not slow and not thorough' args)
 # All tests that end within minutes, every case of them: what CI runs
 test-all *args: setup (_tests 'not slow' args)
 
-# Three workers, which take neighbours, which share what they make; then six for real middlewares, whose tests wait
+# Three workers, which take neighbours, which share what they make; then six for real middlewares, whose tests wait, of files with such
 _tests marks *args:
     @# In a fresh clone asserts are rewritten once, by two processes, and not by each worker.
     @ls tests/__pycache__/*-pytest-*.pyc >/dev/null 2>&1 || \
@@ -60,7 +60,7 @@ _tests marks *args:
     @failed=0; \
     {{bin}}/pytest -m '{{marks}} and not middleware' -n 3 --dist worksteal {{args}} || test $? = 5 || failed=1; \
     {{bin}}/pytest -m '{{marks}} and middleware' -n 6 --dist worksteal \
-        {{ if args == "" { "tests" } else { args } }} || test $? = 5 || failed=1; \
+        {{ if args == "" { "$(grep -rl mark.middleware tests --include='test_*.py')" } else { args } }} || test $? = 5 || failed=1; \
     exit $failed
 
 # Tests that take longer than a minute each (kills, long sweeps)

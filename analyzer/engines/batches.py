@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 
 BATCH_EVENTS = 1_000_000
-"""Events of a batch, unless one group has more: a hundred megabytes. Smaller ones lose to polars' fixed times.
-"""
+"""Events of a batch, unless one group has more: a hundred megabytes. Smaller ones lose to polars' fixed times."""
 
 BATCH_GROUPS = 250
 """Most groups of a batch: each costs a millisecond, and thousands would be the work of one core."""

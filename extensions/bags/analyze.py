@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import TypeAlias
 
@@ -135,19 +136,15 @@ def analyze_topics(
             f"{', '.join(map(str, parts))}: no recording that can be read{f' ({reasons})' if reasons else ''}; give a "
             f"{SUFFIX_WORDS} file, or a rosbag2 folder"
         )
-    names = [field.name for field in fields(Observation)]
-    observed = [
-        {"recording": card.health.path} | {name: getattr(row, name) for name in names}
-        for card in cards
-        for row in card.observed
-    ]
+    values = attrgetter(*(field.name for field in fields(Observation)))
+    observed = [(card.health.path, *values(row)) for card in cards for row in card.observed]
     return TopicReport(
         pl.DataFrame([row for card in cards for row in card.rows], schema=TOPIC_SCHEMA),
         tuple(sorted(sources, key=lambda source: source.path)),
         pl.DataFrame([hole for card in cards for hole in card.holes], schema=HOLE_SCHEMA),
         tuple(card.health for card in cards),
         tuple(strip for card in cards for strip in card.strips),
-        pl.DataFrame(observed, schema=OBSERVATION_SCHEMA),
+        pl.DataFrame(observed, OBSERVATION_SCHEMA, orient="row"),
         tuple((card.health.path, link) for card in cards for link in card.links),
         tuple((card.health.path, one) for card in cards for one in card.syncs),
     )

@@ -116,16 +116,14 @@ def _messages(
     read_bytes = 0
     for part in in_parts(rows):
         count = budget.take(len(part))
+        rows_of_topics = [row for row in part[:count] if row[1] in topics]
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
-        stored = timed = [
-            row for row in part[:count] if row[1] in topics and type(row[3]) is bytes and type(row[2]) is int
-        ]
-        if len(timed) < count:
-            rows_of_topics = [row for row in part[:count] if row[1] in topics]
-            stored = [row for row in rows_of_topics if isinstance(row[3], bytes)]
+        stored = [row for row in rows_of_topics if isinstance(row[3], bytes)]
+        seen.update(zip(map(itemgetter(0), stored), map(crc32, map(itemgetter(3), stored)), strict=True))
+        timed = [row for row in stored if isinstance(row[2], int)]
+        if len(timed) < len(rows_of_topics):
             others = (row for row in rows_of_topics if not isinstance(row[3], bytes) or not isinstance(row[2], int))
             condition.unreadable.update(topics[row[1]].name for row in others)
-        seen.update(zip(map(itemgetter(0), stored), map(crc32, map(itemgetter(3), stored)), strict=True))
         if timed:
             _, topic_ids, times_ns, contents = zip(*timed, strict=True)
             read_bytes += sum(map(len, contents))

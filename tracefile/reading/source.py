@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
-from operator import itemgetter
 from pathlib import Path
-from sys import getsizeof
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -42,20 +39,18 @@ class Budget:
 
 Row = TypeVar("Row", bound=Sequence[Any])
 
-_BATCH_MESSAGES, _BATCH_BYTES, _ROWS_AT_ONCE = 2048, 4 << 20, 8
+_BATCH_MESSAGES, _BATCH_BYTES = 2048, 4 << 20
 
 
 def in_parts(rows: Iterable[Row], data_at: int = -1) -> Iterator[list[Row]]:
     """Collect rows that have content at an index; an error comes after all rows before it."""
-    pending, size_bytes, rows = list[Row](), 0, iter(rows)
+    pending, size_bytes = list[Row](), 0
     try:
-        while True:
-            before = len(pending)
-            pending.extend(islice(rows, _ROWS_AT_ONCE))
-            if len(pending) == before:
-                break
-            size_bytes += sum(map(getsizeof, map(itemgetter(data_at), pending[before:])))
-            if len(pending) >= _BATCH_MESSAGES or size_bytes >= _BATCH_BYTES:
+        for row in rows:
+            pending.append(row)
+            if isinstance(data := row[data_at], bytes):
+                size_bytes += len(data)
+            if len(pending) == _BATCH_MESSAGES or size_bytes >= _BATCH_BYTES:
                 yield pending
                 pending, size_bytes = [], 0
     except Exception:

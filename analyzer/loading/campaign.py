@@ -35,7 +35,6 @@ _FILES_OF_A_SWEEP = frozenset({PLAN_COPY, "state.json", "max_rate.json", "max_ra
 _NAMED_AT_MOST = 5
 
 _AGAIN = re.compile(r"record again|[Rr]epeat the runs?")
-_OPTION = re.compile(r"(?<!`)--(depth|reliability) (\w+)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +63,12 @@ class Campaign:
     def remedy(self, text: str) -> str:
         """Return a remedy as a sweep takes it, which does not repeat what is complete and has options as axes."""
         plan = self.folder / PLAN_COPY
-        if not plan.is_file():
-            return text
-        text = _OPTION.sub(lambda option: f"{option[1]} = {_in_toml(option[2])} in the plan's [axes]", text)
-        return _AGAIN.sub(lambda words: f"{words[0]} (dds-trace sweep {shlex.quote(str(plan))} --out again)", text, 1)
+        if plan.is_file():
+            text = re.sub(r"--depth (\d+)", r"depth = \1 in the plan's [axes]", text)
+            text = text.replace("--reliability reliable", 'reliability = "reliable" in the plan\'s [axes]')
+            command = f"(dds-trace sweep {shlex.quote(str(plan))} --out again)"
+            text = _AGAIN.sub(lambda words: f"{words[0]} {command}", text, 1)
+        return text
 
     def names(self, traces: Iterable[int]) -> str:
         return ", ".join(self.name(trace) for trace in sorted(set(traces)))
@@ -157,10 +158,6 @@ def _read_sources(
             detail = f"{detail}; {remark}" if detail else remark
             status = "duplicate" if copied == events else status
         yield Source(name, status, detail, events - copied)
-
-
-def _in_toml(value: str) -> str:
-    return value if value.isdecimal() else f'"{value}"'
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:

@@ -57,8 +57,8 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
     used_symbols: set[str] = set()
     used_colours: set[int] = set()
     styles: dict[int, Style] = {}
-    # A setup in one domain keeps the vendor's symbol, so it chooses first.
-    for index in sorted(range(len(setups)), key=lambda index: setups[index].domain_mode != "same"):
+    # The plainest setup in one domain keeps the vendor's colour and symbol, so it chooses first.
+    for index in sorted(range(len(setups)), key=lambda at: (setups[at].domain_mode != "same", len(setups[at].setting))):
         setup = setups[index]
         vendor, way = vendors.index(setup.vendor), ways.index((setup.domain_mode != "same", setup.bridge))
         colour = vendor % len(PALETTE)
@@ -91,9 +91,9 @@ def option_styles(indices: Sequence[int]) -> tuple[Style, ...]:
 
 
 def vendor_indices(labels: Sequence[str]) -> list[int]:
-    """Return the indices that vendors, of any version, have in every report; others follow."""
-    fixed = [next((at for at, name in enumerate(VENDORS.values()) if label.startswith(name)), -1) for label in labels]
-    return [at if at >= 0 else len(VENDORS) + fixed[:number].count(-1) for number, at in enumerate(fixed)]
+    """Return the index that a vendor, of any version, has in every report; others follow."""
+    names = [*VENDORS.values()]
+    return [next((at for at, name in enumerate(names) if label.startswith(name)), len(names)) for label in labels]
 
 
 def line_styles(facets: Facets) -> Mapping[str, tuple[Style, ...]]:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import os
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from io import StringIO, TextIOWrapper
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any
 
 from .printable import MAX_FINDING_CHARACTERS, is_hidden, printable
@@ -116,11 +118,8 @@ def say(text: object) -> None:
 
 def wrapped(text: str) -> str:
     """Return a line as a terminal shows it, words whole; in a log, which has no width, it stays one line."""
-    import textwrap  # noqa: PLC0415 - with `shutil` for text that is shown
-    from shutil import get_terminal_size  # noqa: PLC0415
-
     width = min(get_terminal_size().columns, WIDEST_SCREEN)
-    if len(text) < width or not (sys.stderr.isatty() or "COLUMNS" in os.environ):
+    if not (sys.stderr.isatty() or "COLUMNS" in os.environ):
         return text
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 

@@ -398,8 +398,13 @@ KINDS.heatmap = function heatmap(plan, width, all) {
 KINDS.fan_out = function fanOut(plan, width, all) {
   const lines = Object.entries(plan.lines)
     .map(([name, points]) => ({ name, points: points.filter((point) => passes(point.group)) }))
-    .filter(({ points }) => points.length)
-    .map((line) => ({ ...line, look: { ...choiceLook(line.points[0].group), label: line.name } }));
+    .filter(({ points }) => points.length);
+  const vendors = lines.map(({ points }) => optionOf("vendor", points[0].group));
+  const areVendors = new Set(vendors).size === lines.length;
+  lines.forEach((line, at) => {
+    const look = areVendors ? lookOf("vendor", vendors[at]) : choiceLook(line.points[0].group);
+    line.look = { ...look, label: line.name };
+  });
   const panel = (title, key, label) => ({
     title,
     traces: lines.map(({ look, points }) => {

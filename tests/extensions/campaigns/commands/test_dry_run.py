@@ -17,7 +17,6 @@ from rich.console import Console
 
 from dds_trace.analyzer.loading.campaign import Campaign
 from dds_trace.base.errors import OptionError
-from dds_trace.base.files import PLAN_COPY
 from dds_trace.extensions.campaigns.commands.dry_run import argument_check
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.extensions.campaigns.rehearsal import rehearse_plan
@@ -91,11 +90,12 @@ def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(plan, tmp_pat
     campaign = Campaign(folder, (), (), {}, {}, {}, {}, None, ())
     lost = "see what ended the relay, and record again; or give both sides --depth 12, or --reliability reliable"
     assert campaign.remedy(lost) == lost
-    shutil.copy(plan("[axes]\nbackend = 'socket'\n"), folder / PLAN_COPY)
+    shutil.copy(plan("[axes]\nbackend = 'socket'\n"), folder / "plan.toml")
     remedy = campaign.remedy(lost)
     words = shlex.split(re.search(r"record again \(dds-trace (.*?)\)", remedy)[1])
     assert run_trace(*words, "--dry-run") == 0
-    assert re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy) == ["depth = 12", 'reliability = "reliable"']
+    axes = re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy)
+    assert axes == ["depth = 12", 'reliability = "reliable"']
 
 
 CODE = """[axes]

@@ -58,6 +58,9 @@ _HEADER_START = re.compile(rb"(?=..\0\0..\0\0[a-z0-9_]{1,24}=)", re.DOTALL)
 _HEADER_START_BYTES = 64
 """Searched first after damage, and read beyond what is searched: more than `_HEADER_START` needs."""
 
+_LARGEST_RATIOS = {"lz4": LARGEST_FILE_RATIO, "bz2": 50}
+"""Most unpacked bytes per byte of the file; bz2 takes ten times as long."""
+
 _MOST_FIELDS = 64
 """Of a header; bytes that claim more are no record."""
 
@@ -96,7 +99,7 @@ def bag1_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
 class _Bag1Walk:
     def __init__(self, file: RecordFile, condition: Condition, *, looks_ahead: bool = True) -> None:
         self._file, self._condition, self._looks_ahead = file, condition, looks_ahead
-        self._budget, self._left_bytes = Budget(file.size), most_unpacked_bytes(file.size)
+        self._budget, self._unpacked_bytes = Budget(file.size), 0
         self._topics: dict[int, RecordedTopic] = {}
         self._times_ns: list[int] = []
 
@@ -248,9 +251,10 @@ class _Bag1Walk:
 
     def _unpacked(self, source: Records, record: _Record) -> _Record:
         compression, size = record.fields["compression"].decode(errors="replace"), _number(record, "size")
-        self._left_bytes -= max(record.end - record.data_at, size if size <= MAX_RECORD_BYTES else 0)
-        if self._left_bytes < 0:
-            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
+        self._unpacked_bytes += max(record.end - record.data_at, size if size <= MAX_RECORD_BYTES else 0)
+        ratio = _LARGEST_RATIOS.get(compression, LARGEST_FILE_RATIO)
+        if self._unpacked_bytes > most_unpacked_bytes(source.size, ratio):
+            raise UnreadableError(f"it unpacks to more than {ratio} times its size")
         try:
             packed = source.read(record.data_at, record.end - record.data_at)
             data = _unpack_bz2(packed, size) if compression == "bz2" else unpack_records(compression, packed, size)

@@ -54,8 +54,8 @@ _FREE: deque[UnpackMemory] = deque(maxlen=8)
 """Memory for the next block of any file: touching fresh memory was a fifth of reading lz4. `append` and `pop` are atomic."""
 
 
-def most_unpacked_bytes(end: int) -> int:
-    return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
+def most_unpacked_bytes(end: int, ratio: int = LARGEST_FILE_RATIO) -> int:
+    return max(_UNSUSPECTED_FILE_BYTES, ratio * end)
 
 
 @dataclass(frozen=True, slots=True)

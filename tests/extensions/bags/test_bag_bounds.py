@@ -56,9 +56,10 @@ def test_an_honest_packed_bag_is_read_as_before(write_bag):
 def test_a_bag_that_unpacks_to_more_than_the_bound_ends_in_one_line(write_bag, monkeypatch):
     path = write_bag(*[900 * KB] * 8)
     monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 5000 * KB)
-    with pytest.raises(TraceFormatError, match=r"unpacks to more than (200|50) times its size"):
+    words = f"unpacks to more than {50 if 'bz2' in path.name else 200} times its size"
+    with pytest.raises(TraceFormatError, match=words):
         list(read_messages(path, Condition()))
-    with pytest.raises(OptionError, match=r"unpacks to more than (200|50) times its size"):
+    with pytest.raises(OptionError, match=words):
         load_payload(f"{path}#/zeros", {TYPE: STRING})
 
 

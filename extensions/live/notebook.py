@@ -13,7 +13,7 @@ from dds_trace.analyzer.analysis import Analysis
 from dds_trace.base.units import counted
 from dds_trace.extensions.gates.compare import Comparison
 from dds_trace.extensions.gates.info import comparison_info
-from dds_trace.extensions.gates.report import result_table
+from dds_trace.extensions.gates.report import curve, result_table
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import MARKDOWN, Span, Table, Words
 from dds_trace.reports.book.book import Book
@@ -36,6 +36,10 @@ _BELOW = 700
 _LOST = "color:#e5484d"
 _SOFT = "font-size:90%"
 _CELL = "text-align:left;white-space:nowrap"
+_PENS = (
+    "<style>.dds-trace path{fill:none;stroke:#888;stroke-width:2}.dds-trace .base{stroke:#2e90d4}.dds-trace .new{stroke:#e68246}"
+    ".dds-trace .dashed{stroke-dasharray:5 3}.dds-trace text{fill:#888;font-size:11px}</style>"
+)
 _TOO_LONG = "The table is too long for a cell of a notebook."
 
 
@@ -110,6 +114,11 @@ def comparison_screen(comparison: Comparison) -> str:
         top = f"<p>{escape(info.said[: MOST_CHARACTERS // 8])} ...</p>"
     if not info.groups:
         return f"<div>{top}</div>"
+    worst = info.groups[0]
+    for row in worst.distributions[:1]:
+        top += (
+            f"<p>{escape(worst.label)}: base (dashed) and new side</p><div class='dds-trace'>{_PENS}{curve(row)}</div>"
+        )
     table = result_table(info, None, None)
     return f"<div>{top}{_table(table, MOST_CHARACTERS - len(top) - _BELOW, ('more result', 'more results'))}</div>"
 

@@ -56,6 +56,7 @@ def test_a_comparison_shows_its_answer_a_row_a_result_and_what_is_left_out():
     text = " ".join(Page(html).texts)
     assert text.startswith("Both sides are the same recordings")
     rows = html.count("<tr ")
+    assert html.count("<svg") == 1
     assert f"And {len(campaign.summary) - rows} more results." in text
     apart = compare(campaign, make_analysis(Measured([1_000_000] * 3, payload_bytes=77)))
     assert "no result in common" in apart._repr_html_()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,10 +16,11 @@ from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import SECOND_NS, clock_words, counted, format_rate
 from dds_trace.tracefile.reading.source import NONE
 
-from .bounds import SHOWN
+from .bounds import FEWEST, MOST, NEAR, PATTERN, SHOWN
 from .clocks import Note
 from .losses import Losses, TopicTimes
-from .periods import rate_stretches, regular_gaps
+from .periods import Int64, find_grid, rate_changes, without_queues
+from .quantiles import median
 
 ALL_READINGS = "all"
 OBSERVATION_SCHEMA = frame_schema(
@@ -67,6 +69,35 @@ def observe(topic: str, losses: Losses, start_ns: int) -> Iterator[Observation]:
 def noted(notes: Sequence[Note]) -> Iterator[Observation]:
     for note in notes:
         yield Observation(note.topic, note.kind, words=note.words)
+
+
+def regular_gaps(times_ns: Int64) -> tuple[int, int] | None:
+    """Return after how many messages each a shorter gap of how many periods comes; None of other gaps, as of batches."""
+    grid = find_grid(times_ns)
+    at = np.flatnonzero(grid[1] > 1) if grid else np.empty(0, np.int64)
+    if grid is None or len(at) < FEWEST:
+        return None
+    apart, lengths = np.diff(at), grid[1][at]
+    distance, length = round(median(apart)), round(median(lengths))
+    is_alike = min((apart == distance).mean(), (lengths == length).mean()) >= MOST
+    return (
+        (distance, length)
+        if is_alike and distance > length and distance * len(at) > (1 - NEAR) * len(grid[1])
+        else None
+    )
+
+
+def rate_stretches(times_ns: Int64) -> list[tuple[int, float]]:
+    """Return when each rate begins, and the rate."""
+    intervals_ns = np.diff(times_ns)
+    ratio, _ = without_queues(intervals_ns / max(median(intervals_ns), 1.0))
+    stretches = list[tuple[int, float]]()
+    for start, stop in pairwise([0, *rate_changes(ratio), len(ratio)]):
+        rate_hz = SECOND_NS / max(median(intervals_ns[start:stop]), 1.0)
+        is_same = stretches and abs(rate_hz / stretches[-1][1] - 1) <= NEAR / 2
+        if stop - start >= PATTERN and not is_same:
+            stretches.append((int(times_ns[start]), rate_hz))
+    return stretches
 
 
 def rhythm_notes(topic: str, times: TopicTimes, start_ns: int) -> Iterator[Note]:

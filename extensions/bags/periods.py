@@ -145,7 +145,7 @@ def _by_phase(times_ns: Int64, pattern: _Pattern) -> Regularity | None:
     ratio = steps_of(times_ns) / pattern.period_ns
     if pattern.share > 1 - NEAR or len(times_ns) < PHASES / FEWEST or _is_single_with_stalls(ratio):
         return None
-    if ratio.max() > PHASES / 2 or ratio.sum() > 2 * 2 * len(ratio) or _rate_changes(ratio):
+    if ratio.max() > PHASES / 2 or ratio.sum() > 2 * 2 * len(ratio) or rate_changes(ratio):
         return None
     parts, missing = np.array_split(times_ns, -(-len(times_ns) // PHASES)), 0
     for number, part_ns in enumerate(parts):
@@ -215,48 +215,19 @@ def usual_steps(steps: Int64) -> Int64 | None:
         is_even = median(np.abs(in_block - PATTERN)) <= 2 and median(np.ptp(ahead, axis=1)) <= 2
         if is_rare or is_again or is_even:
             return np.full(len(steps), lengths[counts >= min(FEW * len(steps), counts.max())].max())
-    changes = _rate_changes(steps / max(median(steps), 1.0))
+    changes = rate_changes(steps / max(median(steps), 1.0))
     parts = np.split(steps, changes)
     usual = np.repeat([round(median(part)) for part in parts], [len(part) for part in parts])
     return usual if changes and (len(changes) <= 2 or usual.max() > 2) else None
 
 
-def regular_gaps(times_ns: Int64) -> tuple[int, int] | None:
-    """Return after how many messages each a shorter gap of how many periods comes; None of other gaps, as of batches."""
-    grid = find_grid(times_ns)
-    at = np.flatnonzero(grid[1] > 1) if grid else np.empty(0, np.int64)
-    if grid is None or len(at) < FEWEST:
-        return None
-    apart, lengths = np.diff(at), grid[1][at]
-    distance, length = round(median(apart)), round(median(lengths))
-    is_alike = min((apart == distance).mean(), (lengths == length).mean()) >= MOST
-    return (
-        (distance, length)
-        if is_alike and distance > length and distance * len(at) > (1 - NEAR) * len(grid[1])
-        else None
-    )
-
-
-def rate_stretches(times_ns: Int64) -> list[tuple[int, float]]:
-    """Return when each rate begins, and the rate."""
-    intervals_ns = np.diff(times_ns)
-    ratio, _ = _without_queues(intervals_ns / max(median(intervals_ns), 1.0))
-    stretches = list[tuple[int, float]]()
-    for start, stop in pairwise([0, *_rate_changes(ratio), len(ratio)]):
-        rate_hz = SECOND_NS / max(median(intervals_ns[start:stop]), 1.0)
-        is_same = stretches and abs(rate_hz / stretches[-1][1] - 1) <= NEAR / 2
-        if stop - start >= PATTERN and not is_same:
-            stretches.append((int(times_ns[start]), rate_hz))
-    return stretches
-
-
 def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Regularity:
     """Count what one rate lacks; with stretches of another rate, what the rates lack, within the interval of both readings."""
     raw = steps_of(times_ns) / period_ns
-    ratio, unsure = _without_queues(raw)
+    ratio, unsure = without_queues(raw)
     whole = _one_rate(times_ns, ratio, period_ns, has_phase=has_phase)
     whole = replace(whole, high=whole.high + unsure)
-    edges = _rate_changes(ratio)
+    edges = rate_changes(ratio)
     if not edges:
         return whole
     parts = []
@@ -276,7 +247,7 @@ def _single(times_ns: Int64, period_ns: float, *, has_phase: bool = False) -> Re
     )
 
 
-def _without_queues(ratio: Float64) -> tuple[Float64, int]:
+def without_queues(ratio: Float64) -> tuple[Float64, int]:
     """Return intervals as they were sent, and how many messages a last stall, with its queue cut off, may lack.
 
     After a stall its messages come at once: only what these do not make up for is missing.
@@ -298,11 +269,11 @@ def _without_queues(ratio: Float64) -> tuple[Float64, int]:
 
 
 def _is_single_with_stalls(ratio: Float64) -> bool:
-    sent, _ = _without_queues(ratio)
+    sent, _ = without_queues(ratio)
     return bool((sent != ratio).any() and (np.abs(sent - 1) < REGULAR).mean() > MOST)
 
 
-def _rate_changes(ratio: Float64) -> list[int]:
+def rate_changes(ratio: Float64) -> list[int]:
     """Return where stretches of another rate begin and end: losses at random leave unequal intervals."""
     if len(ratio) <= PATTERN:
         return []

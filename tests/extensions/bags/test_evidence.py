@@ -19,7 +19,7 @@ from dds_trace.extensions.bags.chains import Stamped, find_links
 from dds_trace.extensions.bags.clocks import Stamps
 from dds_trace.extensions.bags.command import app
 from dds_trace.extensions.bags.losses import TopicTimes
-from dds_trace.extensions.bags.periods import rate_stretches, regular_gaps
+from dds_trace.extensions.bags.observations import rate_stretches, regular_gaps
 from dds_trace.extensions.bags.report import verdict_words
 from dds_trace.extensions.bags.weighing import Source, weigh
 

@@ -34,7 +34,7 @@ from .report import (
     verdict_words,
 )
 
-_COLUMNS = ("Topic", "Type", "Messages", "Rate", "Missing", "Age")
+_COLUMNS = ("Topic", "Rate", "Missing", "Messages", "Age", "Type")
 _IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=", Against.NEW, 0.0)
 _IS_WHOLE = Gate("the new recording is not damaged", "received_ratio", "", "<=", Against.NEW, 0.0)
 
@@ -113,7 +113,7 @@ class DriveComparison(blocks.Report):
             )
         headline = " ".join(_changes(topics)) or "No topic is known to lack a larger share of its messages."
         summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
-        columns = [Column(name, right=name not in _COLUMNS[:2]) for name in _COLUMNS]
+        columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
         heading = Heading(self.title, 1, media=MARKDOWN)
         gates = judged_blocks(self.judged) if self.judged else []
@@ -146,4 +146,4 @@ def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> bool:
 def _cells(row: TopicRow | None) -> tuple[str, ...]:
     if row is None:
         return (MISSING,) * (len(_COLUMNS) - 1)
-    return printable(row["message_type"]), f"{row['messages']:,}", rate_words(row), missing_words(row), age_words(row)
+    return rate_words(row), missing_words(row), f"{row['messages']:,}", age_words(row), printable(row["message_type"])

@@ -46,7 +46,7 @@ JUDGE_S = 2.0
 """Time to compare two sides of the proof."""
 
 PROOF_SHARE, PROOF_MESSAGES, PROOF_SECONDS = 0.45, 100, (2.0, 15.0)
-"""Most of the time for the proof, messages of its runs, and their shortest and longest length."""
+"""Most of the time for the proof, or the least for what fits, messages of its runs, and their shortest and longest length."""
 
 FIT_SECONDS, FIT_FRESH, FIT_SPAN, FIT_RESOLUTION = 2.0, 3, 64, 1.2
 """Length of the runs of the search for what fits, and number of fresh ones of what it found, between the request and a 64th of it, exact within 20 %."""
@@ -88,7 +88,7 @@ def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_
 
 
 def promise(question: Question) -> tuple[int, float]:
-    """Return the recordings and seconds of a search in which the candidates hardly differ, by the search itself."""
+    """Return the recordings and seconds of a search in which the candidates hardly differ."""
     check_advisable(question.plan)
     trials = _Imagined(question.plan)
     with tempfile.TemporaryDirectory(prefix="dds-trace-advise-") as folder:
@@ -215,7 +215,7 @@ class Search:
                 expected_s = partial(trials.expected_s, seconds=self.proof_seconds(trials, candidates))
                 turn_s = 3 * fmean(map(expected_s, candidates))
                 turns = min(PROOFS, max(LEAST_PROOFS, int(PROOF_SHARE * 60 * self.question.minutes / turn_s)))
-                return turns * turn_s + 2 * JUDGE_S
+                return max(turns * turn_s + 2 * JUDGE_S, PROOF_SHARE * 60 * self.question.minutes * (self.load > 1))
 
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
             return race.halve(candidates)
@@ -232,7 +232,7 @@ class Search:
 
     @staticmethod
     def sides(ranking: Sequence[Standing]) -> list[Standing]:
-        """Return the best, the default of its middleware, and the best of the others; nothing if none was measured."""
+        """Return the best, the default of its middleware, and the best of the others."""
         measured = [standing for standing in ranking if standing.looks]
         defaults = [standing for standing in measured[1:] if _is_default(standing, measured[0])]
         others = [standing for standing in measured[1:] if standing not in defaults]
@@ -316,7 +316,11 @@ class Search:
         return fits
 
     def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> float | None:
+        """Return the highest value that keeps the limits in fresh runs, too."""
+        until_s, seconds, highest = race.until_s, self.proof_seconds(race.measurer, [candidate]), 0.0
+
         def why_not(value: float, number: int, seconds: float = FIT_SECONDS, runs: int = 1) -> str:
+            nonlocal highest
             cells = [
                 replace(cell, **{"rate": message.rate, axis: _scaled(getattr(message, axis), value / requested)})  # type: ignore[arg-type]  # two axes
                 for cell, message in zip(candidate.cells, self.question.messages, strict=True)
@@ -328,13 +332,18 @@ class Search:
                 race.run(standing, seconds, number + turn)
                 if standing.dropped:
                     return standing.dropped
-            return standing.excess(self.question.limits)[1]
+            if not (reason := standing.excess(self.question.limits)[1]):
+                highest = max(highest, value)
+            return reason
 
+        race.until_s -= FIT_FRESH * race.measurer.expected_s(candidate, seconds)
         with suppress(_TimeUpError):
             knee = Bisection(requested / FIT_SPAN, requested / max(1.0, self.load), FIT_RESOLUTION, 1, why_not).run()
-            value = knee.rate_hz
-            while knee.answer is not RateAnswer.BELOW and value >= requested / FIT_SPAN:
-                if not why_not(value, _FRESH, self.proof_seconds(race.measurer, [candidate]), FIT_FRESH):
+            highest = 0.0 if knee.answer is RateAnswer.BELOW else knee.rate_hz
+        race.until_s, value = until_s, highest
+        with suppress(_TimeUpError):
+            while value >= requested / FIT_SPAN:
+                if not why_not(value, _FRESH, seconds, FIT_FRESH):
                     return value
                 value = round_rate(value / FIT_RESOLUTION)
         return None

@@ -69,7 +69,6 @@ class Durations:
         return Estimate(plan).remaining(cells).seconds + overhead_s
 
     def took(self, candidate: Candidate, seconds: float, elapsed_s: float) -> None:
-        """Note how long a run took."""
         self.overheads_s.setdefault(candidate.name, []).append(elapsed_s - self._planned_s(candidate, seconds))
 
     def _planned_s(self, candidate: Candidate, seconds: float) -> float:

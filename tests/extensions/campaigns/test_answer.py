@@ -162,8 +162,7 @@ def test_no_step_begins_that_would_not_end_in_the_time_that_was_given(tmp_path, 
     assert found["recommended" if kind == "fits" else "fits"] is not None
     untried = sum("not tried" in one["dropped"] for one in found["candidates"])
     assert (f"{untried} more setup" in found["sentence"]) == (not kind.startswith("more") and untried > 0)
-    if more == "none":
-        assert untried <= 2  # of 10: the proof leaves the first looks more than half of the time
+    assert untried <= 3 or more != "none"  # of 10: the first looks have half of the time
     if kind == "fits" and minutes >= 8:
         assert min(proofs.values()) >= module.LEAST_PROOFS
 
@@ -229,6 +228,11 @@ def test_where_nothing_fits_the_highest_rate_and_the_largest_size_are_searched(t
     assert desk.now_s <= 600
     if most_bit_s == 4e6:
         sentences(found["sentence"])
+    for minutes in (2, 5):
+        found = (
+            Desk(response).search(tmp_path, replace(LINK, rate_mbit_s=10), minutes=minutes, deadline="100ms").answer()
+        )
+        assert any(found["fits"].values())
 
 
 def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too(tmp_path):

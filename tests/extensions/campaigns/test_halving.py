@@ -19,9 +19,9 @@ RATE_HZ = 20
 class Made:
     """A measurer whose candidates have a median in ms and a share of losses by their bundle; `failing` cannot start."""
 
-    def __init__(self, medians, losses=None, *, seed=0, run_spread=0.15, failing=(), late_s=0.0):
+    def __init__(self, medians, losses=None, *, seed=0, run_spread=0.15, failing=(), late_s=0.0, cpu=None):
         self.medians, self.losses, self.failing, self.late_s = medians, losses or {}, failing, late_s
-        self.run_spread, self.now_s = run_spread, 0.0
+        self.run_spread, self.now_s, self.cpu = run_spread, 0.0, cpu or {}
         self.random = np.random.default_rng(seed)
         self.runs, self.lengths, self.events = Counter(), [], []
 
@@ -37,7 +37,7 @@ class Made:
             self.medians[candidate.bundle] * of_run * self.random.lognormal(0, 0.2, max(12, int(seconds * RATE_HZ)))
         )
         values[self.random.random(len(values)) < self.losses.get(candidate.bundle, 0)] = math.inf
-        return Look((values,), 40.0)
+        return Look((values,), self.cpu.get(candidate.bundle, 40.0))
 
     def expected_s(self, _candidate, seconds):
         return seconds + OVERHEAD_S
@@ -131,9 +131,8 @@ def test_a_deadline_is_a_limit(limits, best):
     class Uneven(Made):
         def look(self, candidate, number, seconds):
             (values,) = super().look(candidate, number, seconds).response_ms
-            values[:: 20 if candidate.bundle == "hasty" else len(values) + 1] = (
-                100 if candidate.bundle == "hasty" else 20
-            )
+            is_hasty = candidate.bundle == "hasty"
+            values[:: 20 if is_hasty else len(values) + 1] = 100 if is_hasty else 20
             return Look((values,))
 
     made = Uneven({"steady": 20, "hasty": 2})
@@ -141,13 +140,8 @@ def test_a_deadline_is_a_limit(limits, best):
 
 
 def test_processor_time_is_a_limit():
-    class Busy(Made):
-        def look(self, candidate, number, seconds):
-            look = super().look(candidate, number, seconds)
-            return Look(look.response_ms, 150.0 if candidate.bundle == "busy" else 20.0)
-
     for most, best in ((math.inf, "busy"), (100.0, "calm")):
-        made = Busy({"busy": 5, "calm": 50})
+        made = Made({"busy": 5, "calm": 50}, cpu={"busy": 150.0})
         ranking = made.race(cpu_percent=most).halve(candidates(["busy", "calm"]))
         assert bundles(ranking)[0] == best
 

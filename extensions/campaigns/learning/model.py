@@ -47,6 +47,7 @@ MOST_QUANTILE = 0.9
 """Largest quantile with an estimate: of p99 too few left-out results were within their ranges (docs/results/learning.md)."""
 LEAST_ERRORS = 20
 """Left-out results below which nothing is estimated."""
+LEAST_OF_ODD = 5
 OUTSIDE, UNMEASURED = "it is outside of what was measured", "nobody measured "
 FILLED = 0.9
 """Offered load, over the link's rate, from which a queue grows as long as a run lasts."""
@@ -210,11 +211,14 @@ class Learned:
         rows = _rows(campaigns, statistic)
         self.process: Process | None = None
         self.errors = Errors(np.empty(0), np.empty(0))
-        self.campaigns = len({number for number, _, _ in rows})
-        if sum(math.isfinite(time_ns) for _, _, time_ns in rows) > LEAST_ERRORS:
+        while sum(math.isfinite(time_ns) for _, _, time_ns in rows) > LEAST_ERRORS:
             numbers, questions, times_ns = zip(*rows, strict=True)
             self.process = Process(questions, np.array(times_ns))
-            self.errors = _left_out_errors(self.process, _folds(numbers, questions))
+            if (odd := _odd_campaign(self.process, numbers)) is None:
+                self.errors = _left_out_errors(self.process, _folds(numbers, questions))
+                break
+            rows = [row for row in rows if row[0] != odd]
+        self.campaigns = len({number for number, _, _ in rows})
 
     def guess(self, question: Question) -> tuple[float, float, float] | str:
         """Return time, lower and upper end in ns, or why there is none."""
@@ -244,6 +248,17 @@ def _folds(campaigns: Sequence[int], questions: Sequence[Question]) -> Iterator[
     numbers = np.unique(messages, axis=0, return_inverse=True)[1].reshape(-1)
     for parts in (np.array(campaigns), numbers) if len({*campaigns}) >= MIN_RUNS else (numbers,):
         yield from (parts == part for part in np.unique(parts))
+
+
+def _odd_campaign(process: Process, campaigns: Sequence[int]) -> int | None:
+    """Return the campaign that the others are off most, by more than `FACTOR` at its median."""
+    medians = {}
+    for campaign in sorted({*campaigns}) if len({*campaigns}) > MIN_RUNS else ():
+        errors = _left_out_errors(process, [np.array(campaigns) == campaign]).errors
+        if len(errors) >= LEAST_OF_ODD:
+            medians[campaign] = float(np.median(errors))
+    worst = max(medians, key=medians.__getitem__, default=None)
+    return worst if worst is not None and medians[worst] > math.log(FACTOR) else None
 
 
 def _left_out_errors(process: Process, folds: Iterable[NDArray[np.bool_]]) -> Errors:

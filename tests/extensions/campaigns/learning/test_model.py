@@ -107,8 +107,11 @@ class TestWithScikitLearn:
     def needs(self):
         pytest.importorskip("sklearn", reason="the extra learn is not installed")
 
-    def test_a_size_and_a_rate_between(self, learned):
+    @pytest.mark.parametrize("more", [(), (campaign(9, change=lambda _, time_ns: 8 * time_ns),)])
+    def test_a_size_and_a_rate_between_also_next_to_a_campaign_beside_other_work(self, learned, more):
         values = parameters(size=25_000, rate=3.0)
+        learned = Learned([*more, *map(campaign, range(3))], MEDIAN) if more else learned
+        assert learned.campaigns == 3
         value, lower, upper = learned.guess(question_of(values))
         assert value == pytest.approx(law_ns(values), rel=0.3)
         assert lower < law_ns(values) < upper < 2 * value

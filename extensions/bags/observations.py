@@ -14,13 +14,13 @@ import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
 from dds_trace.base.units import SECOND_NS, clock_words, counted, format_rate
-from dds_trace.tracefile.reading.source import NONE
 
 from .bounds import FEWEST, MOST, NEAR, PATTERN, SHOWN
 from .clocks import Note
 from .losses import Losses, TopicTimes
 from .periods import Int64, find_grid, rate_changes, without_queues
 from .quantiles import median
+from .recorded import NONE
 
 ALL_READINGS = "all"
 OBSERVATION_SCHEMA = frame_schema(

@@ -87,7 +87,7 @@ test-lowest *args:
 # The tests on ROS 2 Kilted, in an environment of its own; pairs of both distributions with that of `just setup`
 test-kilted *args:
     @test -x {{kilted}}/bin/python || uv venv --quiet --python '{{python}}' {{kilted}}
-    @uv pip install --quiet --compile-bytecode --python {{kilted}}/bin/python -e '.[ros2-kilted,cyclonedds,zenoh,analyze,test]'
+    @uv pip install --quiet --compile-bytecode --python {{kilted}}/bin/python -e '.[ros2-kilted,cyclonedds,zenoh,analyze,cluster,test]'
     DDS_TRACE_JAZZY={{bin}}/dds-record {{kilted}}/bin/pytest -m 'not slow' -n 3 --dist worksteal \
         {{ if args == "" { "tests" } else { args } }}
 

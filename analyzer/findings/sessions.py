@@ -287,7 +287,7 @@ _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
 @warning(
     "several_networks",
     Subject.RECORDING,
-    "Name one interface on both sides: NetworkInterface in CYCLONEDDS_URI, interfaceWhiteList in a profile of Fast DDS 2.",
+    "Name one interface on both sides: NetworkInterface in CYCLONEDDS_URI, interfaceWhiteList in a Fast DDS profile.",
 )
 def several_networks(evidence: Evidence) -> Iterator[Observation]:
     """Messages went over several networks at once.

@@ -155,7 +155,7 @@ CHECKS = {
             pl.col("carried_twice") > 0,
             "{carried_twice} of {messages:# message} ({carried_twice:share of {messages}}), or their replies, left on more than one interface.",
             "The slower of the two takes part of every message: one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
-            "interfaceWhiteList in a profile of Fast DDS 2), or the other one switched off, may help.",
+            "interfaceWhiteList in a Fast DDS profile), or the other one switched off, may help.",
             effect=pl.col("carried_twice") / pl.col("messages"),
         ),
         lost_fragments,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
 import os
 import re
@@ -50,10 +51,16 @@ class Side:
 
     @property
     def prefix(self) -> list[str]:
-        """Words before a command that run it in this namespace, with its own /dev/shm: Zenoh would bypass the link."""
-        own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
+        """Words before a command that run it in this namespace, as on a device of its own.
+
+        Zenoh would bypass the link by /dev/shm, and Fast DDS 3 takes a peer with the same machine id for one of this device.
+        """
+        memory = "mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
+        machine_id = hashlib.sha256(self.namespace.encode()).hexdigest()[:32]
+        own_id = f"{memory} && echo {machine_id} >/dev/shm/id && mount --bind /dev/shm/id /etc/machine-id"
+        own = f'if test -f /etc/machine-id; then {own_id}; fi && {memory} && exec "$@"'
         system_ip = shutil.which("ip", path=SYSTEM_PATH) or "ip"
-        return [system_ip, "netns", "exec", self.namespace, "sh", "-c", own_memory, "sh"]
+        return [system_ip, "netns", "exec", self.namespace, "sh", "-c", own, "sh"]
 
 
 def _is_air(link: Link | None) -> bool:

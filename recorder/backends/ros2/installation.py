@@ -279,8 +279,14 @@ def own_causes(options: NodeOptions, rmw: str | None, environment: Mapping[str, 
     has_profile = options.tuned or options.transport is not Transport.DEFAULT
     if peers and has_profile and options.discovery is Discovery.LOCALHOST:
         yield f"ROS_STATIC_PEERS is {peers} here, which -o transport and --tuned ignore under --discovery localhost: give --discovery subnet"
+    if fast_dds() is FAST_DDS_3 and {*interfaces} - {"lo", "127.0.0.1"} and (machine_id := file_text(_MACHINE_ID)):
+        yield (
+            f"the profile {Path(path).name} has a whitelist, with which Fast DDS 3 meets no other device of the same {_MACHINE_ID} "
+            f"(here {machine_id[:8]}...): compare them, and change one if they are alike, or take the whitelist out"
+        )
 
 
+_MACHINE_ID = "/etc/machine-id"
 _SERVER = re.compile(r"\s*(?:UDPv4:)?\[?([^\[\]:]+)\]?(?::(\d{1,4}|[1-5]\d{4}|6[0-4]\d{3}))?\s*")
 _INTERFACE = re.compile(r"[a-z][a-z0-9_]{0,99}/(?:msg|srv|action)/[A-Z][A-Za-z0-9]{0,99}")
 

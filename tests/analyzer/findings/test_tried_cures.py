@@ -15,7 +15,7 @@ from wording import numbers
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.campaigns.station.emulation import INTERFACE, ip, tc
 from dds_trace.recorder.backends.ros2.fastdds_profile import requested_profile
-from dds_trace.recorder.backends.ros2.installation import FAST_DDS_2, fast_dds
+from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.choices import Transport
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
@@ -300,7 +300,6 @@ def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
 @pytest.mark.thorough
 @needs_devices
 @needs_ros2
-@pytest.mark.skipif(fast_dds() is not FAST_DDS_2, reason="nodes of Fast DDS 3.2.3 with such a whitelist did not meet")
 def test_a_message_crosses_one_network_if_one_is_named(tmp_path, domain_id):
     with two_devices(tmp_path, PING, RELAY) as (pair, devices):
         ip("-n", pair.ping.namespace, "link", "add", "second0", "type", "veth",
@@ -312,7 +311,7 @@ def test_a_message_crosses_one_network_if_one_is_named(tmp_path, domain_id):
         both = record_over(devices, tmp_path / "both", domain_id, "--transport", "udp", **message)
         networks = found(both, "several_networks")
         assert f"Each of {INTERFACE} and second0" in networks[0].what
-        assert quoted("interfaceWhiteList in", networks[0])
+        assert quoted("interfaceWhiteList in a Fast DDS profile", networks[0])
         named = "<interfaceWhiteList><address>{}</address></interfaceWhiteList></transport_descriptor>"
         text = requested_profile(Transport.UDP, tuned=True, is_local=False)
         profiles = {}

@@ -3,6 +3,7 @@
 import re
 import socket
 
+import psutil
 import pytest
 from middlewares import needs
 from processes import RunningCommand
@@ -49,13 +50,19 @@ def test_whether_anything_has_the_port_of_a_server_or_peer_is_asked(monkeypatch,
     assert "of no-such-host.invalid cannot be reached" in causes({"ROS_STATIC_PEERS": "no-such-host.invalid"})[0]
 
 
-def test_a_whitelist_without_an_address_of_this_machine_is_named(tmp_path):
+def test_a_whitelist_is_named_if_it_cannot_reach_the_other(tmp_path, monkeypatch):
     variable = installation.fast_dds().profile_variables[0]
     path = tmp_path / "mine.xml"
     path.write_text(WHITELIST.format("192.0.2.9"))
     assert "the profile mine.xml only has 192.0.2.9" in causes({variable: str(path)})[0]
     path.write_text(WHITELIST.format("127.0.0.1"))
     assert causes({variable: str(path)}) == []
+    path.write_text(WHITELIST.format(next(name for name in psutil.net_if_addrs() if name != "lo")))
+    monkeypatch.setattr(installation, "fast_dds", lambda: installation.FAST_DDS_3)
+    monkeypatch.setattr(installation, "_MACHINE_ID", str(tmp_path / "machine-id"))
+    assert causes({variable: str(path)}) == []
+    (tmp_path / "machine-id").write_text("0123456789abcdef0123456789abcdef\n")
+    assert "machine-id (here 01234567...)" in causes({variable: str(path)})[0]
 
 
 def start(role, both, out, into, **variables):
@@ -81,15 +88,15 @@ def first_line(done):
 def assert_first_and_cured(folder, both, into, side, wrong, right, says):
     """One side has the variables of `wrong`, the other those of `right`; then both have the latter."""
     at = {"ping": right, "relay": right, side: wrong}
-    relay = relay_of(both, folder / "relay.mcap", into["relay"].prefix, **at["relay"])
+    relay = relay_of(both, folder / "relay.mcap", into["relay"], **at["relay"])
     if side == "relay":
         relay.wait_for_line(f"nothing reached this relay yet: {says}")
-    said = first_line(ping_of(both, folder / "ping.mcap", into["ping"].prefix, **at["ping"]))
+    said = first_line(ping_of(both, folder / "ping.mcap", into["ping"], **at["ping"]))
     if side == "relay":
         relay.stop()
         says = f"at the relay (process {relay.pid}, {both[1]}): {says}"
-        relay = relay_of(both, folder / "again.mcap", into["relay"].prefix, **right)
-    done = ping_of(both, folder / "ping.mcap", into["ping"].prefix, **right)
+        relay = relay_of(both, folder / "again.mcap", into["relay"], **right)
+    done = ping_of(both, folder / "ping.mcap", into["ping"], **right)
     relay.stop()
     assert said.startswith(says)
     assert done.status == 0, done.stderr
@@ -97,7 +104,7 @@ def assert_first_and_cured(folder, both, into, side, wrong, right, says):
 
 
 SERVER = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11999", "ROS_SUPER_CLIENT": "TRUE"}
-GONE = {installation.fast_dds().profile_variables[0]: "gone.xml"}
+GONE, HERE = ({installation.fast_dds().profile_variables[0]: name} for name in ("gone.xml", "here.xml"))
 
 
 @pytest.mark.keeps(1)
@@ -111,6 +118,8 @@ GONE = {installation.fast_dds().profile_variables[0]: "gone.xml"}
         *((side, GONE, "the whitelist of the profile gone.xml only has 192.0.2.9") for side in ("ping", "relay")),
         *(("ping", {"ROS_STATIC_PEERS": host}, f"ROS_STATIC_PEERS is {host} here, and UDP port")
           for host in ("10.213.0.99", "10.213.0.2")),
+        *((side, HERE, "the profile here.xml has a whitelist, with which Fast DDS 3 meets no other") for side in ("ping", "relay")
+          if installation.fast_dds() is installation.FAST_DDS_3),
     ],
 )  # fmt: skip
 def test_a_setting_that_keeps_a_side_from_the_other_is_the_first_line(
@@ -120,9 +129,15 @@ def test_a_setting_that_keeps_a_side_from_the_other_is_the_first_line(
     (tmp_path / "gone.xml").write_text(WHITELIST.format("192.0.2.9"))
     both = ("--backend", "ros2", "--domain", domain_id, "--discovery", "subnet")
     with NamespacePair(None, hosts=2) as pair:
-        into, peers = {"ping": pair.ping, "relay": pair.relays[1]}, {}  # none is in pair.relay
+        sides, peers = {"ping": pair.ping, "relay": pair.relays[1]}, {}  # none is in pair.relay
+        into = {name: own.prefix for name, own in sides.items()}
+        if variables is HERE:
+            (tmp_path / "here.xml").write_text(WHITELIST.format(sides[side].address))
+            (tmp_path / "id").write_text("11111111111111111111111111111111\n")
+            one_id = ("sh", "-c", 'mount --bind "$0" /etc/machine-id && exec "$@"', tmp_path / "id")
+            into = {name: [*prefix, *one_id] for name, prefix in into.items()}
         if "ROS_STATIC_PEERS" in variables:
-            peers = {"ROS_STATIC_PEERS": into["relay"].address}
+            peers = {"ROS_STATIC_PEERS": sides["relay"].address}
             for port in ("port0", "port1", "port2"):
                 ip("-n", pair._switch, "link", "set", port, "type", "bridge_slave", "mcast_flood", "off")
         assert_first_and_cured(tmp_path, both, into, side, {**peers, **variables}, peers, says)
@@ -147,10 +162,10 @@ def test_the_printed_interface_cures_a_side_on_the_wrong_one(tmp_path, domain_id
     wrong, right = ({"CYCLONEDDS_URI": uri} for uri in (named.format("b0"), named.format(INTERFACE)))
     says = f"this process sends through the interface b0 only, and has {INTERFACE}, too: "
     with NamespacePair(None) as pair:
-        into = {"ping": pair.ping, "relay": pair.relay}
+        into = {"ping": pair.ping.prefix, "relay": pair.relay.prefix}
         commands = "link add b0 type veth peer name b1; addr add 203.0.113.1/24 dev b0; link set b0 up; link set b1 up"
         for command in commands.split(";"):
-            ip("-n", into[side].namespace, *command.split())
+            ip("-n", getattr(pair, side).namespace, *command.split())
         said = assert_first_and_cured(tmp_path, both, into, side, wrong, right, says)
     assert f"CYCLONEDDS_URI='{right['CYCLONEDDS_URI']}'" in said
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import signal
 import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -65,8 +66,9 @@ class Ros2Node(ThreadedNode):
         except Exception as err:
             rclpy.shutdown(context=self._context)
             if options.keys is None:
-                reason = str(err).splitlines()[0].replace("peer ", "ROS_STATIC_PEERS ")
-                raise BackendUnavailableError(f"ROS 2 cannot open a node: {reason}") from err
+                static_peers = os.environ.get("ROS_STATIC_PEERS")
+                peers = f" (ROS_STATIC_PEERS is {static_peers})" if static_peers else ""
+                raise BackendUnavailableError(f"ROS 2 cannot open a node: {str(err).splitlines()[0]}{peers}") from err
             raise BackendUnavailableError(
                 f"-o security={options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
                 f"({str(err).splitlines()[0]}); use a ROS 2 from apt, or --backend cyclonedds, zenoh or socket"

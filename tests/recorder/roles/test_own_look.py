@@ -148,7 +148,7 @@ def test_a_setting_that_keeps_a_side_from_the_other_is_the_first_line(
 def test_a_static_peer_that_is_no_host_is_named(tmp_path, domain_id):
     both = ("--backend", "ros2", "--domain", domain_id)
     done = ping_of(both, tmp_path / "ping.mcap", (), ROS_STATIC_PEERS="no-such-host.invalid")
-    assert (done.status, "ROS_STATIC_PEERS no-such-host.invalid" in done.stderr) == (7, True), done.stderr
+    assert (done.status, "ROS_STATIC_PEERS is no-such-host.invalid" in done.stderr) == (7, True), done.stderr
 
 
 @pytest.mark.keeps(1)

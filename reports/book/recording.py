@@ -86,8 +86,11 @@ def file_table(analysis: Analysis) -> Iterator[Fold]:
 class OwnCost:
     """Cost of measuring with one vendor and backend: the slowest of its sessions, null if no session measured it.
 
-    The floor of every latency through this client library is a short message from a node to itself; `single_executor_ns` is
-    its median with rclpy's single-threaded executor in place of the default one.
+    Attributes:
+        record_median_ns: median time to record one event.
+        floor_median_ns: median time of a short message from a node to itself, the floor of every latency through this library.
+        floor_messages: smallest number of messages of a floor.
+        single_executor_ns: as `floor_median_ns`, with rclpy's single-threaded executor in place of the default one.
     """
 
     vendor: str

@@ -66,7 +66,11 @@ class WinCount:
 class DataVerdict:
     """Result for one kind of data at one `place` (devices, link, conditions), over all messages of two setups or more.
 
-    `wins` begin with the most; `within_one_run` are inconclusive messages for which a setup has fewer than three runs.
+    Attributes:
+        cells: number of compared messages.
+        wins: the one with most messages first.
+        inconclusive: number of messages without a clear winner.
+        within_one_run: inconclusive messages for which a setup has fewer than three runs.
     """
 
     data: str

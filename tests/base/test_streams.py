@@ -108,9 +108,9 @@ def test_nothing_is_left_that_steers_a_terminal_or_that_xml_forbids(character):
 
 def test_a_line_to_a_person_is_as_wide_as_the_terminal_and_one_in_a_log_is_whole(capsys, monkeypatch):
     text = "word " * 40 + "a" * 90
-    monkeypatch.delenv("COLUMNS", raising=False)
-    say(text)
     monkeypatch.setenv("COLUMNS", "60")
+    say(text)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     say(text)
     whole, *lines, path = capsys.readouterr().err.splitlines()
     assert (whole, path.strip()) == (text, "a" * 90)

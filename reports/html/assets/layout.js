@@ -410,7 +410,8 @@ function loadAxis(values, title = "") {
 function countAxis(counts, title) {
   const most = Math.max(1, ...counts);
   const tickvals = [...new Set(linearTicks(0, most, 6).map(Math.round))];
-  return () => ({ type: "linear", title: axisTitle(title), zeroline: false, range: [-0.05 * most, 1.05 * most], tickvals });
+  const range = [-0.05 * most, 1.05 * most];
+  return () => ({ type: "linear", title: axisTitle(title), zeroline: false, range, tickvals });
 }
 
 /** An axis of named options at 0, 1, 2 ...; upright where they have no room side by side. */

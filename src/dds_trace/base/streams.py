@@ -118,9 +118,9 @@ def say(text: object) -> None:
 
 def wrapped(text: str) -> str:
     """Return a line as a terminal shows it, words whole; in a log, which has no width, it stays one line."""
-    width = min(get_terminal_size().columns, WIDEST_SCREEN)
-    if not (sys.stderr.isatty() or "COLUMNS" in os.environ):
+    if not sys.stderr.isatty():
         return text
+    width = min(get_terminal_size().columns, WIDEST_SCREEN)
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 

@@ -331,7 +331,7 @@ function distribution(width, byRarity, all) {
       (point, group) =>
         `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`,
     ),
-    x: (panelWidth) => ({ ...timeAxis(values, Math.min(6, Math.floor(panelWidth / 60))), title: axisTitle(valueTitle) }),
+    x: (width) => ({ ...timeAxis(values, Math.min(6, Math.floor(width / 60))), title: axisTitle(valueTitle) }),
   });
   const panels = [byShare("Planned messages", (group) => shares[group])];
   if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));

@@ -197,7 +197,6 @@ def _analyze(
 def _write_rows(
     outputs: Iterable[BatchOutput], writer: RowWriter, advance: Callable[[int], None]
 ) -> Iterator[BatchResult]:
-    """Write the rows of every batch."""
     for number, output in enumerate(outputs):
         advance(number)
         writer.write(output.tables())

@@ -185,7 +185,6 @@ class Runs:
         return joined
 
     def joined_at(self, ends: tuple[int, ...]) -> Runs:
-        """Return neighbours joined, up to the runs at `ends`."""
         is_timed = all(run.sent_ns is not None for run in self.runs)
         times = self.times.joined(ends, is_timed=is_timed)
         spans = zip(pairwise((0, *ends)), pairwise(times.offsets.tolist()), times.by_run, strict=True)

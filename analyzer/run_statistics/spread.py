@@ -46,7 +46,6 @@ def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
 
 
 def _spreads(values: Float64, errors: Float64) -> list[Spread]:
-    """Return the spread of each row of values of runs and of their errors."""
     runs = values.shape[1]
     within_squared = np.add.reduce(errors * errors, axis=1) / runs
     has_spread = (values > 0).all(axis=1) & np.isfinite(values).all(axis=1) & ~np.isnan(within_squared)

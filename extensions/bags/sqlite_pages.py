@@ -340,7 +340,6 @@ class _Pages:
         return min(near, key=lambda page: abs(page[0] - page_at), default=(0, page_at % self._page_bytes))[1]
 
     def _page(self, number: int, size: int, moved_bytes: int, *, is_last_try: bool) -> int:
-        """Return the offset of a page of a row with `size` bytes from it on."""
         further = -(-size // (self._usable_bytes - 4)) - 1
         after = [number + step if further >= step else 0 for step in (1, 2)]
 

@@ -321,7 +321,6 @@ def _assigned(variables: Mapping[str, str]) -> list[str]:
 def _plan(
     setting: Setting, extra: Mapping[str, str], relay_extra: Mapping[str, str], job: Job, run: Mapping[str, object]
 ) -> Iterator[tuple[str, object]]:
-    """Yield the keys of a plan with their values."""
     options = {**SETTING_OPTIONS, **PING_OPTIONS}
     yield from ((f"run.{key}", value) for key, value in run.items())
     link, _, inner = extra.get("link", "").rstrip(")").partition("(")

@@ -113,14 +113,12 @@ class DataType:
 
     @property
     def relay_topic(self) -> str:
-        """Of the way back."""
         return self.topic + RELAY_SUFFIX
 
     def in_flow(self, name: str) -> DataType:
         return replace(self, topic=f"{self.topic}_{name}", flow=name)
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
-        """Return the form of message objects, if there is one."""
         if self.objects is None:
             raise OptionError(f"-o serialization=typed: {self.type_name} is only sent as raw bytes")
         return self.objects

@@ -215,9 +215,7 @@ def _run(command: Callable[[], object], room: Room | None) -> None:
 
 
 def print_error(text: str) -> None:
-    print(
-        f"{Path(sys.argv[0]).name}{text}", file=sys.stderr
-    )  # one line, which a log can search; some errors have several
+    print(f"{Path(sys.argv[0]).name}{text}", file=sys.stderr)  # not wrapped: a log is searched for lines
 
 
 def _extra_with(module: str) -> str | None:

@@ -15,7 +15,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.reading.trace import Trace
 
 COMPLETE, INCOMPLETE, FULL, UNAVAILABLE, INTERRUPTED, KILLED = 0, 10, 6, 7, 130, -9
-OWN_FILES = {"state.json", ".lock", ".parts"}
+OWN_FILES = {"plan.toml", "state.json", ".lock", ".parts"}
 DONE = ("complete", "recorded")
 
 KEPT_MEMORY = ("lttng-ust-wait-*",)

@@ -71,8 +71,9 @@ KINDS.dots = function dots(plan, width) {
   const height = 30 + (passing.some((group) => name(group).includes("<br>")) ? 34 : 24) * passing.length;
   const values = timed.flatMap((group) => [statisticOf(group), ...intervalOf(group)]);
   const axis = timeAxis(values);
-  const room = Object.keys(plan.cells).length ? 0.25 * (axis.range[1] - axis.range[0]) : 0; // for what a bridge costs
-  const range = [axis.range[0], axis.range[1] + room];
+  // For what a bridge costs, in words right of the marks.
+  const words = Object.keys(plan.cells).length ? Math.min(0.5, (27 * LETTER) / (0.82 * (width - left))) : 0;
+  const range = [axis.range[0], axis.range[1] + ((axis.range[1] - axis.range[0]) * words) / (1 - words)];
   const x = {
     ...axis,
     range,

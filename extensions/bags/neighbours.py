@@ -117,7 +117,7 @@ def doubted(readings: Sequence[Sequence[Reading]], silent: Holes) -> list[list[R
 def _went_on(reading: Reading) -> tuple[Holes, Holes]:
     """Return the holes after which stamps, numbers or a steady timer go on as after a loss, and the long ones after which they do not."""
     holes, rhythm = reading.holes, reading.rhythm
-    if rhythm is None:
+    if rhythm is None or reading.name == "tap":
         return holes.at(holes.low > 0), Holes()
     is_still = (holes.low == 0) & (holes.missing > 0) & (holes.duration_ns > FEWEST * rhythm.period_ns)
     if reading.name == "stamps":

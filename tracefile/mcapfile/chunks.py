@@ -25,7 +25,7 @@ _HEADER_BYTES = 64  # all fields before the records
 LARGEST_RATIO = 1000
 """Most unpacked bytes per packed byte; events pack 5 to 30 times, and a larger claim may be an attack."""
 
-_UNSUSPECTED_BYTES = 1 << 20  # any ratio up to here: a blank image packs better still
+_UNSUSPECTED_BYTES = 32 << 20  # any ratio up to here: a blank image packs better; a whole file has a bound of its own
 
 _MOST_LZ4_RATIO = 255
 _PREFIX_STEP_BYTES = 1024  # at most this unpacks to 64 MiB more than is allowed
@@ -88,7 +88,8 @@ class PackedChunk:
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
         if unpacked_bytes != self.claimed_bytes:
-            raise DamagedChunkError(f"it claims {counted(self.claimed_bytes, 'byte')} and holds {unpacked_bytes}")
+            more = "more than " * (unpacked_bytes == self.unpacked_bytes < self.claimed_bytes)
+            raise DamagedChunkError(f"it claims {counted(self.claimed_bytes, 'byte')} and holds {more}{unpacked_bytes}")
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target

@@ -393,9 +393,7 @@ def _steps(topic: str, stamps: Stamps) -> list[_Step]:
     lengths = np.diff(edges)
     levels = [median(ages_ns[start:stop]) for start, stop in pairwise(edges)]
     spans = ([np.ptp(times[a:b]) for a, b in pairwise(edges)] for times in (stamps.log_ns, stamps.stamp_ns))
-    is_burst = [
-        2 * log_ns < stamp_ns for log_ns, stamp_ns in zip(*spans, strict=True)
-    ]  # a queue that empties, no clock
+    is_burst = [2 * log_ns < stamp_ns for log_ns, stamp_ns in zip(*spans, strict=True)]  # a queue empties
     return [
         _Step(
             topic,

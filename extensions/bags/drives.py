@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,17 +111,21 @@ class DriveComparison(blocks.Report):
             facts.append(
                 f"{printable(str(path))}: {verdict_words(health, rows)}{ended_words(health, rows)} {facts_words(health, len(rows))}"
             )
-        headline = " ".join(_changes(topics)) or "No topic is known to lack a larger share of its messages."
+        headline = " ".join(self._changes()) or "No topic is gone, or known to lack a larger share of its messages."
         summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
         heading = Heading(self.title, 1, media=MARKDOWN)
-        gates = judged_blocks(self.judged) if self.judged else []
-        return [
-            Section([heading, Sentence(headline, "headline"), Sentence(summary), Points(facts)]),
-            Section([table]),
-            Section(gates),
-        ]
+        first = Section([heading, Sentence(headline, "headline"), Sentence(summary), Points(facts)])
+        return [first, Section([table]), Section(judged_blocks(self.judged) if self.judged else [])]
+
+    def _changes(self) -> Iterator[str]:
+        if DAMAGED in (report.verdict for report in self.reports):
+            yield "Only what can be read of a damaged recording is compared."
+        for words, is_so in _CHANGES:
+            names = [printable(name) for name, rows in self.topics.items() if is_so(*rows)]
+            if names:
+                yield words.format(and_more(names))
 
     def _row(self, name: str, rows: Sequence[TopicRow | None]) -> Row:
         sides = [_cells(row) for row in rows]
@@ -129,18 +133,19 @@ class DriveComparison(blocks.Report):
         return Row([printable(name), *changed])
 
 
-def _changes(topics: Mapping[str, tuple[TopicRow | None, ...]]) -> Iterator[str]:
-    for what, order in (("larger", 1), ("smaller", -1)):
-        names = [printable(name) for name, rows in topics.items() if _lacks_more(*rows[::order])]
-        if names:
-            yield f"A {what} share of messages is missing on {and_more(names)}."
-
-
 def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> bool:
     if not was or not now or None in (was["missing"], now["missing"]):
         return False
     most, least = was["missing_high"], now["missing_low"]
     return bool(least / (now["messages"] + least) > most / (was["messages"] + most))
+
+
+_CHANGES: tuple[tuple[str, Callable[[TopicRow | None, TopicRow | None], bool]], ...] = (
+    ("Gone on the new side: {}.", lambda _, now: now is None),
+    ("New there: {}.", lambda was, _: was is None),
+    ("A larger share of messages is missing on {}.", _lacks_more),
+    ("A smaller share of messages is missing on {}.", lambda was, now: _lacks_more(now, was)),
+)
 
 
 def _cells(row: TopicRow | None) -> tuple[str, ...]:

@@ -118,9 +118,7 @@ class TopicTimes:
         readings = [self.by_numbers()]
         if 2 * np.ptp(self.log_ns) >= min(2 * SECOND_NS, recording_ns):  # else it is one burst
             stamps, arrival = self.by_stamps(), self.by_arrival()
-            is_faster = (
-                stamps and arrival and arrival.rate_hz > (1 + NEAR) * stamps.rate_hz
-            )  # of a queue, not of the publisher
+            is_faster = stamps and arrival and arrival.rate_hz > (1 + NEAR) * stamps.rate_hz  # of a queue
             readings += [stamps, None if is_faster else arrival]
         counted = [reading for reading in readings if reading and not self._is_in_episodes(reading, silent)]
         if self.lost is not None and (any(self.lost) or not counted):

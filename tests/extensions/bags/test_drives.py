@@ -39,7 +39,7 @@ def test_both_sides_are_shown_by_topic(drives):
     assert [round(topics["/imu"][side]["rate_hz"]) for side in ("base", "new")] == [100, 90]
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
     for words in (
-        "larger share of messages is missing on /camera.",
+        "Gone on the new side: /tf. New there: /odom. A larger share of messages is missing on /camera.",
         "2 topics on both sides, 2 on one",
         "50 Hz → - | 0 → -",
         "100 Hz → 90 Hz | 0",

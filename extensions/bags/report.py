@@ -90,7 +90,7 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics}."
     if most := [row["missing_high"] for row in rows if row["missing_high"]]:
         messages = counted(sum(most), "message", text=f"{sum(most):,}")
-        words = f"No loss is certain: up to {messages} may be missing on {len(most)} of {topics}."
+        words = f"No loss is proven: up to {messages} may be missing on {len(most)} of {topics}."
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
 
 

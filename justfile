@@ -28,7 +28,8 @@ setup:
 
 # The main job on this machine: every middleware from pip, same domain and domains 5 and 10 through the built-in bridges
 demo: install
-    {{bin}}/dds-trace sweep plans/demo.toml --out out
+    @# 10: some recordings are missing, and the others have an answer.
+    {{bin}}/dds-trace sweep plans/demo.toml --out out || test $? = 10
     {{bin}}/dds-trace analyze out/demo --report terminal --report html --open
 
 # Lint, format, types, import directions, size and words of the product, the Dockerfile

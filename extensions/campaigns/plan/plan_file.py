@@ -104,7 +104,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         thresholds=tuple(read_thresholds(root.table("thresholds"))),
         flows=tuple(flow.name for flow in flows),
         hosts=hosts,
-        text=text,
+        text=text if "name" in root.values else f'name = "{name}"\n{text}',
     )
     _check(plan, where)
     return plan

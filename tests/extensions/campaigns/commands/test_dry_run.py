@@ -2,7 +2,6 @@ import json
 import os
 import re
 import shlex
-import shutil
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -85,17 +84,18 @@ def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, p
     assert call(one, "--rehearse", "--json", "--out", tmp_path)[0] == 0
 
 
-def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(plan, tmp_path):
+def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(tmp_path):
     (folder := tmp_path / "of two").mkdir()
     campaign = Campaign(folder, (), (), {}, {}, {}, {}, None, ())
     lost = "see what ended the relay, and record again; or give both sides --depth 12, or --reliability reliable"
     assert campaign.remedy(lost) == lost
-    shutil.copy(plan("[axes]\nbackend = 'socket'\n"), folder / "plan.toml")
+    (folder / "plan.toml").write_text(parse_plan("[axes]\nbackend = 'socket'\n", "pub", "pub.toml").text)
     remedy = campaign.remedy(lost)
     words = shlex.split(re.search(r"record again \(dds-trace (.*?)\)", remedy)[1])
     assert run_trace(*words, "--dry-run") == 0
     axes = re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy)
     assert axes == ["depth = 12", 'reliability = "reliable"']
+    assert parse_plan((folder / "plan.toml").read_text(), "plan", "plan.toml").name == "pub"
 
 
 CODE = """[axes]

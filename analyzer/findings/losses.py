@@ -111,7 +111,7 @@ def _lost_with_relay(members: Sequence[_Member], row: Mapping[str, int]) -> _Cau
     if 2 * at_end <= lost or not (is_killed or any(exchange.ping.extra.get("error") for exchange, _ in members)):
         return None
     seen = f"{at_end} of them from one moment on to the end of the run"
-    return _Cause(seen, "see what ended the relay or the link to it, and record again")
+    return _Cause(seen, "see what stopped then (the relay, the link, or the middleware), and record again")
 
 
 def _outlived_history(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:

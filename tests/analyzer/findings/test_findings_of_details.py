@@ -117,7 +117,7 @@ def test_what_is_lost_with_a_killed_relay_needs_no_deeper_history(tmp_path):
     write_pair(tmp_path, sent, relay=relay_session(state="open"))
     loss = findings(tmp_path)["loss"]
     assert "80 of them" in loss.what
-    assert "see what ended the relay" in loss.action
+    assert "see what stopped then" in loss.action
     assert "depth" not in loss.action
 
 

@@ -72,7 +72,7 @@ KINDS.dots = function dots(plan, width) {
   const values = timed.flatMap((group) => [statisticOf(group), ...intervalOf(group)]);
   const axis = timeAxis(values);
   // For what a bridge costs, in words right of the marks.
-  const words = Object.keys(plan.cells).length ? Math.min(0.5, (27 * LETTER) / (0.82 * (width - left))) : 0;
+  const words = !phone && Object.keys(plan.cells).length ? Math.min(0.5, (27 * LETTER) / (0.82 * (width - left))) : 0;
   const range = [axis.range[0], axis.range[1] + ((axis.range[1] - axis.range[0]) * words) / (1 - words)];
   const x = {
     ...axis,

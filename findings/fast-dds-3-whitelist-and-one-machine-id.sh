@@ -10,7 +10,7 @@
 #           https://github.com/eProsima/Fast-DDS/issues/5382 (the machine id that Fast DDS 3 announces)
 #
 # Two network namespaces with one veth pair are the devices. Needs what `unshare -rnm` needs, Python 3.11 and iproute2.
-# Exits with 0 while it is so, with 1 once they meet (or do not without a whitelist), with 2 where it cannot be tried.
+# Exits with 0 while it is so, with 1 once they meet, with 2 where it cannot be tried (or they do not meet where they should).
 set -u
 if [ "${1-}" != inside ]; then
     folder=$(mktemp -d) && trap 'rm -rf "$folder"' EXIT
@@ -18,7 +18,7 @@ if [ "${1-}" != inside ]; then
     "$folder/venv/bin/pip" install --quiet 'ros-kilted-rclpy[fastrtps]==9.1.2' ros-kilted-std-msgs==5.5.1 ros-fastdds==3.2.3 || exit 2
     unshare -rnm true && [ -e /etc/machine-id ] || exit 2
     unshare -rnm bash "$0" inside "$folder"
-    exit
+    exit $?
 fi
 
 folder=$2
@@ -29,6 +29,9 @@ done
 ip link add eth0 netns device1 type veth peer name eth0 netns device2 || exit 2
 for device in 1 2; do
     ip -n "device$device" address add "10.90.0.$device/24" dev eth0 && ip -n "device$device" link set eth0 up || exit 2
+done
+for device in 1 2; do # a whitelist leaves out an interface that is not up yet
+    until ip -n "device$device" -brief link show eth0 | grep -q " UP "; do sleep 0.1; done
 done
 
 cat >"$folder/node.py" <<'P'
@@ -88,4 +91,5 @@ echo "whitelist, unlike machine ids: $differ"
 echo "whitelist, one machine id:     $alike"
 echo "one machine id, no whitelist:  $free"
 [ "$differ" = "met, met" ] && [ "$free" = "met, met" ] || exit 2
-[ "$alike" = "not met, not met" ]
+[ "$alike" = "not met, not met" ] || exit 1
+exit 0

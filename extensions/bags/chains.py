@@ -144,7 +144,7 @@ def _are_as_many(one: Stamped, other: Stamped) -> bool:
 
 
 def _in_turn(first: Stamped, others: Sequence[int], topics: Sequence[Stamped]) -> Iterator[tuple[int, bytes, bytes]]:
-    """Yield those topics of which nearly each stamp is after another message of the first, with the indices of both."""
+    """Yield the topics that stamp once after nearly each message of the first, with the indices of these messages and stamps."""
     stamps = [topics[other].stamp_ns[:PHASES] for other in others]
     at_of_all = first.log_ns.searchsorted(np.concatenate([np.empty(0, np.int64), *stamps]), "right") - 1
     ends = np.cumsum([0, *map(len, stamps)]).tolist()

@@ -1,6 +1,6 @@
 """What is said of a recording, in one frame: what was seen, what is counted, what explains it.
 
-`seen` rests on times, numbers, stamps and sizes alone: a hole at its place, in words regular gaps and changed rates. `counted` is what a reading shows to be missing, within `low` to
+`seen` rests on times, numbers, stamps and sizes alone: a hole with its place, and in words regular gaps and changes of the rate. `counted` is what a reading shows to be missing, within `low` to
 `high`; the reading `all` is their union, and messages are missing where its `low` is above 0. `explained` is a test that its rivals fail.
 """
 
@@ -80,11 +80,8 @@ def regular_gaps(times_ns: Int64) -> tuple[int, int] | None:
     apart, lengths = np.diff(at), grid[1][at]
     distance, length = round(median(apart)), round(median(lengths))
     is_alike = min((apart == distance).mean(), (lengths == length).mean()) >= MOST
-    return (
-        (distance, length)
-        if is_alike and distance > length and distance * len(at) > (1 - NEAR) * len(grid[1])
-        else None
-    )
+    is_throughout = distance * len(at) > (1 - NEAR) * len(grid[1])
+    return (distance, length) if is_alike and is_throughout and distance > length else None
 
 
 def rate_stretches(times_ns: Int64) -> list[tuple[int, float]]:

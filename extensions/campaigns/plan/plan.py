@@ -199,7 +199,7 @@ class Plan:
         partners: cell without pass -> cell of the other plan that it alternates with.
         hosts: of `[[devices]]`, the relays' devices; `relay` is the first of them.
         thresholds: what each result has to meet.
-        text: the file, of which the sweep keeps a copy.
+        text: the content of the plan file, with its name.
     """
 
     name: str

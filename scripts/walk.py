@@ -157,9 +157,7 @@ class Terminal:
         for line, process, log in self.serving:
             process.send_signal(signal.SIGINT)
             status = process.wait(60)
-            ended = (
-                0 if status == 128 + signal.SIGINT else status
-            )  # as a search does, which goes on with the same command
+            ended = 0 if status == 128 + signal.SIGINT else status  # as a search ends, which can be continued
             self.report(f"{line}  # until Ctrl-C", ended, log.read_text(encoding="utf-8"))
         self.serving.clear()
 

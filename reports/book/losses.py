@@ -63,12 +63,12 @@ CAUSES = ("udp_buffer_overflow", "fragments_lost", "unrequested_relay")
 
 
 def cause_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return what loses messages in the recordings with losses, the worst, and what to do."""
+    """Return what was seen in the recordings with losses, the first of `CAUSES`, and what to do."""
     lossy = {group.index for group in groups.groups if group.received < group.published}
     for code in CAUSES:
         seen = [finding for finding in analysis.findings if finding.code == code and lossy & {*finding.groups}]
-        for worst in seen[:1]:
-            others = f", as in {len(seen) - 1} more" if len(seen) > 1 else ""
+        if seen:
+            worst, others = seen[0], f", as in {len(seen) - 1} more" if len(seen) > 1 else ""
             action = worst.action.partition(": ")[2] or worst.action
             return printable(f"Seen with losses: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
     return ""

@@ -90,16 +90,16 @@ def option_styles(indices: Sequence[int]) -> tuple[Style, ...]:
     )
 
 
-def vendor_indices(labels: Sequence[str]) -> list[int]:
-    """Return the index that a vendor, of any version, has in every report; others follow."""
+def _indices(key: str, labels: Sequence[str]) -> Sequence[int]:
+    """Return an index for each label; a vendor, of any version, has the same one in every report."""
+    if key != "vendor":
+        return range(len(labels))
     names = [*VENDORS.values()]
     return [next((at for at, name in enumerate(names) if label.startswith(name)), len(names)) for label in labels]
 
 
 def line_styles(facets: Facets) -> Mapping[str, tuple[Style, ...]]:
     return {
-        key: choice_styles(facets)
-        if key == "choice"
-        else option_styles(vendor_indices(dimension.options) if key == "vendor" else range(len(dimension.options)))
+        key: choice_styles(facets) if key == "choice" else option_styles(_indices(key, dimension.options))
         for key, dimension in facets.dimensions.items()
     }

@@ -35,6 +35,13 @@ _FILES_OF_A_SWEEP = frozenset({PLAN_COPY, "state.json", "max_rate.json", "max_ra
 _NAMED_AT_MOST = 5
 
 _AGAIN = re.compile(r"record again|[Rr]epeat the runs?")
+_OPTION = re.compile(r"--(depth|reliability|tuned)(?: (\d+|reliable))?")
+
+
+def _as_axis(option: re.Match[str]) -> str:
+    name, value = option.groups()
+    values = {"reliable": ' = "reliable"', None: " = true" if name == "tuned" else ""}
+    return f"{name}{values.get(value, f' = {value}')} in the plan's [axes]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +71,7 @@ class Campaign:
         """Return a remedy as a sweep takes it, which does not repeat what is complete and has options as axes."""
         plan = self.folder / PLAN_COPY
         if plan.is_file():
-            text = re.sub(r"--depth (\d+)", r"depth = \1 in the plan's [axes]", text)
-            text = text.replace("--reliability reliable", 'reliability = "reliable" in the plan\'s [axes]')
+            text = _OPTION.sub(_as_axis, text)
             command = f"(dds-trace sweep {shlex.quote(str(plan))} --out again)"
             text = _AGAIN.sub(lambda words: f"{words[0]} {command}", text, 1)
         return text

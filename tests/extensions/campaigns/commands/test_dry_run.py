@@ -87,14 +87,14 @@ def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, p
 def test_a_remedy_in_a_folder_of_a_sweep_is_a_command_that_it_runs(tmp_path):
     (folder := tmp_path / "of two").mkdir()
     campaign = Campaign(folder, (), (), {}, {}, {}, {}, None, ())
-    lost = "see what stopped then, and record again; or give both sides --depth 12, or --reliability reliable"
+    lost = "see what stopped then, and record again; or give both sides --depth 12, a larger --depth (--tuned), or --reliability reliable"
     assert campaign.remedy(lost) == lost
     (folder / "plan.toml").write_text(parse_plan("[axes]\nbackend = 'socket'\n", "pub", "pub.toml").text)
     remedy = campaign.remedy(lost)
     words = shlex.split(re.search(r"record again \(dds-trace (.*?)\)", remedy)[1])
     assert run_trace(*words, "--dry-run") == 0
-    axes = re.findall(r"(\w+ = \S+) in the plan's \[axes\]", remedy)
-    assert axes == ["depth = 12", 'reliability = "reliable"']
+    axes = re.findall(r"(\w+(?: = \S+)?) in the plan's \[axes\]", remedy)
+    assert axes == ["depth = 12", "depth", "tuned = true", 'reliability = "reliable"']
     assert parse_plan((folder / "plan.toml").read_text(), "plan", "plan.toml").name == "pub"
 
 

@@ -79,9 +79,12 @@ def open_runner(
 ) -> Iterator[Runner]:
     """Lock the folder and open the station of a plan within the block; `command` is `dds-record`, None for the installed one."""
     with locked_folder(folder, note) as lock, open_station(plan, folder, lock, show=note, command=command) as station:
-        if plan.text:
-            replace_text(folder / PLAN_COPY, plan.text)
-        yield Runner(plan, folder, station, progress, is_installed_here=command is None)
+        copy, runner = folder / PLAN_COPY, Runner(plan, folder, station, progress, is_installed_here=command is None)
+        if copy.exists() and not runner.state.path.exists():
+            note(f"{copy} was there before any sweep: it stays, and the plan is not copied")
+        elif plan.text:
+            replace_text(copy, plan.text)
+        yield runner
 
 
 def run_sweep(

@@ -101,6 +101,7 @@ def test_other_settings_need_another_folder(desk):
     desk.sweep()
     with pytest.raises(OptionError, match="other \\[run\\]"):
         desk.sweep(PLAN.replace("messages = 4", "messages = 5"))
+    assert "messages = 4" in (desk.folder / "runs/plan/plan.toml").read_text()
 
 
 def test_cell_that_fails_once_is_tried_again(desk):
@@ -391,6 +392,13 @@ def test_foreign_files_among_the_parts_stay_and_are_told(desk, sweep_folder, tar
     assert [name for name in desk.traces if name != "recording.mcap"] == files_of(FIRST, SECOND)
     assert sorted(path.name for path in parts.iterdir()) == ["a folder", "notes.txt", "recording.mcap"]
     assert (target / "thesis.tex").read_text() == "mine"
+
+
+def test_a_plan_that_was_there_before_the_sweep_stays(desk, sweep_folder):
+    (sweep_folder / "plan.toml").write_text("mine")
+    desk.sweep()
+    assert (sweep_folder / "plan.toml").read_text() == "mine"
+    assert any("it stays" in note for note in desk.heard.notes)
 
 
 def test_folder_in_the_place_of_a_log_is_one_clear_error(desk, sweep_folder):

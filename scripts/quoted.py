@@ -4,7 +4,7 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `ratios
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `speed rows` that of `just bench-speed DIR`, `claims study` and `needs study` those of a
 sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
 `dds-trace compare base new --paired` says of two sides.
@@ -28,6 +28,7 @@ from stored_tables import (
     LEARNING,
     RATIOS,
     SPEED,
+    column_table,
     evidence_table,
     learning_table,
     ratio_table,
@@ -35,6 +36,7 @@ from stored_tables import (
     speed_table,
 )
 
+from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.report import BagReport
@@ -94,6 +96,8 @@ def quote(kind: str, campaign: str) -> str:
         "needs": (CHOICES, need_table),
         "speed": (SPEED, speed_table),
     }
+    if kind == "columns":
+        return column_table(ROUNDTRIP_COLUMNS if campaign == "roundtrips" else SUMMARY_COLUMNS)
     if kind in stored:
         rows, table = stored[kind]
         return table(read_rows(rows))

@@ -11,6 +11,8 @@ from dds_trace.base.units import format_rate, format_size
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from dds_trace.analyzer.model.metrics import Column
+
 TOP = Path(__file__).parents[1]
 RATIOS = TOP / "benchmarks" / "node.csv"
 SPEED = TOP / "benchmarks" / "speed.csv"
@@ -28,6 +30,12 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table."""
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *rows))
+
+
+def column_table(columns: Iterable[Column]) -> str:
+    """Return the columns of a file that an analysis writes."""
+    rows = ([f"`{each.name}`", f"`{each.dtype}`", each.unit, each.meaning] for each in columns)
+    return markdown(("column", "type", "unit", "meaning"), rows)
 
 
 def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = False) -> str:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 PARTS: dict[str, Callable[[], str]] = {
     "bare-analyzer": tables.bare_analyzer,
-    "columns-of-roundtrips": tables.roundtrips,
-    "columns-of-summary": tables.summary,
     "commands": commands.commands,
     "findings": findings.findings,
     "gallery": gallery.gallery,

@@ -34,6 +34,11 @@ def test_pages_quote_what_their_traces_give(quoted):
         assert quoted.with_quotes(text) == text, f"{page}: run `just readme`"
 
 
+def test_the_page_of_columns_is_that_of_the_code(quoted):
+    text = (ROOT / "docs/reference/columns.md").read_text(encoding="utf-8")
+    assert quoted.with_quotes(text) == text, "run `just readme`"
+
+
 def result(setup, size, rate, *medians_ms):
     key = {"setup": setup, "link": "air-30", "device": "none", "data": "binary", "payload_bytes": size, "rate_hz": rate}
     late = dict.fromkeys(("beyond_1_ms", "beyond_10_ms", "beyond_100_ms"), 3)

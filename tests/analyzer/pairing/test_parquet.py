@@ -28,7 +28,7 @@ from dds_trace.base.errors import OutputError
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.events import Stage
 
-# As docs/trace-format.md has them, by hand.
+# By hand: the page of columns is made from the code.
 TYPES = {
     "run_id": pa.uint64(),
     "relay_id": pa.uint32(),

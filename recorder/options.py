@@ -80,7 +80,7 @@ class PingOptions:
     rate_hz: float | None = detail(
         None,
         "--rate HZ",
-        f"Messages per second, or max: as fast as they are taken. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
+        f"Messages per second, or max: as fast as the middleware takes them. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
         limit=limits.RATE_HZ_OR_MAX,
         parse=parse_rate_or_max,
         roles=(Role.PING, Role.BEACON),
@@ -101,7 +101,7 @@ class PingOptions:
         f"Messages to measure. Default: {DEFAULT_MESSAGES}, or what fits --duration",
         limit=limits.MESSAGES,
     )
-    warmup: int = detail(DEFAULT_WARMUP, "--warmup N", "Messages before them, which do not count.", limit=limits.WARMUP)
+    warmup: int = detail(DEFAULT_WARMUP, "--warmup N", "Warm-up messages, which do not count.", limit=limits.WARMUP)
     wait_s: float = detail(
         DEFAULT_WAIT_S,
         "--wait TIME",
@@ -128,7 +128,7 @@ class PingOptions:
     clients: int = option(
         1,
         "--clients N",
-        "Clients that call at one time; --rate counts the calls of all.",
+        "Clients that call at the same time; --rate counts the calls of all.",
         limit=limits.CLIENTS,
         axis=Axis(for_relay=False),
     )
@@ -144,7 +144,7 @@ class PingOptions:
     nodes: int = option(
         0,
         "--nodes N",
-        "Have so many nodes in the domain, with this one, and measure their discovery and what they send at rest.",
+        "Open nodes until the domain has this many, and measure their discovery and their traffic at rest.",
         limit=limits.NODES,
         axis=Axis(for_relay=False),
     )
@@ -351,7 +351,7 @@ class RecordOptions:
     connectivity: str | None = detail(
         None,
         "--connectivity NAME",
-        "Link of this device: loopback, wired, wireless, or a word of yours. Default: detected",
+        "Link of this device: loopback, wired, wireless, or your own word. Default: detected",
         limit=limits.NAME,
     )
 

@@ -47,13 +47,12 @@ FailIf = Annotated[
         "received < -0.5 points.",
     ),
 ]
-Strict = Annotated[bool, option("--strict", "Fail where a gate is inconclusive (21), in place of a warning (0).")]
+Strict = Annotated[bool, option("--strict", "Fail (21) where a gate is inconclusive, instead of warning (0).")]
 Looks = Annotated[
     int,
     option(
         "--looks N",
-        "How often growing recordings are compared until a gate decides, at most: each look is stricter, so that all of "
-        "them together err as often as one.",
+        "Maximum number of looks at growing recordings until the gates decide; together they err as often as one.",
         show_default=True,
     ),
 ]
@@ -70,7 +69,8 @@ def compare_command(
         Path | None, option("--limits FILE", "A limits.toml: limits by result, and accepted changes.")
     ] = None,
     write_limits: Annotated[
-        Path | None, option("--write-limits FILE", "Write a limits.toml from good runs, with room by their spread.")
+        Path | None,
+        option("--write-limits FILE", "Write a limits.toml from good runs, with margins from their spread."),
     ] = None,
     allow_missing: Annotated[
         bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")

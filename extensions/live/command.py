@@ -23,10 +23,7 @@ def watch_command(
     ] = "127.0.0.1",
     names: Annotated[
         list[str] | None,
-        option(
-            "--name HOST",
-            "A further name of this machine that browsers may ask for; repeatable. Default: its host name",
-        ),
+        option("--name HOST", "Another name of this machine for browsers; repeatable. Default: its host name"),
     ] = None,
     port: Annotated[
         int, option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True)

@@ -57,7 +57,7 @@ class NodeOptions:
     discovery: Discovery = option(
         Discovery.SUBNET,
         "--discovery RANGE",
-        "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet (socket and zenoh without --peer: localhost)",
+        "How far to look for other nodes: localhost or subnet. Default: as ROS 2's environment variables have it, else subnet (socket and zenoh without --peer: localhost)",
         variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
     )
     peers: tuple[str, ...] = detail(
@@ -84,7 +84,7 @@ class NodeOptions:
     configuration: Path | None = detail(
         None,
         "--configuration FILE",
-        "The middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh. Default: what its own variable names",
+        "The middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh. Default: the file in its own variable",
         parse=Path,
         axis=Axis(
             meaning="file with the middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh; results are named after it"
@@ -121,7 +121,7 @@ class NodeOptions:
     keys: str | None = detail(
         None,
         "--keys FOLDER",
-        "Keys for security, the same for both sides. One that is not there is made, and removed at the end.",
+        "Keys for security, the same folder on both sides; a new one is removed at the end.",
         limit=limits.TEXT,
     )
     priority: int | None = option(

@@ -39,14 +39,14 @@ def advise_command(
     size: Annotated[str | None, option("--size SIZE", "Size of a message: 33KB, 4MB.")] = None,
     rate: Annotated[str | None, option("--rate HZ", "Messages a second.")] = None,
     deadline: Annotated[
-        str | None, option("--deadline TIME", "Time within which a reply has to come, e.g. 50ms. Default: none")
+        str | None, option("--deadline TIME", "Time within which a reply must come, e.g. 50ms. Default: none")
     ] = None,
     in_time: Annotated[
-        str, option("--in-time SHARE", "Share of the messages that have to come in time.", show_default=True)
+        str, option("--in-time SHARE", "Share of the messages that must come in time.", show_default=True)
     ] = "99%",
     cpu: Annotated[
         float | None,
-        option("--cpu PERCENT", "Most load of a node in percent of one processor. Default: no limit", min=0.1),
+        option("--cpu PERCENT", "Maximum load of a node, in percent of one processor. Default: no limit", min=0.1),
     ] = None,
     data: Annotated[
         str, option("--data KIND", "Data of the messages: binary, string, imu.", show_default=True)

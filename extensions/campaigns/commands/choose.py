@@ -20,9 +20,9 @@ def choose_command(
     paths: Paths,
     size: Annotated[str, option("--size SIZE", "Size of a message: 33KB, 4MB.")],
     rate: Annotated[str, option("--rate HZ", "Messages a second.")],
-    deadline: Annotated[str, option("--deadline TIME", "Time within which a reply has to come, e.g. 50ms.")],
+    deadline: Annotated[str, option("--deadline TIME", "Time within which a reply must come, e.g. 50ms.")],
     reliability: Annotated[
-        str, option("--reliability SHARE", "Share of the messages that have to come in time.", show_default=True)
+        str, option("--reliability SHARE", "Share of the messages that must come in time.", show_default=True)
     ] = "0.99",
     data: Annotated[
         str, option("--data KIND", "Data of the messages: binary, string, imu.", show_default=True)

@@ -88,7 +88,7 @@ TABLES: Mapping[str, Table] = {
         "`[devices.relay]` ([several devices](../how-to/axes.md#several-devices)).",
         {
             "connectivity": _text(
-                "the link as the traces name it: `loopback`, `wired`, `wireless`, or a word of yours",
+                "the link as the traces name it: `loopback`, `wired`, `wireless`, or your own word",
                 limits.NAME,
                 "`loopback` on one machine, `wired` between namespaces, `emulated-NAME` over `[link]`; detected on two devices",
             )

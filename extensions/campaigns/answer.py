@@ -23,7 +23,18 @@ from dds_trace.base.records import to_json
 from dds_trace.base.units import counted, format_rate, format_size
 
 from .folder import replace_text
-from .halving import FIRST_SECONDS, NO_TIME, Candidate, Event, Look, Measurer, Race, Standing
+from .halving import (
+    FIRST_SECONDS,
+    MOST_FIRST_SECONDS,
+    NO_TIME,
+    PASSES,
+    Candidate,
+    Event,
+    Look,
+    Measurer,
+    Race,
+    Standing,
+)
 from .link_probe import PROBE_S, probe_link
 from .plan.flows import recorded_together
 from .plan.plan import Plan
@@ -218,7 +229,9 @@ class Search:
                 return max(turns * turn_s + 2 * JUDGE_S, PROOF_SHARE * 60 * self.question.minutes * (self.load > 1))
 
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
-            return race.halve(candidates)
+            passes_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in candidates)
+            spare_s = (self._until_s - self.clock() - proof_s() - passes_s) / (PASSES * len(looks.cells))
+            return race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
 
     def proof_seconds(self, trials: Measurer, candidates: Sequence[Candidate]) -> float:
         shortest_s, longest_s = PROOF_SECONDS

@@ -33,8 +33,8 @@ LOST_MS = 10_000.0
 PASSES = 2
 """Runs of a length, one of each candidate in a pass; the next ones take twice as long. So many are needed to exclude one."""
 
-FIRST_SECONDS = 2.0
-"""Length of the first runs."""
+FIRST_SECONDS, MOST_FIRST_SECONDS = 2.0, 6.0
+"""Length of the first runs, and where the time of the looks has room for `PASSES` of all candidates."""
 
 FIRST_SHARE, FIRST_RUNS = 0.6, 2
 """Most of the time of the looks that the first pass may take, and runs of it that are made whatever they take."""

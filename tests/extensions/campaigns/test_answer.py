@@ -27,7 +27,7 @@ class Desk:
 
     def __init__(self, response_ms, lost=lambda _: 0.0, more_s=lambda *_: 0.0):
         self.response_ms, self.lost, self.more_s = response_ms, lost, more_s
-        self.now_s, self.events, self.looks, self.late_s = 0.0, [], [], []
+        self.now_s, self.events, self.looks, self.late_s, self.seconds = 0.0, [], [], [], []
         self.random = np.random.default_rng(0)
 
     @contextmanager
@@ -41,6 +41,7 @@ class Desk:
         self.durations.took(candidate, seconds, took_s)
         self.now_s += took_s
         self.looks.append((self.stage, candidate, number))
+        self.seconds.append(seconds)
         values = self.response_ms(candidate) * self.random.lognormal(0, 0.05, (len(candidate.cells), 200))
         values[self.random.random(values.shape) < self.lost(candidate)] = math.inf
         return Look(tuple(values))
@@ -250,6 +251,15 @@ def test_a_dry_run_promises_what_made_runs_take(tmp_path, minutes, link):
     assert 0 < seconds <= 60 * minutes
     assert recordings >= 2 + 2 * module.LEAST_PROOFS
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("minutes", "least", "most"), [(2, 2, 2), (5, 3, 5), (20, 6, 6)])
+def test_first_looks_are_as_long_as_two_of_each_candidate_have_time_for(tmp_path, minutes, least, most):
+    search = (desk := Desk(median)).search(tmp_path, minutes=minutes)
+    search.look(search.question.plan, LINK)
+    assert least <= desk.seconds[0] <= most
+    looked = Counter(candidate.name for _, candidate, _ in desk.looks)
+    assert minutes == 2 or min(looked.values()) >= 2
 
 
 def test_a_model_puts_the_candidates_in_order(tmp_path):

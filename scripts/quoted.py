@@ -4,7 +4,7 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code; `ratios
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code, `security runs` that of its kept runs; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `speed rows` that of `just bench-speed DIR`, `claims study` and `needs study` those of a
 sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
 `dds-trace compare base new --paired` says of two sides.
@@ -27,12 +27,14 @@ from stored_tables import (
     EVIDENCE,
     LEARNING,
     RATIOS,
+    SECURITY,
     SPEED,
     column_table,
     evidence_table,
     learning_table,
     ratio_table,
     read_rows,
+    security_table,
     speed_table,
 )
 
@@ -94,6 +96,7 @@ def quote(kind: str, campaign: str) -> str:
         "learned": (LEARNING, learning_table),
         "evidence": (EVIDENCE, lambda rows: evidence_table(rows, campaign)),
         "needs": (CHOICES, need_table),
+        "security": (SECURITY, security_table),
         "speed": (SPEED, speed_table),
     }
     if kind == "columns":

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
+from statistics import mean, stdev
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.base.units import format_rate, format_size
+from dds_trace.recorder.choices import Security
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,6 +22,7 @@ RATIOS = TOP / "benchmarks" / "node.csv"
 SPEED = TOP / "benchmarks" / "speed.csv"
 LEARNING = TOP / "docs" / "results" / "learning.csv"
 EVIDENCE = TOP / "docs" / "results" / "evidence.csv"
+SECURITY = TOP / "docs" / "results" / "security" / "runs.csv"
 STUDY = TOP / "docs" / "results" / "study"
 
 
@@ -87,6 +92,28 @@ def speed_table(rows: Sequence[Mapping[str, str]]) -> str:
                 cell(row, "peak_mb"),
             ]
             for row in rows
+        ),
+    )
+
+
+def security_table(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the medians of `docs/results/security/runs.csv` in ms: of a typical run, with the 95 % interval between the runs."""
+    runs: dict[tuple[str, str], dict[int, list[float]]] = {}
+    for row in rows:
+        sizes = runs.setdefault((row["backend"], row["security"]), {})
+        sizes.setdefault(int(row["payload_bytes"]), []).append(math.log(float(row["rtt_p50_ns"]) / 1e6))
+
+    def cell(logarithms: Sequence[float]) -> str:
+        half = student_quantile(0.975, len(logarithms) - 1) * stdev(logarithms) / math.sqrt(len(logarithms))
+        typical, low, high = (math.exp(mean(logarithms) + shift) for shift in (0, -half, half))
+        return f"{typical:.3g} ({low:.3g} to {high:.3g})"
+
+    levels = [level.value for level in Security]
+    return markdown(
+        ["backend", "security", *map(format_size, next(iter(runs.values())))],
+        (
+            [f"`{backend}`", f"`{level}`", *(cell(sizes[size]) for size in sorted(sizes))]
+            for (backend, level), sizes in sorted(runs.items(), key=lambda item: (item[0][0], levels.index(item[0][1])))
         ),
     )
 

@@ -34,8 +34,9 @@ def test_pages_quote_what_their_traces_give(quoted):
         assert quoted.with_quotes(text) == text, f"{page}: run `just readme`"
 
 
-def test_the_page_of_columns_is_that_of_the_code(quoted):
-    text = (ROOT / "docs/reference/columns.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("page", ["reference/columns", "results/security"])
+def test_a_table_of_the_code_or_of_kept_rows_is_up_to_date(quoted, page):
+    text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
     assert quoted.with_quotes(text) == text, "run `just readme`"
 
 

@@ -37,7 +37,7 @@ FIRST_SECONDS, MOST_FIRST_SECONDS = 2.0, 6.0
 """Length of the first runs, and where the time of the looks has room for `PASSES` of all candidates."""
 
 FIRST_SHARE, FIRST_RUNS = 0.6, 2
-"""Most of the time of the looks that the first pass may take, and runs of it that are made whatever they take."""
+"""Most of the time of the looks that the first pass may take if a limit is kept, and runs of it that are made whatever they take."""
 
 NO_TIME = "not tried, there was no time"
 
@@ -170,8 +170,8 @@ class Standing:
         words = f"{name}: p50 {ms_words(p50)}, {slow}, {lost} of {len(values)} lost" if len(values) else name
         return Event(stage, text or words, self.candidate, state, len(self.looks), len(values), lost, late, p50, p99)
 
-    def rank(self, limits: Limits) -> tuple[bool, float, float]:
-        return bool(self.dropped), self.excess(limits)[0], self.level
+    def rank(self, limits: Limits) -> tuple[bool, bool, float, float]:
+        return bool(self.dropped), not self.looks, self.excess(limits)[0], self.level
 
 
 Tell: TypeAlias = Callable[[Event], None]
@@ -201,6 +201,7 @@ class Race:
     stage: str = "look"
     reserve_s: Callable[[], float] = lambda: 0.0
     _began_s: float = field(init=False)
+    _is_open: bool = field(default=True, init=False)  # no candidate has kept the limits yet
 
     def __post_init__(self) -> None:
         self._began_s = self.clock()
@@ -210,7 +211,7 @@ class Race:
         return self.measurer.expected_s(candidate, seconds) <= self._left_s(number)
 
     def _left_s(self, number: int) -> float:
-        share = FIRST_SHARE if number == 1 else 1.0
+        share = FIRST_SHARE if number == 1 and not self._is_open else 1.0
         until_s = self._began_s + share * (self.until_s - self.reserve_s() - self._began_s)
         return until_s - self.clock()
 
@@ -224,6 +225,7 @@ class Race:
             self.drop(standing, look.failure)
             return
         standing.looks.append(look)
+        self._is_open = self._is_open and standing.excess(self.limits)[0] > 0
         self._tell(standing, "measured")
 
     def drop(self, standing: Standing, reason: str) -> None:

@@ -105,6 +105,14 @@ def test_where_runs_take_longer_than_expected_the_best_have_their_second_one():
     assert min(made.runs.values()) == 1
 
 
+@pytest.mark.parametrize(("losses", "runs"), [(0.0, range(1, 13)), (0.4, range(15, 17))])
+def test_while_none_keeps_the_limits_the_first_pass_has_all_the_time(losses, runs):
+    made = Made(MANY, dict.fromkeys(MANY, losses))
+    ranking = made.race(until_s=16 * 5.0).halve(candidates(MANY))
+    tried = [bool(standing.looks) for standing in ranking]
+    assert (sum(tried) in runs, tried) == (True, sorted(tried, reverse=True))
+
+
 def test_losses_precede_latency_and_a_failure_is_out_at_once():
     made = Made({"fast": 5, "slow": 50, "dead": 1, "deaf": 2}, {"fast": 0.1, "deaf": 1.0}, failing=("dead",))
     ranking = made.race().halve(candidates(["fast", "slow", "dead", "deaf"]))

@@ -50,14 +50,15 @@ ping losses binary_600KB_20Hz --domain 10 --data binary --size 600KB --rate 20 -
 stop_relay
 
 for sample in same_domain different_domains losses; do
-  "$bin/python" - "$new/$sample" "$new/$sample.expected.json" <<'PY'
+  "$bin/python" - "$new/$sample" >"$new/$sample.expected.json" <<'PY'
+import json
 import sys
 from pathlib import Path
 
 sys.path.insert(0, "../tests/support")
-from plain_analysis import write_expected
+import bare
 
-write_expected(Path(sys.argv[1]), Path(sys.argv[2]))
+print(json.dumps(bare.summarize(bare.pair(*bare.load(Path(sys.argv[1])))).to_dicts(), indent=1))
 PY
 done
 for sample in same_domain different_domains losses; do

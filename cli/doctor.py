@@ -58,11 +58,8 @@ def doctor_command(
 
 def all_checks(out: Path | None) -> list[Check]:
     checks = [*middleware_checks(), *_security(), *_machine(), *_permissions()]
-    return [*sorted([*checks, *_offered()], key=lambda check: _PARTS.index(check.part)), *_costs(out)]
-
-
-def _offered() -> list[Check]:
-    return [Check(*row) for find in offers("checks").values() for row in find()()]
+    checks += [Check(*row) for find in offers("checks").values() for row in find()()]
+    return [*sorted(checks, key=lambda check: _PARTS.index(check.part)), *_costs(out)]
 
 
 def _installed() -> list[Backend]:

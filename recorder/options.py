@@ -416,12 +416,7 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
 
 
 def chosen_qos(reliability: Reliability | None, durability: Durability | None, depth: int | None) -> Qos:
-    """Return the quality of service of a tap's subscriptions: every publisher matches it, and keeps nothing for it.
-
-    To a best-effort reader a publisher sends each message once: it waits for no acknowledgement, repeats nothing, and
-    keeps no history. Messages from before the tap, which a `transient_local` publisher would send again, say nothing about
-    latency. Both can be requested.
-    """
+    """Return the quality of service of a tap's subscriptions: every publisher matches it, and keeps nothing for it."""
     return Qos(
         reliability or Reliability.BEST_EFFORT, durability or Durability.VOLATILE, History.KEEP_LAST, depth or TAP_DEPTH
     )

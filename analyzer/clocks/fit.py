@@ -1,18 +1,8 @@
 """One device's clock against another's: offset and drift over time from T1..T4, each with its bound.
 
-Let `theta` be the relay's clock minus the ping's. No message is received before it is sent:
-
-    T4 - T2  <=  theta  <=  T3 - T1
-
-The interval is `rtt - intermediate` wide, so its middle is wrong by at most half of that (RFC 5905, section 8). A link that is
-slower one way looks like a clock that is off by half the difference.
-
-Two assumptions give a slow message the interval of its fast neighbours:
-- clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach shows a step (clock set, suspend, reboot) and splits the fit;
-- within a window theta is a straight line, and the bound is what the lines that respect every message leave open (L.
-  Zhang, Z. Liu, C. Xia, INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905,
-  section 10). A window without such a line, or with a half whose offset is outside its bound (a clock that bends), is
-  halved.
+Let `theta` be the relay's clock minus the ping's: `T4 - T2 <= theta <= T3 - T1` (RFC 5905, section 8). docs/explanation/clocks.md
+has the two assumptions that give a slow message the interval of its fast neighbours (L. Zhang, Z. Liu, C. Xia, INFOCOM 2002; S.
+Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905, section 10).
 """
 
 from __future__ import annotations

@@ -236,9 +236,6 @@ class Plan:
     def has_two_devices(self) -> bool:
         return self.by_hand or self.relay.ssh is not None
 
-    def needs_address(self, cell: Cell) -> bool:
-        return connects_to_relay(cell.backend) or self.runs_halves(cell)
-
     def runs_halves(self, cell: Cell) -> bool:
         is_apart = self.has_two_devices or (self.namespaces and cell.security == Security.OFF.value)
         return is_apart and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS

@@ -25,7 +25,7 @@ from dds_trace.recorder.payloads import check_data
 from .cells import AXES, DEFAULTS, Cell, OutageBy
 from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, fan_out_faults, flow_cells, sender_cells
 from .link import PRESETS, Link, read_drive
-from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search
+from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search, connects_to_relay
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 
 if TYPE_CHECKING:
@@ -241,7 +241,9 @@ def _check(plan: Plan, where: str) -> None:
             "[link] and [network] need both devices on this machine; remove them or the other device",
         ),
         (
-            plan.has_two_devices and not plan.relay.reached_at and any(map(plan.needs_address, plan.cells)),
+            plan.has_two_devices
+            and not plan.relay.reached_at
+            and any(connects_to_relay(cell.backend) or plan.runs_halves(cell) for cell in plan.cells),
             "the ping does not know where the relay is; give [devices.relay] an address",
         ),
         (

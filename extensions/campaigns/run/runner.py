@@ -1,8 +1,7 @@
 """The runner of a sweep: records cell after cell, one closed trace per device and cell.
 
-The relay of a group of cells writes one trace, a *segment*, into `.parts/`. Each ping writes there too; a complete
-trace moves to its final name. When the relay stops, or a sweep is resumed, the segment is split into the cells' relay
-files.
+The relay of a group of cells writes one trace, a *segment*, into `.parts/`, where pings write too. When it stops, or a sweep is
+resumed, the segment is split into the cells' relay files.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def calls_timed_out(evidence: Evidence) -> Iterator[Observation]:
             never = published - evidence.summary.frame["received"][group]
             yield evidence.result(
                 group,
-                f"{counted(missed, 'call')} of {published} had no response within {max(values['timeout_s']):g} s; {never} never had one.",
+                f"{counted(missed, 'call')} of {published:,} had no response within {max(values['timeout_s']):g} s; {never:,} never had one.",
                 missed / published,
             )
 

@@ -191,7 +191,7 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Observation]:
         if most >= _SATURATED_SECONDS and most > _SATURATED_SHARE * seconds:
             yield evidence.recording(
                 evidence.campaign.sessions[session_id],
-                f"In {most} of {counted(seconds, 'second')} {words[saturated.index(most)]}.",
+                f"In {most:,} of {counted(seconds, 'second')} {words[saturated.index(most)]}.",
                 most / seconds,
             )
 

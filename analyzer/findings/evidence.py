@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dds_trace.base.units import first_of
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import ping_boots
@@ -141,9 +142,7 @@ def exchange_name(exchange: Exchange) -> str:
 
 
 def some(names: Iterable[str], at_most: int = 3) -> str:
-    listed = list(names)
-    shown = "; ".join(listed[:at_most])
-    return shown if len(listed) <= at_most else f"{shown}; and {len(listed) - at_most} more"
+    return "; ".join(first_of([*names], at_most))
 
 
 def percent(part: float, whole: float) -> str:

@@ -26,7 +26,7 @@ def duplicates(evidence: Evidence) -> Iterator[Observation]:
         extra, several = (sum(column) for column in zip(*pairs, strict=True))
         yield evidence.result(
             group,
-            f"{several} of {counted(received[group], 'message')} came back more than once, {counted(extra, 'copy', 'copies')} too "
+            f"{several:,} of {counted(received[group], 'message')} came back more than once, {counted(extra, 'copy', 'copies')} too "
             "many; the first one counts.",
             min(several / max(received[group], 1), 1.0),
         )

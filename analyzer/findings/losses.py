@@ -49,7 +49,7 @@ RECOVERIES = Rows(
 
 
 def _lost_where(row: Mapping[str, int]) -> str:
-    return ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
+    return ", ".join(f"{row[outcome]:,} {where}" for outcome, where in _LOST.items() if row[outcome])
 
 
 @error(
@@ -83,7 +83,7 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
             cure = cause.cure if cause else _PERHAPS[members[group][0][0].run.qos.reliability]
             observation = evidence.result(
                 group,
-                f"{lost} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}{seen}.",
+                f"{lost:,} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}{seen}.",
                 lost / published,
                 cure=cure,
             )

@@ -63,12 +63,14 @@ class _Sentence(Formatter):
         if format_spec in _FORMATS:
             return _FORMATS[format_spec](value)
         if format_spec.startswith("share of "):
-            return percent(value, float(format_spec.removeprefix("share of ")))
+            return percent(value, float(format_spec.removeprefix("share of ").replace(",", "")))
         if format_spec.startswith("# "):
             return counted(value, *format_spec[2:].split("|"))
         if "|" in format_spec:
             singular, many = format_spec.split("|")
             return singular if value == 1 else many
+        if type(value) is int and not format_spec:
+            return f"{value:,}"
         return str(super().format_field(value, format_spec))
 
 

@@ -152,9 +152,9 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
         one_clock = share_boot(exchange.ping, relay) and not _has_other_clock(evidence, exchange, counts)
         early = counts["early" if one_clock else "negative_latency"]
         if foreign or early or second:
-            doubts = [f"{foreign} not in the relay's trace"] * bool(foreign)
-            doubts += [f"{early} sooner than the relay can have answered"] * bool(early)
-            doubts += [f"{second} from two senders, although the relay sent one"] * bool(second)
+            doubts = [f"{foreign:,} not in the relay's trace"] * bool(foreign)
+            doubts += [f"{early:,} sooner than the relay can have answered"] * bool(early)
+            doubts += [f"{second:,} from two senders, although the relay sent one"] * bool(second)
             yield Observation(
                 exchange_name(exchange),
                 f"Of {counted(counts['received'], 'reply', 'replies')}: {', '.join(doubts)}.",
@@ -173,8 +173,8 @@ def other_sizes(evidence: Evidence) -> Iterator[Observation]:
     """Replies had another size than the messages."""
     for exchange, group, counts in evidence.counts_by_exchange():
         if counts["resized"]:
-            what = f"{counts['resized']} of {counted(counts['replied'], 'reply', 'replies')} had {counts['least_reply_bytes']} to "
-            what += f"{counts['most_reply_bytes']} B, which is not the size that was sent or requested."
+            what = f"{counts['resized']:,} of {counted(counts['replied'], 'reply', 'replies')} had {counts['least_reply_bytes']:,} to "
+            what += f"{counts['most_reply_bytes']:,} B, which is not the size that was sent or requested."
             effect = min(counts["resized"] / max(counts["replied"], 1), 1.0)
             yield Observation(exchange_name(exchange), what, (group,), effect)
 
@@ -201,7 +201,7 @@ def doubtful_replies(evidence: Evidence) -> Iterator[Observation]:
         doubtful = counts["unclear"] - _second_sources(evidence, exchange, counts)
         # A network may copy the datagrams of sockets, which carry no stamp of their sender.
         if doubtful and _is_direct(exchange) and exchange.ping.backend != "socket":
-            what = f"{counted(doubtful, 'message')} of {counts['received']} came back in different replies, and the first one counts."
+            what = f"{counted(doubtful, 'message')} of {counts['received']:,} came back in different replies, and the first one counts."
             yield Observation(exchange_name(exchange), what, (group,), doubtful / max(counts["received"], 1))
 
 

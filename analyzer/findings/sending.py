@@ -74,7 +74,7 @@ def late_sends(evidence: Evidence) -> Iterator[Observation]:
         if late >= _LATE_MESSAGES and late >= _LATE_SHARE * messages:
             yield evidence.result(
                 group,
-                f"{late} of {counted(messages, 'message')} ({percent(late, messages)}) left more than "
+                f"{late:,} of {counted(messages, 'message')} ({percent(late, messages)}) left more than "
                 f"{format_duration(LATE_NS)} later than planned (T1 - T0), the latest {format_duration(late_max_ns)}.",
                 late / messages,
             )

@@ -240,7 +240,7 @@ def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
             events = "is" if copy.events == 1 else "are"
             once = "it was" if copy.events == 1 else "they were"
             others = evidence.campaign.names(copy.others) or name
-            yield Observation(name, f"{copy.events} of its events {events} also in {others}; {once} counted once.")
+            yield Observation(name, f"{copy.events:,} of its events {events} also in {others}; {once} counted once.")
 
 
 @error(

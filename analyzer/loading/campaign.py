@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
 from dds_trace.base.files import PLAN_COPY, real_path
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, first_of
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.reading.storage import find_traces
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
@@ -197,9 +197,8 @@ def _archive_words(path: Path) -> str:
 
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
-    named_files = [f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]]
-    more = len(skipped) - len(named_files)
-    listed = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
+    named_files = [f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped]
+    listed = "; ".join(first_of(named_files, _NAMED_AT_MOST))
     listed += FOREIGN_HINT if foreign else ""
     archive = next((path / source.path for source in skipped if _is_archive(Path(source.path))), None)
     listed += "" if archive is None else f"; {archive} is {_archive_words(archive)}"

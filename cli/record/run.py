@@ -164,7 +164,8 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
     if as_json:
         print(json.dumps(_result(recorded, error)))
     elif trace is not None:
-        dropped = f"; {counted(trace.events, 'event')}, {trace.dropped_events} dropped" if trace.dropped_events else ""
+        lost = trace.dropped_events
+        dropped = f"; {counted(trace.events, 'event')}, {lost:,} dropped" if lost else ""
         print(f"Wrote {trace.path}\n{describe_progress(recorded.progress)}{dropped}")
     if error is not None:
         raise error
@@ -184,7 +185,7 @@ def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | No
     if share <= fail_if_lost:
         return None
     return LossesError(
-        f"{progress.lost} of {counted(progress.sent, 'message')} lost, {share:.2%}; --fail-if-lost allows "
+        f"{progress.lost:,} of {counted(progress.sent, 'message')} lost, {share:.2%}; --fail-if-lost allows "
         f"{fail_if_lost:.2%}"
     )
 

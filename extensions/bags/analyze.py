@@ -17,6 +17,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.units import first_of
 from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS
 
 from .bounds import SHOWN
@@ -125,10 +126,9 @@ def analyze_topics(
         if is_read:
             cards.append(Card(shown, [recording.columns[key] for key in sorted(recording.columns)], condition, sync))
             text = [*cards[-1].health.damages, *cards[-1].health.notes]
-        more = [f"and {len(text) - SHOWN} more"] if len(text) > SHOWN else []
         status = "read" if not condition.damages else "truncated" if is_read else "skipped"
         messages = sum(map(len, recording.columns.values()))
-        sources.append(Source(shown, status, "; ".join([*text[:SHOWN], *more]), messages))
+        sources.append(Source(shown, status, "; ".join(first_of(text, SHOWN)), messages))
     if not cards:
         names = ["" if source.path in map(str, parts) else f"{source.path}: " for source in sources[:SHOWN]]
         reasons = "; ".join(f"{name}{source.detail}" for name, source in zip(names, sources, strict=False))

@@ -41,4 +41,4 @@ STEADY = 1e-5
 """The spread of an age, in ages, that no late stream has: a constant offset is of another clock."""
 
 SHOWN = 3
-"""Holes, pauses, chains and notes that are listed, the largest; the rest is counted."""
+"""Holes, pauses, chains and damages that are listed, the largest; the rest is counted."""

@@ -1,4 +1,4 @@
-"""Topics that carry the stamps of another one: how late they come, how many of its messages lead to one, and topics that stamp again.
+"""Topics that carry the stamps of another one, and topics that stamp again.
 
 Equal stamps are seen. Which message was made from another one is not: a driver that stamps several topics alike looks like a chain, so less
 than `TOGETHER_NS` is none, and stamps of a simulation or in steps prove nothing.
@@ -14,7 +14,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from dds_trace.base.units import UNIT_NS, counted, format_duration, format_ratio
+from dds_trace.base.units import UNIT_NS, counted, first_of, format_duration, format_ratio
 
 from .bounds import FEW, FEWEST, MOST, PHASES, WINDOW
 from .clocks import SIMULATED_BEFORE_NS
@@ -164,14 +164,11 @@ def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:
     for begin in begins[:most]:
         following = [link for link in passed if link.topic == begin]
         steps = [
-            f"{link.next_topic} {format_duration(link.p50_ns)} later ({format_ratio(link.share)})"
-            for link in following[:most]
+            f"{link.next_topic} {format_duration(link.p50_ns)} later ({format_ratio(link.share)})" for link in following
         ]
-        if len(following) > most:
-            steps.append(f"{len(following) - most} more")
         last_ns = following[-1].p99_ns
         last = "" if last_ns is None else f"; p99 from the first to the last {format_duration(last_ns)}"
-        yield f"chain: the stamps of {begin} come again on {', '.join(steps)}{last}"
+        yield f"chain: the stamps of {begin} come again on {', '.join(first_of(steps, most))}{last}"
     again = [link for link in links if link.stamps_again]
     for link in again[:most]:
         yield (

@@ -17,7 +17,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, first_of
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, BagFile, RecordedTopic, write_bag_metadata
 from dds_trace.tracefile.format.encoding import MAGIC
@@ -30,6 +30,7 @@ from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX
 from dds_trace.tracefile.writing.event_chunks import LIBRARY, encode_record
 
 from .bag1 import bag1_messages
+from .bounds import SHOWN
 from .kinds import function_at
 from .mcap_copy import McapCopy
 from .read import McapItems, kind_of, open_recording
@@ -54,8 +55,8 @@ class RecordingRecovery:
     damages: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
-        doubtful = f"; {self.doubtful} of them out of damaged chunks may be damaged themselves" if self.doubtful else ""
-        damages = self.damages or ["nothing was damaged"]
+        doubtful = f"; {self.doubtful:,} of them, out of damaged chunks, may be damaged" if self.doubtful else ""
+        damages = first_of(self.damages, SHOWN, "more like these") or ["nothing was damaged"]
         if self.unchecked:
             unchecked = counted(self.unchecked, "message has", "messages have")
             damages = [*damages, f"{unchecked} no checksum: damage inside is not seen"]

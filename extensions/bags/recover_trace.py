@@ -61,8 +61,8 @@ class RecoveryReport:
             return [whole, fault] if self.ring_fault else [whole]
         torn = counted(self.torn_bytes, "byte")
         return [
-            f"{counted(self.file_events, 'event')} in the file, {self.ring_events} more in the ring",
-            f"{counted(self.missing_events, 'event')} missing, {self.dropped_events} dropped while recording",
+            f"{counted(self.file_events, 'event')} in the file, {self.ring_events:,} more in the ring",
+            f"{counted(self.missing_events, 'event')} missing, {self.dropped_events:,} dropped while recording",
             f"{torn} of an unfinished record and {counted(self.damaged_chunks, 'damaged chunk')} left out",
             *([f"only whole slots of the ring were used: {self.ring_fault}"] if self.ring_fault else []),
             *(f"The original is kept as {original}" for original in self.originals),
@@ -253,7 +253,7 @@ def _check_readable(unfinished: Path, report: RecoveryReport) -> None:
     except TraceFormatError as err:
         fault = err.what
     if fault is None and events != expected:
-        fault = f"{events} of {counted(expected, 'event')}"
+        fault = f"{events:,} of {counted(expected, 'event')}"
     if fault is not None:
         unfinished.unlink()
         raise TraceFormatError(

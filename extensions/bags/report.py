@@ -14,6 +14,7 @@ from dds_trace.base.units import (
     SECOND_NS,
     clock_words,
     counted,
+    first_of,
     format_duration,
     format_rate,
     format_ratio,
@@ -53,7 +54,7 @@ TopicRow = Mapping[str, Any]
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
     "Rate: the mean, holes included. Missing: messages that should be there, by stamps, numbers or the usual rate; a range where these "
-    "disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes. Jitter: typical deviation of an "
+    "disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes; one begins when its first message was due. Jitter: typical deviation of an "
     "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
@@ -75,8 +76,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     missing = sum(row["missing"] for row in lacking)
     sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
     if health.verdict == "damaged":
-        copies = "`dds-trace recover` copies what can be read."
-        return f"Damaged: {sentence}. {copies}" if lacking else f"Damaged. {copies}"
+        words = "Damaged: `dds-trace recover` copies what can be read."
+        return f"{words} {sentence}, in the damage or lost before." if lacking else words
     if health.verdict == "empty":
         return "No message was recorded."
     if health.verdict == "holes":
@@ -89,33 +90,32 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
         return f"No loss can be seen: {blind}."
     words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics}."
     if most := [row["missing_high"] for row in rows if row["missing_high"]]:
-        messages = counted(sum(most), "message", text=f"{sum(most):,}")
-        words = f"No loss is proven: up to {messages} may be missing on {len(most)} of {topics}."
+        words = f"No loss is proven: up to {counted(sum(most), 'message')} may be missing on {len(most)} of {topics}."
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
 
 
+def rest_ns(row: TopicRow, health: RecordingHealth) -> int:
+    return int(health.start_ns + health.duration_ns - row["start_ns"] - row["duration_ns"])
+
+
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
-    """Return which steady topic ends earliest: its publisher died, or was stopped."""
-    end_ns = health.start_ns + health.duration_ns
-    early = []
-    for row in rows:
-        rest_ns = end_ns - row["start_ns"] - row["duration_ns"]
-        if row["expected_rate_hz"] and rest_ns > quiet_ns(SECOND_NS / row["expected_rate_hz"]):
-            early.append((rest_ns, row["topic"]))
+    """Return which steady topic ends earliest."""
+    steady = [row for row in rows if row["expected_rate_hz"]]
+    ends = [(rest_ns(row, health), row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
+    early = [(silent_ns, topic) for silent_ns, topic, usual_ns in ends if silent_ns > usual_ns]
     if not early:
         return ""
-    rest_ns, topic = max(early)
+    silent_ns, topic = max(early)
     others = f", and {counted(len(early) - 1, 'more topic ends', 'more topics end')} early" if len(early) > 1 else ""
-    return f" {printable(topic)} ends {seconds_words(rest_ns / SECOND_NS)} before the recording{others}."
+    return f" {printable(topic)} ends {seconds_words(silent_ns / SECOND_NS)} before the recording{others}."
 
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
     chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
     if not health.messages:
         return f"0 messages{chunks}"
-    messages = counted(health.messages, "message", text=f"{health.messages:,}")
     return (
-        f"{seconds_words(health.duration_ns / SECOND_NS)} from {utc_words(health.start_ns)}, {messages}, "
+        f"{seconds_words(health.duration_ns / SECOND_NS)} from {utc_words(health.start_ns)}, {counted(health.messages, 'message')}, "
         f"{counted(topics, 'topic')}{chunks}; with messages {_share_words(health.coverage)} of the time"
     )
 
@@ -217,10 +217,10 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
         yield f"{counted(row['missing_inside'], 'message')} of them while nothing of any topic came"
     if row["lost_in_transport"] or row["lost_in_recorder"]:
         who = "the tap" if row["missing_from"] == "tap" else "rosbag2"
-        yield f"{who} counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
+        yield f"{who} counted {row['lost_in_transport']:,} lost on the way to it and {row['lost_in_recorder']:,} inside"
     if row["burst_messages"]:
         burst, pause = format_duration(row["burst_ns"]), format_duration(row["burst_pause_ns"])
-        yield f"comes in bursts: {row['burst_messages']} messages in {burst}, then {pause} of nothing"
+        yield f"comes in bursts: {row['burst_messages']:,} messages in {burst}, then {pause} of nothing"
     if row["age_p50_ns"] is not None and row["no_age"] is None:
         yield from _age_notes(row, health)
     if row["stamps_backwards"]:
@@ -325,7 +325,8 @@ class BagReport(blocks.Report):
         yield Sentence(facts_words(health, len(rows)), "facts")
         chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)
         syncs = [sync.words for path, sync in self.report.syncs if path == health.path]
-        lines = (*pause_lines(health), *health.damages, *health.notes, *chains, *syncs)
+        damages = first_of(health.damages, SHOWN, "more like these")
+        lines = (*pause_lines(health), *damages, *health.notes, *chains, *syncs)
         yield Points([*map(printable, lines)])
         if not rows:
             return

@@ -146,11 +146,8 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
     conditions = (
-        (result.cut_off, f"cut off after {result.published} of {counted(result.planned, 'message')}"),
-        (
-            achieved_hz < SUSTAINED_SHARE * rate_hz,
-            f"{achieved_hz:.0f} of {counted(rate_hz, 'message', text=f'{rate_hz:g}')} a second sent",
-        ),
+        (result.cut_off, f"cut off after {result.published:,} of {counted(result.planned, 'message')}"),
+        (achieved_hz < SUSTAINED_SHARE * rate_hz, f"{achieved_hz:.0f} of {rate_hz:g} Hz sent"),
         (
             exceeds(result.published - result.received, result.published, search.loss_percent),
             f"{result.loss_percent:.3g} % lost",

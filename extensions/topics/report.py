@@ -103,7 +103,7 @@ def _sentence(row: Mapping[str, Any]) -> str:
 def _received(row: Mapping[str, Any]) -> str:
     lost = row["published"] - row["received"]
     if not lost:
-        return f"all of {counted(row['published'], 'message', text=format_count(row['published']))} received"
+        return f"all of {counted(row['published'], 'message')} received"
     words = lost_words(row["subscribed"], row["offered"])
     return f"{format_count(lost)} of {format_count(row['published'])} messages {words}"
 

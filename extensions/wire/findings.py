@@ -89,7 +89,7 @@ def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(
                 row["group"],
                 f"{percent(byte_share, 1)} of the bytes on the wire were sent again, "
-                f"{row['again_messages']} of {counted(row['messages'], 'message')}{requests}.",
+                f"{row['again_messages']:,} of {counted(row['messages'], 'message')}{requests}.",
                 max(byte_share, message_share),
                 remedy=_remedy(row, is_cut=row["group"] in cut),
             )

@@ -332,14 +332,13 @@ def _deadline_remarks(analysis: Analysis, groups: Groups) -> list[str]:
     share = f" ({format_ratio(missed / judged)})" if missed else ""
     remark = (
         f"Deadline of {format_duration(details.deadline_ns)} for the {label}: "
-        f"{format_count(missed)} of {counted(judged, 'message', text=format_count(judged))} missed it{share}"
+        f"{format_count(missed)} of {counted(judged, 'message')} missed it{share}"
     )
     if missed and len(late) > 1:
         worst = max(sorted(late), key=lambda group: late_share(*late[group]))
         remark += f", the largest share in {group_labels(groups)[worst]} ({format_ratio(late_share(*late[worst]))} of its messages)"
     if unsure:
-        more = counted(unsure, "more message", text=format_count(unsure))
-        remark += f". {more} may have, within the clock bound"
+        remark += f". {counted(unsure, 'more message')} may have, within the clock bound"
     return [f"{remark}."]
 
 

@@ -21,7 +21,7 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
     MISSING,
     by_number,
-    counted,
+    first_of,
     format_duration,
     format_number,
     format_rate,
@@ -326,8 +326,7 @@ MOST_NAMED = 3
 
 
 def some_of(parts: Sequence[str], noun: str, one: str = "") -> str:
-    more = len(parts) - MOST_NAMED
-    return "; ".join([*parts[:MOST_NAMED], *([f"and {counted(more, one or noun, noun)}"] if more > 0 else [])])
+    return "; ".join(first_of(parts, MOST_NAMED, one if one and len(parts) == MOST_NAMED + 1 else noun))
 
 
 def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:

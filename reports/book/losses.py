@@ -9,7 +9,7 @@ from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason, is_replacing
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_rate, format_ratio, format_size, joined, mean_size
+from dds_trace.base.units import counted, format_rate, format_ratio, format_size, joined, mean_size
 
 from .groups import (
     MOST_NAMED,
@@ -68,7 +68,9 @@ def cause_sentence(analysis: Analysis, groups: Groups) -> str:
     for code in CAUSES:
         seen = [finding for finding in analysis.findings if finding.code == code and lossy & {*finding.groups}]
         if seen:
-            worst, others = seen[0], f", as in {len(seen) - 1} more" if len(seen) > 1 else ""
+            worst = seen[0]
+            more = sum(finding.count for finding in seen if finding.subject is worst.subject) - 1
+            others = f", as in {counted(more, f'more {worst.subject.value}')}" if more else ""
             action = worst.action.partition(": ")[2] or worst.action
             return printable(f"Seen with losses: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
     return ""

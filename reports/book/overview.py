@@ -12,7 +12,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate, format_size, utc_of
+from dds_trace.base.units import counted, first_of, format_rate, format_size, utc_of
 
 from .groups import (
     VENDORS,
@@ -83,10 +83,7 @@ def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], 
 
 
 def _listed(values: Iterable[str]) -> str:
-    shown = list(values)
-    if len(shown) > MOST_LISTED:
-        shown = [*shown[: MOST_LISTED - 1], f"and {len(shown) - MOST_LISTED + 1} more"]
-    return ", ".join(shown)
+    return ", ".join(first_of([*values], MOST_LISTED))
 
 
 def _messages(analysis: Analysis) -> str:
@@ -98,7 +95,7 @@ def _messages(analysis: Analysis) -> str:
     due, runs = published + unsent, len(analysis.runs)
     share = "all received" if due == received else f"{format_count(received)} received"
     never = f", {format_count(unsent)} never sent" if unsent else ""
-    parts = counted(counts["topic"].n_unique(), "topic") if of_topics else counted(runs, "run", text=format_count(runs))
+    parts = counted(counts["topic"].n_unique(), "topic") if of_topics else counted(runs, "run")
     return f"{format_count(due)} in {parts}, {share}{never}"
 
 

@@ -21,7 +21,7 @@ from dds_trace.analyzer.model.applied import (
 )
 from dds_trace.analyzer.model.environment import middleware_version, versions_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_ratio, three_digits
+from dds_trace.base.units import counted, first_of, format_duration, format_ratio, three_digits
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of
 
@@ -241,7 +241,7 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> tuple[Block, ...
     shown = [*columns][:MOST_COLUMNS]
     sections: dict[str, list[Row]] = {}
     for (section, name), by_column in described.items():
-        values = [_joined(by_column.get(column, {})) for column in shown]
+        values = [" or ".join(first_of([*by_column.get(column, {})], _MOST_VALUES)) for column in shown]
         distinct = [tuple(sorted(texts)) for texts in by_column.values()]
         # Middleware, domain and link are what a campaign varies on purpose.
         unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(texts) > 1 for texts in distinct))
@@ -288,9 +288,3 @@ def _text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return format_count(value) if isinstance(value, int) else printable(value, 200)
-
-
-def _joined(values: dict[str, None]) -> str:
-    shown = list(values)
-    more = [f"and {len(shown) - _MOST_VALUES} more"] if len(shown) > _MOST_VALUES else []
-    return " or ".join(shown[:_MOST_VALUES] + more)

@@ -181,7 +181,7 @@ def _added(cost: Cost | None) -> str:
 
 def _wire_row(book: Contents, group: Group, row: Mapping[str, Any]) -> tuple[str, ...]:
     ratio, rtt_ns = row["bytes_per_payload_byte"], row["tcp_rtt_p50_ns"]
-    messages = f"{row['again_messages']} of {counted(row['messages'], 'message')}"
+    messages = f"{row['again_messages']:,} of {counted(row['messages'], 'message')}"
     segments = counted(row["tcp_retransmitted_segments"], "segment")
     return (
         *_message_cells(book, group),

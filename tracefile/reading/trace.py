@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, first_of
 
 from ..format.descriptions import Run, Session
 from ..format.encoding import decode_string
@@ -217,13 +217,6 @@ class TraceBuilder:
             hint = FOREIGN_HINT if self.topics else ""
             raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]) + hint)
 
-    def _first_notes(self) -> list[str]:
-        more = len(self.notes) - _MOST_NOTES
-        if more <= 0:
-            return self.notes
-        remainder = counted(more, "more note like this", "more notes like these")
-        return [*self.notes[:_MOST_NOTES], f"and {remainder}"]
-
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         self.check()
         for topic, count in self.texts.unreadable.items():
@@ -239,6 +232,6 @@ class TraceBuilder:
             truncated="; ".join(self.truncated) or None,
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,
-            notes=tuple(self._first_notes()),
+            notes=tuple(first_of(self.notes, _MOST_NOTES, "more like these")),
             parts=tuple(self.texts.parts.values()),
         )

@@ -15,7 +15,7 @@ import typer
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
 from dds_trace.base.streams import say
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, first_of
 from dds_trace.cli.program import argument, command, make_app, option
 
 from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
@@ -158,10 +158,8 @@ def shown(answer: Answer) -> list[str]:
     lines.append("By p50 and p99 of the response in fresh runs; `choose` ranks older recordings by a deadline.")
     lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
     lines.append("Candidates, response in the first looks:")
-    for row in answer["candidates"][:MOST_ROWS]:
-        lines.append(f"  {row['text']}" + (f" ({row['dropped']})" if row["dropped"] else ""))
-    further = len(answer["candidates"]) - MOST_ROWS
-    lines += [f"  and {further} more"] if further > 0 else []
+    rows = [row["text"] + (f" ({row['dropped']})" if row["dropped"] else "") for row in answer["candidates"]]
+    lines += [f"  {line}" for line in first_of(rows, MOST_ROWS)]
     last = f"Wrote {answer['folder']}/answer.json"
     return [*lines, last if answer["recommended"] else f"The same command continues in {answer['folder']}"]
 

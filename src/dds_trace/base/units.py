@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 
 from .errors import OptionError
@@ -41,9 +41,13 @@ def by_number(text: str) -> tuple[tuple[str | float, ...], str]:
     return tuple(float(part) if index % 2 else part for index, part in enumerate(_NUMBER.split(text))), text
 
 
-def counted(count: float, singular: str, many: str = "", *, text: str = "") -> str:
-    noun = singular if count == 1 else many or f"{singular}s"
-    return f"{text or count} {noun}"
+def counted(count: float, singular: str, many: str = "") -> str:
+    return f"{count:,} {singular if count == 1 else many or f'{singular}s'}"
+
+
+def first_of(lines: Sequence[str], most: int, more: str = "more") -> list[str]:
+    """Return the first, and how many more."""
+    return [*lines[:most], *([f"and {len(lines) - most:,} {more}"] if len(lines) > most else [])]
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:

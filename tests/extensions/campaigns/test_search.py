@@ -102,12 +102,12 @@ def result(**changes):
         ({"planned": 225, "published": 225, "received": 224}, ""),  # one lost says nothing about 0.1 %
         ({"planned": 225, "published": 225, "received": 223}, "0.889 % lost"),
         ({"achieved_rate_hz": 95.0}, ""),
-        ({"achieved_rate_hz": 94.0}, "94 of 100 messages a second sent"),
-        ({"achieved_rate_hz": None}, "0 of 100 messages a second sent"),
+        ({"achieved_rate_hz": 94.0}, "94 of 100 Hz sent"),
+        ({"achieved_rate_hz": None}, "0 of 100 Hz sent"),
         ({"response_ms": {"p50": 1.0, "p99": 51.0}}, "response p99 51 ms"),
         ({"response_ms": None, "received": 0}, "100 % lost; response p99 inf ms"),
         ({"not_applied": "asked for UDP"}, "not applied: asked for UDP"),
-        ({"cut_off": True, "published": 500, "received": 500}, "cut off after 500 of 1000 messages"),
+        ({"cut_off": True, "published": 500, "received": 500}, "cut off after 500 of 1,000 messages"),
     ],
 )
 def test_conditions_of_a_rate_that_holds(changes, why):

@@ -19,10 +19,10 @@ FLEETING = ("wifi",)
 """Parts of the fingerprint that change from minute to minute."""
 
 
-def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+def flat_fields(host: Mapping[str, object], prefix: str = "", separator: str = ".") -> Iterator[tuple[str, object]]:
     for key, value in host.items():
         if isinstance(value, dict):
-            yield from flat_fields(value, f"{prefix}{key}.")
+            yield from flat_fields(value, f"{prefix}{key}{separator}", separator)
         else:
             yield f"{prefix}{key}", value
 

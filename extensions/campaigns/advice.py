@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.environment import flat_fields
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.ros2.fastdds_profile import Settings, profile_xml, xml_text
@@ -55,17 +56,9 @@ def variables_of(vendor: str, path: Path) -> dict[str, str]:
     assert maker is not None
     variables = dict(maker("rmw_fastrtps_cpp", path.absolute()))
     if vendor == "zenoh":
-        leaves = _leaves(json.loads(path.read_text().partition("\n")[2]))
+        leaves = flat_fields(json.loads(path.read_text().partition("\n")[2]), separator="/")
         variables["ZENOH_CONFIG_OVERRIDE"] = ";".join(f"{name}={json.dumps(value)}" for name, value in leaves)
     return variables
-
-
-def _leaves(settings: Settings, start: str = "") -> Iterator[tuple[str, object]]:
-    for name, value in settings.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{start}{name}/")
-        else:
-            yield f"{start}{name}", value
 
 
 def _receive_bytes() -> int:

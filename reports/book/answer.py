@@ -68,6 +68,7 @@ class PointKind(str, Enum):
     UNDECIDED = "undecided"
     CLIENT_FLOOR = "client floor"
     TAIL = "tail"
+    FLOOR = "floor"
     PLACE = "place"
     BRIDGE = "bridge"
     WHERE = "where"
@@ -167,10 +168,13 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
 def _who_is_fastest(
     fastest: Sequence[Fastest], groups: Groups, medians: Mapping[int, Median], answers: Sequence[CaseAnswer]
 ) -> list[tuple[PointKind, str]]:
+    floors = [group for group in groups.groups if groups.series_of(group).backend == "socket"]
+    is_timed = len(floors) < len(groups.groups) and any(group.index in medians for group in floors)
+    floor = (PointKind.FLOOR, f"Plain sockets, the floor: {_span(floors, medians)}." if is_timed else "")
     if any(kind.is_decided for kind in fastest):
         winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
-        return [*winners, (PointKind.TAIL, tail_sentence(answers, contender_labels(answers, groups.vendors)))]
-    return [(PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, answers)]
+        return [*winners, (PointKind.TAIL, tail_sentence(answers, contender_labels(answers, groups.vendors))), floor]
+    return [*((PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, answers)), floor]
 
 
 def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:
@@ -193,13 +197,10 @@ def _why_undecided(
 ) -> list[str]:
     if fastest:
         return _no_winner(answers, groups.vendors)
-    floors = [group for group in groups.groups if groups.series_of(group).backend == "socket"]
-    others = [group for group in groups.groups if group not in floors] or floors
+    others = [group for group in groups.groups if groups.series_of(group).backend != "socket"] or groups.groups
     vendors = sorted({groups.series_of(group).vendor_label for group in others})
-    timed = any(group.index in medians for group in floors)
     if len(vendors) == 1:
-        floor = f" (plain sockets, the floor: {_span(floors, medians)})" if timed and others != floors else ""
-        return [f"{_levels(others, groups, medians)}{floor}.", "No other middleware was measured."]
+        return [f"{_levels(others, groups, medians)}.", "No other middleware was measured."]
     why = "One middleware per setting was measured, so there is no ranking."
     if not answers:
         why = f"{joined(vendors)} are not ranked, because that needs the rows of all messages."

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
-from dds_trace.base.units import SECOND_NS, clock_words, counted, format_duration
+from dds_trace.base.units import SECOND_NS, clock_words, counted, first_of, format_duration
 
 from .bounds import DAY_NS, FEWEST, SHOWN
 from .chains import Link, Stamped, find_links
@@ -18,7 +18,7 @@ from .holes import Holes
 from .losses import Losses, TopicTimes, resolution_ns
 from .messages import TopicMessages, counts_of_recorder, leave_out_shared_numbers, run_on_after_resets
 from .neighbours import find_silences
-from .observations import Observation, has_losses, noted, observe, rhythm_notes
+from .observations import Observation, has_losses, observe, rhythm_notes
 from .periods import Int64
 from .quantiles import median, named_quantile, spread
 from .read import copied_messages
@@ -170,14 +170,6 @@ class RecordingHealth:
     certain: bool = False
 
 
-def _silent_topics(condition: Condition, columns: Sequence[TopicMessages]) -> Iterator[str]:
-    silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
-    if silent:
-        first = silent[:SHOWN]
-        more = f" and {len(silent) - len(first)} more" if len(silent) > len(first) else ""
-        yield f"no message of {', '.join(first)}{more}"
-
-
 class Card:
     """What is said of one recording: its health, rows of topics, holes, strips and observations."""
 
@@ -192,9 +184,10 @@ class Card:
         self.strips: list[tuple[float, ...]] = []
         self.observed: list[Observation] = []
         losses, pauses, readable = self._weigh(columns, condition) if columns else ([], Holes(), 0)
-        for words in _silent_topics(condition, columns):
-            self._note(words)
-        self.observed += noted(self._notes)
+        silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
+        if silent:
+            self._note(f"no message of {', '.join(first_of(silent, SHOWN))}")
+        self.observed += [Observation(note.topic, note.kind, words=note.words) for note in self._notes]
         duration_ns, paused_ns = self._end_ns - self._start_ns, int(pauses.duration_ns.sum())
         is_doubtful = np.ones(len(pauses), np.bool_)
         for loss in losses:
@@ -211,12 +204,7 @@ class Card:
             1 - paused_ns / duration_ns if duration_ns else 1.0,
             tuple(condition.damages),
             tuple(note.words for note in self._notes),
-            tuple(
-                zip(
-                    *((part / SECOND_NS).tolist() for part in (pauses.start_ns - self._start_ns, pauses.duration_ns)),
-                    strict=True,
-                )
-            ),
+            tuple(pauses.seconds(self._start_ns)),
             readable,
             tuple(is_doubtful.tolist()),
             is_certain,

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dds_trace.base.units import SECOND_NS
+
 Int64 = NDArray[np.int64]
 
 
@@ -31,6 +33,10 @@ class Holes:
     def end_ns(self) -> Int64:
         return self.start_ns + self.duration_ns
 
+    def seconds(self, start_ns: int) -> list[tuple[float, float]]:
+        times_ns = np.stack([self.start_ns - start_ns, self.duration_ns], axis=1)
+        return [(start_s, duration_s) for start_s, duration_s in (times_ns / SECOND_NS).tolist()]
+
     def at(self, selected: NDArray[np.bool_] | Int64) -> Holes:
         return Holes(*(column[selected] for column in (self.start_ns, self.duration_ns, self.missing, self.low)))
 
@@ -47,6 +53,14 @@ class Holes:
         start, *others = (np.concatenate([getattr(part, name) for part in columns[1]]) for name in columns[0])
         order = np.argsort(start, kind="stable")
         return Holes(start[order], *(column[order] for column in others))
+
+    @staticmethod
+    def due(last_ns: Int64, wait_ns: Int64, period_ns: float, missing: Int64, low: Int64) -> Holes:
+        """Return holes that begin when a message was due."""
+        start, duration = (
+            np.rint(times_ns).astype(np.int64) for times_ns in (last_ns + period_ns, wait_ns - period_ns)
+        )
+        return Holes(start, np.maximum(duration, 0), missing, low)
 
     @staticmethod
     def between(starts_ns: Sequence[int], ends_ns: Sequence[int]) -> Holes:

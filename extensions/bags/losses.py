@@ -146,7 +146,10 @@ class TopicTimes:
                     is_jump = (steps > 1) & is_possible
                     usual = usual_steps(steps)
                     least = steps - 1 if usual is None else np.maximum(steps // usual - 1, 0)
-                    jumps.append(Holes(*(row[is_jump] for row in (logged_ns[:-1], waits_ns, steps - 1, least))))
+                    last_ns, wait_ns, missing, low = (
+                        row[is_jump] for row in (logged_ns[:-1], waits_ns, steps - 1, least)
+                    )
+                    jumps.append(Holes.due(last_ns, wait_ns, usual_ns, missing, low))
         holes = Holes.of(jumps)
         high, low = (max(int(count.sum()) - len(self.left_out_ns), 0) for count in (holes.missing, holes.low))
         if not jumps or not (high or self.is_ros1):
@@ -211,10 +214,7 @@ class TopicTimes:
         lacking = lacking if total else lacking * 0
         selected_holes = lacking > 0
         at, lacking, least = at[selected_holes], lacking[selected_holes], least[selected_holes]
-        duration_ns = np.maximum(log_steps_ns[at] - period_ns, lacking * period_ns)
-        holes = Holes(
-            np.rint(log_ns[at] + period_ns).astype(np.int64), np.rint(duration_ns).astype(np.int64), lacking, least
-        )
+        holes = Holes.due(log_ns[at], log_steps_ns[at], period_ns, lacking, least)
         return Regularity(period_ns, 1, spread(steps_ns[steps == 1]), total, low, total, holes=Holes.of([holes]))
 
     def by_arrival(self) -> Reading | None:

@@ -1,4 +1,4 @@
-"""What is said of a recording, in one frame: what was seen, what is counted, what explains it.
+"""What is said of a recording, in one frame.
 
 `seen` rests on times, numbers, stamps and sizes alone: a hole with its place, and in words regular gaps and changes of the rate. `counted` is what a reading shows to be missing, within `low` to
 `high`; the reading `all` is their union, and messages are missing where its `low` is above 0. `explained` is a test that its rivals fail.
@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from dds_trace.analyzer.model.metrics import frame_schema
-from dds_trace.base.units import SECOND_NS, clock_words, counted, format_rate
+from dds_trace.base.units import SECOND_NS, clock_words, counted, first_of, format_rate
 
 from .bounds import FEWEST, MOST, NEAR, PATTERN, SHOWN
 from .clocks import Note
@@ -61,14 +61,9 @@ def observe(topic: str, losses: Losses, start_ns: int) -> Iterator[Observation]:
         if losses.readings:
             yield Observation(topic, "counted", name, low, high, words=READ_BY[name])
     holes = losses.holes.at(np.sort(np.argsort(-losses.holes.duration_ns, kind="stable")[:_MOST_HOLES]))
-    seconds = ((times_ns / SECOND_NS).tolist() for times_ns in (holes.start_ns - start_ns, holes.duration_ns))
-    for low, missing, start_s, duration_s in zip(holes.low.tolist(), holes.missing.tolist(), *seconds, strict=True):
+    counts = zip(holes.low.tolist(), holes.missing.tolist(), holes.seconds(start_ns), strict=True)
+    for low, missing, (start_s, duration_s) in counts:
         yield Observation(topic, "seen", losses.evidence, low, missing, start_s, duration_s, "nothing came")
-
-
-def noted(notes: Sequence[Note]) -> Iterator[Observation]:
-    for note in notes:
-        yield Observation(note.topic, note.kind, words=note.words)
 
 
 def regular_gaps(times_ns: Int64) -> tuple[int, int] | None:
@@ -107,8 +102,7 @@ def rhythm_notes(topic: str, times: TopicTimes, start_ns: int) -> Iterator[Note]
     (_, first_hz), *others = rate_stretches(times.log_ns) or [(0, 0.0)]
     if others:
         changes = [f"{format_rate(hz)} from {clock_words((at - start_ns) / SECOND_NS)}" for at, hz in others]
-        more = f" and {counted(len(changes) - SHOWN, 'more change')}" if len(changes) > SHOWN else ""
-        yield Note(f"{topic}: {format_rate(first_hz)}, then {', '.join(changes[:SHOWN])}{more}", topic, "seen")
+        yield Note(f"{topic}: {format_rate(first_hz)}, then {', '.join(first_of(changes, SHOWN))}", topic, "seen")
 
 
 def has_losses(observations: Sequence[Observation]) -> bool:

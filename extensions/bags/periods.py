@@ -1,4 +1,4 @@
-"""How regular the arrival of a topic is, and so how many messages are missing, and where.
+"""How regular a topic arrives, and so how many messages are missing, and where.
 
 A publisher with a timer sends one message a period: an interval of k periods lacks k - 1. Several publishers on one topic, or a driver
 that sends batches, repeat a pattern of m messages.
@@ -318,12 +318,7 @@ def _one_rate(times_ns: Int64, ratio: Float64, period_ns: float, *, has_phase: b
         missing,
         max(missing - max(fewer + unsure, still), 0),
         missing + more + unsure,
-        holes=Holes(
-            np.rint(times_ns[gaps] + period_ns).astype(np.int64),
-            np.rint(intervals_ns[gaps] - period_ns).astype(np.int64),
-            steps[gaps] - 1,
-            least,
-        ),
+        holes=Holes.due(times_ns[gaps], intervals_ns[gaps], period_ns, steps[gaps] - 1, least),
     )
 
 
@@ -420,12 +415,7 @@ def _several(times_ns: Int64, intervals_ns: Int64, ordered_ns: Int64, period_ns:
         missing,
         max(min(missing, seen) - unsure, 0),
         max(most, missing) + unsure,
-        holes=Holes(
-            np.rint(times_ns[gaps] + usual_ns).astype(np.int64),
-            np.rint(intervals_ns[gaps] - usual_ns).astype(np.int64),
-            lost,
-            lost,
-        ),
+        holes=Holes.due(times_ns[gaps], intervals_ns[gaps], usual_ns, lost, lost),
     )
 
 

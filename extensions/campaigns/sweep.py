@@ -97,7 +97,7 @@ def run_sweep(
         for warning in depth_warnings(plan):
             progress.note(warning)
         cells = [cell for group in groups for cell in group.cells]
-        if plan.relay.ssh is not None and command is None:
+        if plan.relay.ssh is not None and not plan.by_hand and command is None:
             compare_clocks(plan, runner.station, folder, progress.note)
         runner.run(groups)
         too_wide: dict[str, float] = {}
@@ -163,7 +163,7 @@ MARK = "your clocks differ"
 
 
 def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[str], None]) -> None:
-    """Note how the clocks of all pairs of devices differ, on the plan's first backend with discovery; a failure stops no sweep."""
+    """Note how the devices' clocks differ, on the first backend with discovery; a failure stops no sweep."""
     backends = (cell.backend for cell in plan.cells if not cell.environment)
     backend = next((name for name in backends if load_backend(name).meeting is Meeting.DISCOVERY), None)
     if backend is None:

@@ -21,6 +21,7 @@ from .search import MaxRate, RateAnswer
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 
 _ROW_PX, _BAR_PX, _TOP_PX, _CHARACTER_PX = 22, 420, 58, 7
+_MOST_SAID = 80
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
@@ -69,15 +70,17 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
     labels = [_label(highest.cell) for highest in answers]
+    said = [printable(_rate_words(highest), _MOST_SAID) for highest in answers]
     left = 20 + _CHARACTER_PX * max(map(len, labels), default=0)
     bottom = _TOP_PX + _ROW_PX * len(answers)
-    lines = [_HEAD.format(width=max(left + _BAR_PX + 260, 640), height=bottom + 46, search=search)]
+    right = left + _BAR_PX + 20 + _CHARACTER_PX * max(map(len, said), default=0)
+    lines = [_HEAD.format(width=max(right, 640), height=bottom + 46, search=search)]
     lines += [
         _TICK.format(x=left + _x(rate_hz, search), top=_TOP_PX - 6, bottom=bottom, text_y=bottom + 16, rate_hz=rate_hz)
         for rate_hz in _ticks(search)
     ]
     lines.append(_AXIS.format(x=left + _BAR_PX / 2, y=bottom + 36))
-    for row, (highest, label) in enumerate(zip(answers, labels, strict=True)):
+    for row, (highest, label, words) in enumerate(zip(answers, labels, said, strict=True)):
         has_rate = highest.answer in (RateAnswer.FOUND, RateAnswer.AT_LEAST)
         width = _x(highest.cell.rate, search) if has_rate else 2
         y = _TOP_PX + _ROW_PX * row
@@ -85,7 +88,7 @@ def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
         lines.append(
             _BAR.format(
                 label=escape(label),
-                said=escape(printable(_rate_words(highest), MAX_FINDING_CHARACTERS)),
+                said=escape(words),
                 label_x=left - 8,
                 x=left,
                 y=y,

@@ -1,15 +1,16 @@
-"""Two recordings side by side, topic by topic: types, messages, rates, what is missing, ages; and limits of their changes."""
+"""Two recordings side by side, topic by topic, and limits of their changes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from dds_trace.base.errors import OptionError, TraceError
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted
+from dds_trace.base.units import MISSING, SECOND_NS, counted, first_of, format_rate
 from dds_trace.extensions.gates.gate import Against, Gate, GateOutcome, parse_topic_gate
 from dds_trace.extensions.gates.gates import overall_outcome, result_of
 from dds_trace.extensions.gates.limits_file import read_limits
@@ -17,9 +18,10 @@ from dds_trace.reports import blocks
 from dds_trace.reports.blocks import MARKDOWN, Column, Heading, Points, Row, Section, Sentence, Table
 
 from .analyze import TopicReport, analyze_topics
+from .bounds import FEW, SHOWN, WINDOW
 from .card import DAMAGED, EMPTY
-from .clocks import and_more
 from .limits import JudgedTopic, judge_topics
+from .losses import quiet_ns
 from .messages import find_recordings
 from .recover import is_of_others
 from .report import (
@@ -31,8 +33,14 @@ from .report import (
     judged_blocks,
     missing_words,
     rate_words,
+    rest_ns,
+    seconds_words,
     verdict_words,
 )
+
+Change: TypeAlias = tuple[float, str] | None
+"""Its size, and words after the name of a topic."""
+_SEEN = 0.0, ""
 
 _COLUMNS = ("Topic", "Rate", "Missing", "Messages", "Age", "Type")
 _IS_THERE = Gate("every topic of the base is there", "received_ratio", "", "<=", Against.NEW, 0.0)
@@ -51,7 +59,7 @@ def are_drives(*sides: Path) -> bool:
 def compare_drives(
     base: Path, new: Path, texts: Sequence[str], limits_file: Path | None, *, allow_missing: bool
 ) -> DriveComparison:
-    """Compare a recording with another one and judge what changed; an `OptionError` for several recordings or a limit that is none of topics."""
+    """Compare two recordings and judge what changed; an `OptionError` for several on a side or a limit that is none of topics."""
     gates = [parse_topic_gate(text, of_two=True) for text in texts]
     gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
     comparison = DriveComparison((base, new), (_only_recording(base), _only_recording(new)))
@@ -111,7 +119,9 @@ class DriveComparison(blocks.Report):
             facts.append(
                 f"{printable(str(path))}: {verdict_words(health, rows)}{ended_words(health, rows)} {facts_words(health, len(rows))}"
             )
-        headline = " ".join(self._changes()) or "No topic is gone, or known to lack a larger share of its messages."
+        headline = (
+            " ".join(self._changes()) or "No topic is gone, at another rate, silent for longer, or known to lack more."
+        )
         summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
@@ -122,10 +132,21 @@ class DriveComparison(blocks.Report):
     def _changes(self) -> Iterator[str]:
         if DAMAGED in (report.verdict for report in self.reports):
             yield "Only what can be read of a damaged recording is compared."
-        for words, is_so in _CHANGES:
-            names = [printable(name) for name, rows in self.topics.items() if is_so(*rows)]
-            if names:
-                yield words.format(and_more(names))
+        for words, change_of in (*_CHANGES, ("Longest time without a message: {}.", self._silence)):
+            changes = [(*change, name) for name, rows in self.topics.items() if (change := change_of(*rows))]
+            changes.sort(key=lambda change: -change[0])
+            topics = [f"{printable(name)}{how}" for _, how, name in changes]
+            if topics:
+                yield words.format(", ".join(first_of(topics, SHOWN)))
+
+    def _silence(self, *rows: TopicRow | None) -> Change:
+        """Compare the longest silences of a steady topic."""
+        sides = [(row, report.recordings[0]) for row, report in zip(rows, self.reports, strict=True) if row]
+        silent_ns = [max(row["gap_max_ns"] or 0, rest_ns(row, health)) for row, health in sides]
+        rates_hz = [row["expected_rate_hz"] for row, _ in sides if row["expected_rate_hz"]]
+        if len(sides) < 2 or not rates_hz or silent_ns[1] <= max(2 * silent_ns[0], quiet_ns(SECOND_NS / min(rates_hz))):
+            return None
+        return silent_ns[1], f" {' → '.join(seconds_words(ns / SECOND_NS) for ns in silent_ns)}"
 
     def _row(self, name: str, rows: Sequence[TopicRow | None]) -> Row:
         sides = [_cells(row) for row in rows]
@@ -133,18 +154,31 @@ class DriveComparison(blocks.Report):
         return Row([printable(name), *changed])
 
 
-def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> bool:
+def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> Change:
     if not was or not now or None in (was["missing"], now["missing"]):
-        return False
+        return None
     most, least = was["missing_high"], now["missing_low"]
-    return bool(least / (now["messages"] + least) > most / (was["messages"] + most))
+    return _SEEN if least / (now["messages"] + least) > most / (was["messages"] + most) else None
 
 
-_CHANGES: tuple[tuple[str, Callable[[TopicRow | None, TopicRow | None], bool]], ...] = (
-    ("Gone on the new side: {}.", lambda _, now: now is None),
-    ("New there: {}.", lambda was, _: was is None),
+def _rate(was: TopicRow | None, now: TopicRow | None) -> Change:
+    """Compare rates; of an unsteady topic by the median interval."""
+    if not was or not now or min(was["messages"], now["messages"]) < WINDOW:
+        return None
+    bound, rates_hz = 1 + FEW, [row["expected_rate_hz"] or 0.0 for row in (was, now)]
+    if not all(rates_hz):
+        bound, rates_hz = 2, [SECOND_NS / (row["period_p50_ns"] or math.inf) for row in (was, now)]
+    ratio = rates_hz[1] / rates_hz[0] if all(rates_hz) else 1.0
+    words = f" {' → '.join(map(format_rate, rates_hz))} ({100 * (ratio - 1):+.3g} %)"
+    return None if 1 / bound <= ratio <= bound else (abs(math.log(ratio)), words)
+
+
+_CHANGES: tuple[tuple[str, Callable[[TopicRow | None, TopicRow | None], Change]], ...] = (
+    ("Gone on the new side: {}.", lambda _, now: None if now else _SEEN),
+    ("New there: {}.", lambda was, _: None if was else _SEEN),
     ("A larger share of messages is missing on {}.", _lacks_more),
     ("A smaller share of messages is missing on {}.", lambda was, now: _lacks_more(now, was)),
+    ("Another rate: {}.", _rate),
 )
 
 

@@ -40,6 +40,7 @@ def test_both_sides_are_shown_by_topic(drives):
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
     for words in (
         "Gone on the new side: /tf. New there: /odom. A larger share of messages is missing on /camera.",
+        "/camera. Another rate: /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /camera 50 ms → 3.05 s.",
         "2 topics on both sides, 2 on one",
         "50 Hz → - | 0 → -",
         "100 Hz → 90 Hz | 0",

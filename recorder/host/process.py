@@ -189,11 +189,15 @@ def stop_at_signals() -> StopEvent:
         os._exit(128 + number)
 
     threading.Thread(target=set_at_first, name="stop-signals", daemon=True).start()
-    for number in (*STOP_SIGNALS, signal.SIGXCPU):
-        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-            continue
+    for number in (*unignored_stop_signals(), signal.SIGXCPU):
         signal.signal(number, lambda number, _: received.put(number))
     return stop
+
+
+def unignored_stop_signals() -> list[signal.Signals]:
+    """Return `STOP_SIGNALS`, without SIGHUP under `nohup`; a shell's background job ignores SIGINT, too."""
+    is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in STOP_SIGNALS if number != signal.SIGHUP or not is_nohup]
 
 
 def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:

@@ -31,6 +31,9 @@ INCOMPLETE_EXIT_CODE = 10
 INTERRUPTED_EXIT_CODE = 130
 """Exit code after Ctrl-C, as shells report it."""
 
+AGAIN_S = 0.05
+"""Time after which a lost interrupt is raised again."""
+
 PlanPath = Annotated[Path, argument("PLAN", "TOML file, e.g. plans/quick.toml.")]
 Out = Annotated[
     Path, option("--out FOLDER", "Folder for the traces, in OUT/NAME with the name of the plan.", show_default=True)
@@ -55,11 +58,20 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
 
 
 def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool = False) -> NoReturn:
+    """Exit with the code of `run`, or by a stop signal, which is raised again where a destructor or a callback lost it."""
+    from dds_trace.recorder.host.process import unignored_stop_signals
+
+    def raise_again(lost: sys.UnraisableHookArgs) -> None:
+        if issubclass(lost.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        else:
+            sys.__unraisablehook__(lost)
+
     if analyzes:
         import_module("polars")  # before hours of recording
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-            signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = raise_again
+    for number in (*unignored_stop_signals(), signal.SIGALRM):
+        signal.signal(number, signal.default_int_handler)
     try:
         with given_to_caller(out):
             code = run()

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -36,6 +36,9 @@ FIELDS = ("data", "size", "rate", "deadline", "in_time", "minutes", "host", "lin
 
 MOST_EARLIER, MOST_ANSWER_BYTES = 20, 1 << 20
 """Earlier answers that are shown, the newest ones, and the largest file of one."""
+
+LOOK_S = 1.0
+"""Longest wait at a time: a signal just before it, or to another thread, does not end it."""
 
 _PAGE, _HTML = __name__.rpartition(".")[0], "text/html"
 _REPORT = "dds_trace.reports.html"
@@ -73,11 +76,7 @@ class Row:
 
 
 class Desk:
-    """One question at a time, its progress, and the answers in a folder.
-
-    Args:
-        search: as `dds_trace.extensions.campaigns.answer.answer`.
-    """
+    """One question at a time, its progress, and the answers in a folder; `search` is as `answer`."""
 
     def __init__(self, out: Path, search: Callable[..., dict[str, Any]] = answer) -> None:
         self._out, self._search = out, search
@@ -86,13 +85,12 @@ class Desk:
         self._rows: dict[str, Row] = {}
         self._shown: dict[str, Any] = {"running": False, "note": "", "error": "", "answer": None}
         self._earlier = self._read_earlier()
-        self._machine = b""
         text = partial(asset, _PAGE)
         self.answers: Mapping[str, Callable[[], Answer]] = {
             "/": lambda: (_HTML, text("studio.html").encode(), ""),
             "/studio.css": lambda: ("text/css", (asset(_REPORT, "page.css") + text("studio.css")).encode(), ""),
             "/studio.js": lambda: ("text/javascript", (asset(_REPORT, "theme.js") + text("studio.js")).encode(), ""),
-            "/machine": self._machine_answer,
+            "/machine": cache(lambda: _json({"middlewares": list(middleware_checks()), "links": list(PRESETS)})),
             "/state": self._state,
             "/settings": self._settings,
         }
@@ -101,7 +99,10 @@ class Desk:
     def work(self) -> NoReturn:
         """Answer questions until the process is interrupted."""
         while True:
-            question = self._questions.get()
+            try:
+                question = self._questions.get(timeout=LOOK_S)
+            except queue.Empty:
+                continue
             try:
                 result = self._search(question, self._out, self._tell)
                 self._show(running=False, note="", answer=result)
@@ -161,11 +162,6 @@ class Desk:
             rows = sorted(self._rows.values(), key=lambda row: row.rank)
             return _json({**self._shown, "rows": [row.to_dict() for row in rows], "earlier": self._earlier})
 
-    def _machine_answer(self) -> Answer:
-        if not self._machine:
-            self._machine = _json({"middlewares": list(middleware_checks()), "links": list(PRESETS)})[1]
-        return "application/json", self._machine, ""
-
     def _settings(self) -> Answer:
         """Return the file of settings of this session's answer: the search itself has named it."""
         with self._lock:
@@ -200,11 +196,7 @@ def _earlier(name: str, stored: Mapping[str, Any]) -> dict[str, object]:
 
 
 def question_of(form: Mapping[str, str]) -> Question:
-    """Return the question of a form.
-
-    Raises:
-        OptionError: a value is wrong.
-    """
+    """Return the question of a form; an `OptionError` names a wrong value."""
     if not form["rate"]:
         raise OptionError("--rate: give the messages a second, such as 20")
     if "/" in form["host"] or form["host"].endswith(".toml") or form["link"] not in ("", *PRESETS):

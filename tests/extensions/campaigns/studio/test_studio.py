@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from browser import violations
-from processes import RunningCommand
+from processes import running
 from waiting import PATIENCE_S, wait_until
 
 from dds_trace.base.errors import BackendUnavailableError, OutputError, TraceError
@@ -316,10 +316,17 @@ def test_a_closed_tab_ends_nothing_and_a_second_one_joins(served, search, new_ta
     assert len(search.asked) == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_terminal_ends_it(tmp_path, number):
+BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$0" "$@"')
+"""A shell without jobs starts `command &` in this way, and all that this starts has SIGINT ignored."""
+
+
+@pytest.mark.parametrize(
+    ("number", "prefix"), [(signal.SIGINT, ()), (signal.SIGINT, BACKGROUND), (signal.SIGTERM, BACKGROUND)]
+)
+def test_the_terminal_ends_it(tmp_path, number, prefix):
     """Cold: a library that is imported takes SIGINT for itself."""
-    with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path, environment={"COLD": "1"}) as studio:
+    words = ("dds-trace", "studio", "--port", 0, "--out", tmp_path)
+    with running(*words, environment={"COLD": "1"}, prefix=prefix) as studio:
         wait_until(lambda: studio.printed)
         assert studio.stop(number).status == 130
 
@@ -328,7 +335,7 @@ def test_the_terminal_ends_it(tmp_path, number):
 @pytest.mark.middleware
 @pytest.mark.browser
 def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_path, new_tab):
-    with ended("dds-trace", "studio", "--port", 0, "--out", tmp_path / "runs", environment={"COLD": "1"}) as studio:
+    with running("dds-trace", "studio", "--port", 0, "--out", tmp_path / "runs", environment={"COLD": "1"}) as studio:
         address = re.search(r"http://\S+", wait_until(lambda: "".join(studio.printed)))[0]
         new_tab.goto(address)
         for name, text in {"size": "1KB", "rate": "50", "minutes": "2"}.items():
@@ -338,15 +345,6 @@ def test_a_search_with_real_middlewares_is_shown_and_ends_with_the_terminal(tmp_
         assert new_tab.locator("#candidates tbody tr").count() >= 2
         assert studio.stop(signal.SIGINT).status == 130
     assert list((tmp_path / "runs").glob("*/answer.json"))
-
-
-@contextmanager
-def ended(*arguments, **more):
-    command = RunningCommand(*arguments, **more)
-    try:
-        yield command
-    finally:
-        command.clean_up()
 
 
 def test_the_made_search_takes_what_the_real_one_takes():

@@ -75,16 +75,7 @@ WIRE_TOPIC = "/dds_trace/wire"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventColumns:
-    """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
-
-    Attributes:
-        sequence: number of the message within its run.
-        monotonic_ns: CLOCK_MONOTONIC of the recording device.
-        scheduled_ns: T0 on the same clock (T1 only, else 0).
-        source_ns, received_ns: the middleware's source and reception time stamps, ns since 1970; 0 if unknown.
-        payload_bytes: application bytes.
-        relay_id: 0 on T1.
-    """
+    """Events of one stage (`TraceEvent` of docs/trace-format.md) as columns of equal length, in file order."""
 
     run_id: NDArray[np.uint64]
     sequence: NDArray[np.uint64]

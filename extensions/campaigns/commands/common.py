@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -63,21 +64,25 @@ def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool =
 
     def raise_again(lost: sys.UnraisableHookArgs) -> None:
         if issubclass(lost.exc_type, KeyboardInterrupt):
-            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+            again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
+            again.daemon = True
+            again.start()
         else:
-            sys.__unraisablehook__(lost)
+            hook(lost)
 
     if analyzes:
         import_module("polars")  # before hours of recording
-    sys.unraisablehook = raise_again
-    for number in (*unignored_stop_signals(), signal.SIGALRM):
+    for number in unignored_stop_signals():
         signal.signal(number, signal.default_int_handler)
+    hook, sys.unraisablehook = sys.unraisablehook, raise_again
     try:
         with given_to_caller(out):
             code = run()
     except KeyboardInterrupt:
         print("Interrupted; the same command continues here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
+    finally:
+        sys.unraisablehook = hook
     raise typer.Exit(code)
 
 

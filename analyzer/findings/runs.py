@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 
@@ -15,8 +15,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from ..clocks.boots import ping_boots, share_boot
 from ..groups.summary import Summary
 from ..model.finding import Subject
-from ..model.setting import parse_setting, setting_of
-from ..pairing.exchanges import Exchange, Unplaced
+from ..pairing.exchanges import UNREQUESTED, Exchange, Unplaced, answered_together, requested_relays
 from ..pairing.one_way import fit_devices, segment_table
 from .evidence import Evidence, Observation, error, exchange_name, note, some, warning
 from .rows import Rows, frame_of, in_run, named
@@ -255,17 +254,12 @@ def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
         if exchange.took_part and exchange.relay is not None:
             relays[exchange.run.run_id, exchange.relay.device].append(exchange)
     for (run_id, device), exchanges in relays.items():
-        if len(exchanges) > 1 and not _answered_together(exchanges):
+        if len(exchanges) > 1 and not answered_together(exchanges):
             listed = some(f"{exchange.relay_id:08x}" for exchange in exchanges)
             yield evidence.run(
                 run_id,
                 f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was restarted.",
             )
-
-
-def _answered_together(exchanges: Sequence[Exchange]) -> bool:
-    spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
-    return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)
 
 
 @warning(
@@ -281,17 +275,23 @@ def unrequested_relays(evidence: Evidence) -> Iterator[Observation]:
         if exchange.replied_ns is not None and group not in evidence.beacons:
             exchanges_of[exchange.run.run_id].append(exchange)
             groups_of[exchange.run.run_id][group] = None
+    left_out: dict[int, list[str]] = defaultdict(list)
+    for unplaced in evidence.exchanges.unplaced:
+        if unplaced.reason == UNREQUESTED:
+            left_out[unplaced.run_id].append(f"relay {unplaced.relay_id:08x}")
     for run_id, exchanges in exchanges_of.items():
-        settings = parse_setting(setting_of(exchanges[0].run, exchanges[0].ping, None))
-        requested = settings.get("relays", "1")
-        if requested.isdecimal() and len(exchanges) > int(requested) and _answered_together(exchanges):
-            listed = some(exchange_name(exchange).partition(", ")[2] for exchange in exchanges)
+        strangers, requested = left_out[run_id], requested_relays(exchanges[0])
+        answering = [*(exchange_name(exchange).partition(", ")[2] for exchange in exchanges), *strangers]
+        if len(answering) > requested and answered_together(exchanges):
+            counting = "each message counts once for each of them"
+            if strangers:
+                counting = f"without a trace here, the replies of {some(strangers)} are left out"
             yield Observation(
                 evidence.run_name(run_id),
-                f"{len(exchanges)} relays answered together ({listed}), and the ping was to wait for {requested}: each message "
-                "counts once for each of them, and each is the load of the others.",
+                f"{len(answering)} relays answered together ({some(answering)}), and the ping was to wait for {requested}: "
+                f"{counting}, and each is the load of the others.",
                 tuple(groups_of[run_id]),
-                blanks={"relays": len(exchanges)},
+                blanks={"relays": len(answering)},
             )
 
 

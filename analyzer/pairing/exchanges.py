@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from ..loading.campaign import Campaign
 from ..loading.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..model.environment import environment_of, versions_apart, versions_of
 from ..model.parameters import Parameters, parameters_of
+from ..model.setting import parse_setting, setting_of
 
 OVERLAP_NS = 1_000_000_000
 """Least common time of two runs, as NTP slews wall clocks, unless one goes on in the middle of the other."""
@@ -92,6 +94,8 @@ Parts = tuple[EventPart, ...]
 """The traces that have events of one stage, run and relay."""
 
 
+UNREQUESTED = "unrequested_relay"
+"""Why replies of a relay that nobody asked for are left out."""
 NO_RELAY = 0
 _NAMES_NO_RELAY = frozenset((NO_RELAY, (1 << 32) - 1))
 
@@ -209,6 +213,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
         relays, surplus = _within_bounds(every_relay, _count(t1))
         if surplus:
             unplaced.append(_unplaced("too_many_relays", run_id, NO_RELAY, surplus))
+        answers: list[Exchange] = []
         for relay_id, stages in sorted(relays.items()) or [(NO_RELAY, {})]:
             t2, t3, t4 = (stages.get(stage, ()) for stage in (Stage.T2, Stage.T3, Stage.T4))
             first_ns = _first_ns(t3 or t4)
@@ -221,11 +226,11 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             first_ns, last_ns = _first_ns(t1), max(part.last_ns for part in t1)
             start_ns, end_ns = ping.wall_ns(first_ns), ping.wall_ns(last_ns)
             replied_ns = (_first_ns(t2), max(part.last_ns for part in t2)) if t2 else None
-            placed.append(
-                Exchange(
-                    run, ping, relay_id, relay, start_ns, end_ns, counts, relays=len(relays) or 1, replied_ns=replied_ns
-                )
-            )
+            answers.append(Exchange(run, ping, relay_id, relay, start_ns, end_ns, counts, replied_ns=replied_ns))
+        strangers = _strangers(answers)
+        unplaced += (_unplaced(UNREQUESTED, run_id, name, relays[name].values()) for name in strangers)
+        answers = [exchange for exchange in answers if exchange.relay_id not in strangers]
+        placed += (replace(exchange, relays=len(answers)) for exchange in answers)
     if not placed and not any(stage is Stage.TAP for stage, _, _ in campaign.events):
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed_keys = {key for exchange in placed for key in exchange.event_keys()}
@@ -238,6 +243,29 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     placed = _apart_by_version(placed)
     placed.sort(key=lambda exchange: (exchange.start_ns, exchange.run.run_id, exchange.relay_id))
     return Exchanges(tuple(placed), tuple(unplaced), tuple(doubts), tuple(copies))
+
+
+def answered_together(exchanges: Sequence[Exchange]) -> bool:
+    spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
+    return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)
+
+
+def requested_relays(exchange: Exchange) -> float:
+    requested = parse_setting(setting_of(exchange.run, exchange.ping, None)).get("relays", "1")
+    return int(requested) if requested.isdecimal() else math.inf
+
+
+def _strangers(answers: Sequence[Exchange]) -> list[int]:
+    """Return the relays without a trace here that answered together with as many as were asked for, which have one."""
+    recorded = [exchange for exchange in answers if exchange.relay is not None]
+    is_beacon = answers[0].run.labels.get("role") == "beacon"
+    if is_beacon or not 0 < len(recorded) < len(answers) or len(recorded) < requested_relays(recorded[0]):
+        return []
+    return [
+        exchange.relay_id
+        for exchange in answers
+        if exchange.relay is None and any(answered_together((exchange, other)) for other in recorded)
+    ]
 
 
 def _apart_by_version(exchanges: Sequence[Exchange]) -> list[Exchange]:

@@ -4,7 +4,7 @@ The traces that it "records" are copies of files that the test has written with 
 them may ever be shown as a result. In the folder `STAND_IN_FOLDER` it finds
 
     script.json    {"CELL": ["fail", "ok"], "relay": ["die"]}: what to do, one entry a start; after that as usual
-    traces/        ok-0.mcap, ok-1.mcap ... (taken one after the other), half.mcap, slow.mcap, loses.mcap, relay.mcap, lossy.mcap
+    traces/        ok-0.mcap, ok-1.mcap ... (taken one after the other), half.mcap, slow.mcap, loses.mcap, both.mcap, relay.mcap, lossy.mcap
 
 and there it notes every start in `starts.jsonl`. It needs the standard library alone, so that a start costs little.
 """
@@ -31,6 +31,8 @@ FAILURES = {
 }
 """Behaviour -> exit code and last words."""
 
+AFTER_AN_ECHO = {"ok", "loses", "both", "silent", "half", "bridge dies"}
+
 UNTIL_STOPPED = {"slow", "late", "relay", "lossy"}
 """Behaviours that write their trace when they are told to stop; the others at once."""
 
@@ -40,7 +42,7 @@ def main():
     cell = next((label[len("cell=") :] for label in options if label.startswith("cell=")), "relay")
     behaviour, trace = begin(cell)
     out = sys.argv[sys.argv.index("--out") + 1]
-    if behaviour in {"ok", "loses", "silent", "half", "bridge dies"}:  # a real ping sends only after the relay's echo
+    if behaviour in AFTER_AN_ECHO:
         wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in FAILURES:
         if cell == "relay":  # so that it dies while a ping is at work, which has to be a slow one

@@ -70,11 +70,13 @@ TIMELINE = [
 LAST_LOST = [*TIMELINE[:-1], replace(TIMELINE[-1], t2=None)]
 
 
-def write_ping(path, run_id, published=MESSAGES, state="finished", timeline=TIMELINE):
+def write_ping(path, run_id, published=MESSAGES, state="finished", timeline=TIMELINE, others=()):
     described = run(
         run_id=run_id, planned_messages=MESSAGES, warmup_messages=WARMUP, published=published + WARMUP, state=state
     )
     events = ping_events(timeline[: published + WARMUP], run_id=run_id)
+    for relay_id in others:
+        events[Stage.T2] += ping_events(timeline, run_id=run_id, relay_id=relay_id)[Stage.T2]
     write_trace(path, ping_session(), [described], events)
 
 
@@ -84,7 +86,8 @@ def write_invented_traces(folder):
     write_ping(folder / "half.mcap", 0x88, state="started")
     write_ping(folder / "slow.mcap", 0x99, published=MESSAGES // 2)
     write_ping(folder / "loses.mcap", 0xAA, timeline=LAST_LOST)
-    served = [relay_events(TIMELINE, run_id=run_id) for run_id in (*range(1, RUNS + 1), 0x99, 0xAA)]
+    write_ping(folder / "both.mcap", 0xBB, others=[0xDEAD])
+    served = [relay_events(TIMELINE, run_id=run_id) for run_id in (*range(1, RUNS + 1), 0x99, 0xAA, 0xBB)]
     events = {stage: [row for rows in served for row in rows[stage]] for stage in (Stage.T3, Stage.T4)}
     write_trace(folder / "relay.mcap", relay_session(), (), events)
     write_trace(folder / "lossy.mcap", relay_session())

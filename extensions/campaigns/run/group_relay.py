@@ -83,14 +83,20 @@ class GroupRelay:
     def _relay_ids(self) -> set[int | None]:
         return {program.relay_id for name, program in self._running.items() if name.startswith("relay")}
 
-    def check_answers(self, relay_ids: Collection[int]) -> None:
-        """Raise a `CellFailedError` if only relays of others answered; the next attempt waits until ours serves."""
-        if relay_ids and not self.device.keeps_traces and not (self._relay_ids() | self._killed_ids) & {*relay_ids}:
+    def check_answers(self, relay_ids: Collection[int]) -> str:
+        """Return what to say about relays of others that answered, too; a `CellFailedError` if only those did.
+
+        The next attempt waits until ours serves.
+        """
+        others = {*relay_ids} - self._relay_ids() - self._killed_ids
+        if not others or self.device.keeps_traces:
+            return ""
+        seen = f"another relay answered ({', '.join(f'{relay_id:08x}' for relay_id in sorted(others))})"
+        cure = "end what else serves the domain, or give [run] domain another number"
+        if len(others) == len(relay_ids):
             self.waits = True
-            names = ", ".join(f"{relay_id:08x}" for relay_id in relay_ids)
-            raise CellFailedError(
-                f"another relay answered ({names}), not this sweep's; end what else serves the domain, or give [run] domain another number"
-            )
+            raise CellFailedError(f"{seen}, not this sweep's; {cure}")
+        return f"{seen} as well as this sweep's: its replies are in no result, but it takes part of the machine; {cure}"
 
     @property
     def segment(self) -> str:

@@ -81,6 +81,7 @@ class Runner:
         self._progress = progress
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
+        self._said: set[str] = set()
 
     def _leave_out(self, cells: Iterable[Cell]) -> None:
         if self._is_installed_here:
@@ -292,10 +293,15 @@ class Runner:
         results = [
             self._read(draft, programs[cell], ended[cell], cut_off=cell in cut_off) for cell, draft in drafts.items()
         ]
-        relay.check_answers({relay_id for result in results for relay_id in result.relay_ids})
+        self._say_once(relay.check_answers({relay_id for result in results for relay_id in result.relay_ids}))
         report = self._store(drafts, results)
         self._estimate.measured(next(iter(drafts)), time.monotonic() - began_s)
         return results, report
+
+    def _say_once(self, text: str) -> None:
+        if text and text not in self._said:
+            self._progress.note(text)
+        self._said.add(text)
 
     def _store(self, drafts: Mapping[Cell, Path], results: Sequence[CellResult]) -> LinkReport | None:
         """Move complete traces to their final names; refuse traces that did not cross the link."""

@@ -13,9 +13,10 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from sweep_desk import COMMAND, FIRST, FOURTH, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
+from sweep_desk import COMMAND, FIRST, FOURTH, MESSAGES, PLAN, SECOND, THIRD, TWO_RELAYS, Heard, files_of
 
 import dds_trace.extensions.campaigns.run.runner as runner_module
+from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
 from dds_trace.extensions.campaigns import sweep as sweep_module
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
@@ -170,6 +171,15 @@ def test_replies_of_another_relay_in_the_domain_are_not_taken(desk, monkeypatch)
     monkeypatch.delenv("STAND_IN_RELAY")
     assert desk.sweep().missing == {}
     assert desk.traces == files_of(FIRST, SECOND)
+
+
+def test_another_relay_beside_ours_is_told_and_splits_no_result(desk):
+    desk.script(**{FIRST: ["both"]})
+    assert desk.sweep().missing == {}
+    assert len([note for note in desk.heard.notes if "another relay answered (0000dead)" in note]) == 1
+    analysis = analyze(desk.folder / "runs", details=False)
+    assert analysis.summary["received"].to_list() == [2 * MESSAGES]
+    assert "0000dead are left out" in next(f.what for f in analysis.findings if f.code == "unrequested_relay")
 
 
 def test_full_disk_ends_the_sweep_and_the_next_one_goes_on_with_the_relays_trace(desk, monkeypatch):

@@ -79,7 +79,7 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
 
     None within one run and where it takes more than `power.MOST_RUNS`. The measured ratio is taken as the true one.
     """
-    if change.ratio is None or not 0 < change.ratio < math.inf:
+    if change.ratio is None or not 0 < change.ratio < math.inf or limit <= 0:
         return None
     spreads = (change.base.unit_spread, change.new.unit_spread)
     if change.pairs:

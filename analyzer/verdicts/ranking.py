@@ -207,9 +207,9 @@ def _ranking(
     first = Judgement(Claim.FASTEST, "", f"latency_{percentile}", group=kind.setups[names[0]].group)
     if lead:
         counts = [
-            pair.repeats_to_decide(confidence)
+            pair.repeats_to_decide(confidence) if pair.ratio >= least_ratio and not is_dependent else None
             for pair in lead
-            if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different and not is_dependent
+            if (pair.fast, pair.slow) not in different
         ]
         first = replace(
             min(lead, key=lambda pair: pair.ratio).judged(Claim.FASTEST, percentile, confidence, kind),

@@ -137,6 +137,7 @@ class Comparison:
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
     busier: frozenset[Key] = frozenset()
     left_out: tuple[BusierRepeat, ...] = ()
+    measured: Mapping[Key, tuple[SetupRuns, SetupRuns]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return the number of results of both sides and of only one."""
@@ -336,6 +337,7 @@ def compare_groups(
             row_keys[key]: before[key].unfinished + after[partner].unfinished for key, partner in pairs.items()
         },
         row_keys=row_keys,
+        measured={row_keys[key]: (before[key], after[partner]) for key, partner in pairs.items()},
     )
 
 

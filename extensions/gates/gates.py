@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import group_words, is_topic, varying_parameters
 from dds_trace.analyzer.run_statistics.change import Change
-from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
+from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.statistics.distributions import student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis, Interval
 from dds_trace.analyzer.statistics.power import MOST_RUNS, holm_adjusted, messages_to_close
 from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
+from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration, format_number
 
@@ -27,6 +28,8 @@ from .sections import fits_any
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
 
 NOT_APPLIED = "a requested setting was not applied"
+
+UNDECIDABLE = "more runs of this kind do not decide"
 
 FAMILY = "Holm over groups"
 
@@ -277,13 +280,14 @@ def _measured(comparison: Comparison, family: Sequence[Gate], names: Sequence[st
             smallest_drop=None if is_of_new else row.get("smallest_drop"),
             runs_present=min(side.runs for side in sides),
         )
+        advice = _advice(gate, change) if gate.statistic else _advice_on_received(gate.limit, value, low, high, sides)
+        if gate.statistic and result.outcome is GateOutcome.INCONCLUSIVE:
+            advice = _or_longer(advice, gate, comparison.measured[key][-len(sides) :])
         yield _Measured(
             result=result,
             key=key,
             degrees=max(1, units - 1) if is_of_new else change.degrees,
-            advice=_advice(gate, change)
-            if gate.statistic
-            else _advice_on_received(gate.limit, value, low, high, sides),
+            advice=advice,
             # A typical run at the limit is beyond it in every second run.
             p_of_lost=min(alpha / 2, 0.5**units) if is_of_new else (change.p_value or 0.0) / 2,
             base_ns=change.typical[0] or 0.0,
@@ -311,16 +315,32 @@ def _advice(gate: Gate, change: Change) -> _Advice:
         if any(more):
             messages = format_number(max(m or 0 for m in more))
             return _Advice(f"too few messages beyond the percentile; record about {messages} more a side")
-    runs = None
-    if gate.against is Against.RATIO and gate.limit > 0:
-        runs = runs_to_settle_ratio(change, gate.limit)
-    elif gate.against is Against.DIFFERENCE and change.base.value and change.base.value + gate.limit > 0:
-        runs = runs_to_settle_ratio(change, 1 + gate.limit / change.base.value)
-    elif gate.against is Against.NEW:
-        runs = runs_to_settle_value(change.new, gate.limit)
-    if runs is None:
-        return _Advice("the measured value is too close to the limit, or too much was lost, for more runs to decide")
-    return _runs_would_decide(runs, sides)
+    base_ns = change.base.value or math.inf
+    limit = 1 + gate.limit / base_ns if gate.against is Against.DIFFERENCE else gate.limit
+    is_of_new = gate.against is Against.NEW
+    runs = runs_to_settle_value(change.new, limit) if is_of_new else runs_to_settle_ratio(change, limit)
+    if runs is not None:
+        return _runs_would_decide(runs, sides)
+    return _Advice(_why_undecidable(sides, limit))
+
+
+def _why_undecidable(sides: Sequence[Interval], limit: float) -> str:
+    unlike = [side for side in sides if side.unit_spread is None]
+    if any(side.upper == math.inf for side in unlike):
+        return "too much was lost for more runs to decide"
+    if unlike or limit <= 0:
+        return UNDECIDABLE
+    return "the measured value is too close to the limit for more runs to decide"
+
+
+def _or_longer(advice: _Advice, gate: Gate, sides: Sequence[SetupRuns]) -> _Advice:
+    """Add how much longer runs would decide, where the runs differ by no more than their messages explain."""
+    runs = [side.delivered(gate.metric) for side in sides]
+    spreads = [spread_of_runs(side, STATISTIC_BY_NAME[gate.statistic]).between for side in runs]
+    if not advice.runs or any(spread != 0 for spread in spreads):
+        return advice
+    times = math.ceil(advice.runs / min(map(len, runs)))
+    return advice._replace(text=advice.text.replace(" would", f", or {times} times the messages a run, would", 1))
 
 
 def _too_few_runs(sides: Sequence[Interval]) -> str:
@@ -343,6 +363,6 @@ def _advice_on_received(
     if few := _too_few_runs(sides):
         return _Advice(few, MIN_RUNS)
     if value is None or low is None or high is None or math.isclose(value, limit, rel_tol=0.0, abs_tol=_ROUNDING):
-        return _Advice("more runs of this kind do not decide")
+        return _Advice(UNDECIDABLE)
     reach = high - value if value < limit else value - low
     return _runs_would_decide(max(side.runs for side in sides) * (reach / (value - limit)) ** 2, sides)

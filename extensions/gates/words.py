@@ -10,6 +10,7 @@ from typing import Any
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import (
     MISSING,
+    counted,
     format_duration,
     format_number,
     format_rate,
@@ -17,7 +18,7 @@ from dds_trace.base.units import (
     joined,
     three_digits,
 )
-from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, time_words
+from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, some_of, time_words
 from dds_trace.reports.book.verdicts import episodes_words
 
 from .gate import Against, GateOutcome
@@ -217,14 +218,21 @@ def undecided_words(gates: Sequence[Gated]) -> str:
     parts = []
     for text, results in unsure.items():
         most = max(results, key=lambda result: result.needs or 0)
-        decides = f"takes {most.needs} runs a side" if most.needs else most.reason.rstrip(".") or most.subject
+        decides = most.reason.partition(", there ")[0].rstrip(".") or most.subject
         parts.append(f"{text} ({decides})")
     return f"Undecided: {joined(parts)}." if parts else ""
 
 
+def not_met_words(gates: Sequence[Gated]) -> str:
+    """Return how many limits are not met, and what was measured of the first."""
+    failed = [gated.result for gated in gates if gated.result.outcome is GateOutcome.REGRESSED]
+    parts = [f"{row.gate.text}: {measured_words(row, row.value)}" for row in failed if row.value is not None]
+    values = f" ({some_of(parts, 'more')})" if parts else ""
+    return f"{len(failed)} of {counted(len(gates), 'limit')} not met{values}." if failed else ""
+
+
 def with_undecided(answer: tuple[str, ...], gates: Sequence[Gated]) -> tuple[str, ...]:
-    """Return an answer that names open gates in its first line, as they pass."""
-    undecided, (headline, *others) = printable(undecided_words(gates), MAX_FINDING_CHARACTERS), answer
-    has_failed = any(gated.result.outcome is GateOutcome.REGRESSED for gated in gates)
-    first = (headline, undecided) if has_failed else (undecided, headline)
-    return " ".join(filter(None, first)), *others
+    """Return an answer that names limits that are not met, and open ones, in its first line."""
+    not_met, undecided, (headline, *others) = not_met_words(gates), undecided_words(gates), answer
+    first = (headline, not_met, undecided) if not_met else (undecided, headline)
+    return " ".join(printable(words, MAX_FINDING_CHARACTERS) for words in first if words), *others

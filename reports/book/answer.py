@@ -232,7 +232,7 @@ def _near(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, s
     ends = "" if row.low is None or row.high is None else f" ({change_percent(row.low)} to {change_percent(row.high)})"
     most = "" if len(judged) == 1 else "at most "
     lead = f"{labels[row.subject]} leads {labels[row.base]} by {most}{change_percent(row.value or 1.0)}{ends}"
-    return f"the lead is below the margin ({lead}; --margin)"
+    return f"the measured lead is below the margin ({lead}; --margin)"
 
 
 def change_percent(ratio: float) -> str:

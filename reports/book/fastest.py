@@ -222,8 +222,7 @@ def tail_sentence(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> s
         return ""
     is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
     what = "No difference between setups at p99 is proven" if is_tested else "Too few messages to compare setups at p99"
-    repeats = repeats_words(answer.repeats_p99 for answer in answers)
-    return f"{what}; {repeats or 'record longer or more runs'}."
+    return f"{what}; {_decides(answers, 'p99') or 'record longer or more runs'}."
 
 
 def lowest_sentence(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
@@ -256,6 +255,17 @@ def _where(case: CaseAnswer, cases: Sequence[CaseAnswer]) -> str:
 def repeats_words(counts: Iterable[int | None]) -> str:
     counted_repeats = [count for count in counts if count is not None]
     return f"about {max(counted_repeats)} repeats would decide" if counted_repeats else ""
+
+
+def _decides(cases: Sequence[CaseAnswer], percentile: str, rest: str = "") -> str:
+    rows = [row for case in cases for row in case.of_claim(Claim.FASTEST, f"latency_{percentile}")]
+    open_rows = [row for row in rows if row.verdict != PROVEN and row.value is not None]
+    needs = [row.needs for row in open_rows if row.needs is not None]
+    if not needs:
+        is_near = any(row.reason == Reason.BELOW_MARGIN.value for row in open_rows)
+        return "the measured lead is below the margin" if is_near else ""
+    is_part = len(needs) < len(open_rows)
+    return repeats_words(needs) + (f" {len(needs)} of {len(open_rows)} comparisons" if is_part else rest)
 
 
 def _lowest(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> tuple[str, str]:
@@ -320,25 +330,26 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
         leads = [f"{leads[0].removesuffix(')')}, at p99 {_takes(stretch, Claim.FASTEST, 'p99', outcome.p99)})"]
     if leads:
         return ("of setups that all lose too much, " if outcome.is_lossy else "") + ", ".join(leads)
-    repeats = repeats_words(case.repeats_p50 for case in stretch.cases)
+    decides = _decides(stretch.cases, "p50")
     if not outcome.slower:
         if outcome.pairs:
             tail = "at p99 " if outcome.percentile == "p99" else ""
             pairs = [_takes_longer(stretch, outcome.percentile, pair, labels) for pair in outcome.pairs]
-            return f"no proven winner, but {tail}{some_of(pairs, 'more')}{f' ({repeats})' if repeats else ''}"
+            return f"no proven winner, but {tail}{some_of(pairs, 'more')}{f' ({decides})' if decides else ''}"
         if not outcome.is_interleaved:
-            repeats = "the setups were recorded one after the other"
+            decides = "the setups were recorded one after the other"
         elif any(row.reason == Reason.DEPENDENT.value for case in stretch.cases for row in case.judgements):
-            repeats = ALIKE
+            decides = ALIKE
         if not any(setup.p50_ns is not None for case in stretch.cases for setup in case.contenders):
             return "no proven winner (no reply has a relay's time stamps, so the latency is unknown)"
-        notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), repeats)))
+        notes = "; ".join(filter(None, (", ".join(filter(None, _lowest(stretch.cases, labels))), decides)))
         return f"no proven winner{f' ({notes})' if notes else ''}"
     parts = [
         f"{labels[name]} takes {_takes(stretch, Claim.SLOWER, outcome.percentile, name, outcome.best[0])}"
         for name in outcome.slower
     ]
-    shown = some_of(parts, "take longer").split("; ") + ([f"{repeats} the rest"] if repeats else [])
+    decides = _decides(stretch.cases, "p50", " the rest")
+    shown = [*some_of(parts, "take longer").split("; "), *filter(None, [decides])]
     at_tail = "at p99 " if outcome.percentile == "p99" else ""
     only = "of setups that lose little, " if len(outcome.best) == 1 else ""  # one that loses more is as fast
     return f"{at_tail}{only}{joined([labels[name] for name in outcome.best], 'or')} ({'; '.join(shown)})"

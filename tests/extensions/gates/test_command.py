@@ -181,6 +181,8 @@ def test_one_side_is_judged_by_its_own_limits(folders, capsys):
     assert out.read_text().startswith("::error title=latency_p50 > 1us::")
     assert run_main("compare", folders / "base", *late, "--report", "badge") == 20
     assert '"message": "regressed"' in capsys.readouterr().out
+    run_main("compare", folders / "base", *gates, *late)
+    assert "1 of 3 limits not met (latency_p50 > 1us: " in printed(capsys)
     for wrong in ((), ("--fail-if", "latency_p50 > +10%")):
         assert run_main("compare", folders / "base", *wrong) == 2
         assert "without NEW" in capsys.readouterr().err

@@ -117,6 +117,7 @@ def compared(report):
         yield from (str(delivery[f"{side}_runs"]) for side in ("base", "new"))
     for row in report["judgements"]:
         yield from (*TOKEN.findall(change_words(row["value"]) + row["base"] + row["reason"]), str(row["needs"]))
+        yield from (time_words(row["value"]), format_ratio(row["value"])) if row["claim"] == "keeps" else ()
     for sight in report["sights"]:
         yield from TOKEN.findall(change_words(sight["least_ratio"]) + change_words(sight["smallest_ratio"]))
         yield from map(str, (100, round(100 * POWER), MIN_RUNS, sight["groups"], sight["groups"] - sight["told"]))

@@ -288,7 +288,7 @@ def unrequested_relays(evidence: Evidence) -> Iterator[Observation]:
                 counting = f"without a trace here, the replies of {some(strangers)} are left out"
             yield Observation(
                 evidence.run_name(run_id),
-                f"{len(answering)} relays answered together ({some(answering)}), and the ping was to wait for {requested}: "
+                f"{len(answering)} relays answered{' together' * (not strangers)} ({some(answering)}), and the ping was to wait for {requested}: "
                 f"{counting}, and each is the load of the others.",
                 tuple(groups_of[run_id]),
                 blanks={"relays": len(answering)},

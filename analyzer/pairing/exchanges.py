@@ -256,15 +256,17 @@ def requested_relays(exchange: Exchange) -> float:
 
 
 def _strangers(answers: Sequence[Exchange]) -> list[int]:
-    """Return the relays without a trace here that answered together with as many as were asked for, which have one."""
+    """Return the relays without a trace here, where as many as were asked for have one; after an outage ours may be one of them."""
     recorded = [exchange for exchange in answers if exchange.relay is not None]
     is_beacon = answers[0].run.labels.get("role") == "beacon"
     if is_beacon or not 0 < len(recorded) < len(answers) or len(recorded) < requested_relays(recorded[0]):
         return []
+    has_outage = "outage" in parse_setting(setting_of(answers[0].run, answers[0].ping, None))
     return [
         exchange.relay_id
         for exchange in answers
-        if exchange.relay is None and any(answered_together((exchange, other)) for other in recorded)
+        if exchange.relay is None
+        and (not has_outage or any(answered_together((exchange, other)) for other in recorded))
     ]
 
 

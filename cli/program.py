@@ -20,7 +20,7 @@ import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
 from dds_trace.base.shortage import Room, shortage
-from dds_trace.base.streams import plain_streams, say
+from dds_trace.base.streams import plain_streams, say, wrapped
 from dds_trace.base.version import __version__
 
 from .defaults import PRINT_CONFIG, set_defaults, values_in_force
@@ -215,7 +215,7 @@ def _run(command: Callable[[], object], room: Room | None) -> None:
 
 
 def print_error(text: str) -> None:
-    print(f"{Path(sys.argv[0]).name}{text}", file=sys.stderr)  # not wrapped: a log is searched for lines
+    print(wrapped(f"{Path(sys.argv[0]).name}{text}"), file=sys.stderr)
 
 
 def _extra_with(module: str) -> str | None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.table import Table
 
 from dds_trace.base.printable import is_hidden, printable
-from dds_trace.base.streams import PlainStream, plain, plain_console, plain_streams, say
+from dds_trace.base.streams import PlainStream, plain, plain_console, plain_streams, say, wrapped
 
 PIECES = st.lists(
     st.sampled_from(["::", " ", ":", "\n", "\t", "##[", "a", "\x1b[2J", "\u202e", "\r", "\x9b", "\U000e0001", "é"])
@@ -115,3 +115,5 @@ def test_a_line_to_a_person_is_as_wide_as_the_terminal_and_one_in_a_log_is_whole
     whole, *lines, path = capsys.readouterr().err.splitlines()
     assert (whole, path.strip()) == (text, "a" * 90)
     assert 30 < max(map(len, lines)) <= 60
+    first, second, third = wrapped(f"no echo\n  saw: {'word ' * 20}").splitlines()
+    assert (first, second[:6], third[:5]) == ("no echo", "  saw:", "    w")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 import time
 from dataclasses import replace
 from importlib import import_module
@@ -14,7 +15,7 @@ import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
-from dds_trace.base.streams import say
+from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted, first_of
 from dds_trace.cli.program import argument, command, make_app, option
 
@@ -139,7 +140,7 @@ def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
         *link,
         f"{plan.name}: about {counted(recordings, 'recording')}, {times}",
     ]
-    print(json.dumps(described) if as_json else "\n".join(lines))
+    print(json.dumps(described) if as_json else wrapped("\n".join(lines), sys.stdout))
     say_missing(refused, what=" cannot start")
     return INCOMPLETE_EXIT_CODE if refused else 0
 

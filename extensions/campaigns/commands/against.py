@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
@@ -144,6 +145,8 @@ def run_sides(
         judged = None
         if gates and is_recorded:
             judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
+            if other.looks > 1:
+                say(f"look {look} of {other.looks}: {judged.outcome.value}. {judged.info.answer[0]}")
         if judged is None or judged.outcome.value != "inconclusive":
             break
     missing = {side: outcome.missing for side, outcome in sides.items()}
@@ -171,9 +174,10 @@ def run_sides(
 def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: JudgedSides | None) -> None:
     for side, outcome in (("base", sides.base), ("new", sides.new)):
         print_complete(outcome, f"{side}: ")
-    print(f"Compare: dds-trace compare {shlex.join([str(sides.base.folder), str(sides.new.folder)])} --paired")
+    folders = [shlex.quote(str(side.folder)) for side in (sides.base, sides.new)]
+    print("Compare: dds-trace compare", *folders, "--paired", sep=" \\\n  " if sys.stdout.isatty() else " ")
     if alarms is not None:
-        print(wrapped(_in_words(alarms)))
+        print(wrapped(_in_words(alarms), sys.stdout))
     if judged is not None:
         judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import say
+from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted
 from dds_trace.recorder.choices import Role
 
@@ -63,7 +64,7 @@ def dry_run(
         described, lines = _shown_search(plan, refused) if searches else _shown(plan, until, refused)
     if rehearses and not refused:
         lines.append("rehearsed: all of them can start")
-    print(json.dumps({**described, "cannot_start": refused}) if as_json else "\n".join(lines))
+    print(json.dumps({**described, "cannot_start": refused}) if as_json else wrapped("\n".join(lines), sys.stdout))
     say_missing(refused, what=" cannot start")
     return INCOMPLETE_EXIT_CODE if refused else 0
 

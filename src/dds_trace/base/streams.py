@@ -116,12 +116,16 @@ def say(text: object) -> None:
     print(wrapped(printable(text, MAX_FINDING_CHARACTERS)), file=sys.stderr, flush=True)
 
 
-def wrapped(text: str) -> str:
-    """Return a line as a terminal shows it, words whole; in a log, which has no width, it stays one line."""
-    if not sys.stderr.isatty():
+def wrapped(text: str, stream: Any = None) -> str:
+    """Return lines as a terminal shows them, words whole; in a log, which has no width, they stay as they are."""
+    if not (stream or sys.stderr).isatty():
         return text
-    width = min(get_terminal_size().columns, WIDEST_SCREEN)
-    return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    width, lines = min(get_terminal_size().columns, WIDEST_SCREEN), text.splitlines()
+    whole = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    for number, line in enumerate(lines):
+        whole.subsequent_indent = " " * (len(line) - len(line.lstrip()) + 2)
+        lines[number] = whole.fill(line)
+    return "\n".join(lines)
 
 
 def plain_console(**options: Any) -> Console:

@@ -233,19 +233,8 @@ AXES = {
     "rmw": st.sampled_from(["", "rmw_fastrtps_cpp"]),
     "tuned": st.booleans(),
 }
-OPTIONS = st.sampled_from(
-    [
-        [],
-        ["--strict"],
-        ["--deadline", "20ms"],
-        ["--deadline", "soon"],
-        ["--cpu-affinity", "0"],
-        ["--cpu-affinity", "x"],
-        ["--label", "a"],
-        ["--setting", "load=50%"],
-        ["--nonsense"],
-    ]
-)
+GIVEN = "|--strict|--deadline 20ms|--deadline soon|--cpu-affinity 0|--cpu-affinity x|--label a|--setting load=50%|--nonsense"
+OPTIONS = st.sampled_from([words.split() for words in GIVEN.split("|")])
 
 
 @st.composite

@@ -85,23 +85,10 @@ def test_token_bucket_saves_up_as_little_as_timers_allow():
 
 def test_netem_is_below_the_token_bucket_if_there_is_one():
     link = Link(rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1)
-    netem = [
-        "handle",
-        "10:",
-        "netem",
-        "delay",
-        "1ms",
-        "0.5ms",
-        "distribution",
-        "normal",
-        "loss",
-        "0.1%",
-        "limit",
-        "50000",
-    ]
-    assert queue_disciplines(link, kernel_does_all=True)[1] == ["parent", "1:1", *netem]
+    netem = "handle 10: netem delay 1ms 0.5ms distribution normal loss 0.1% limit 50000"
+    assert queue_disciplines(link, kernel_does_all=True)[1] == ["parent", "1:1", *netem.split()]
     delay = Link(delay_ms=1, jitter_ms=0.5, loss_percent=0.1)
-    assert queue_disciplines(delay, kernel_does_all=True) == [["root", *netem]]
+    assert queue_disciplines(delay, kernel_does_all=True) == [["root", *netem.split()]]
 
 
 @pytest.mark.parametrize("link", PRESETS.values(), ids=str)

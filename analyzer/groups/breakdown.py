@@ -174,11 +174,7 @@ def _anchors(messages: pl.LazyFrame) -> pl.LazyFrame:
 
 
 def response_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Compare response times with round trips of each whole group.
-
-    A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, 2013). `late_ratio` were sent
-    more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.
-    """
+    """Compare response times with round trips of each whole group; late were more than a tenth of the period after T0."""
     if not batch.whole:
         return pl.DataFrame(schema=RESPONSE_SCHEMA)
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")

@@ -45,8 +45,7 @@ _READ = ("sequence", "scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize deadline misses, age of information and outages of each run and relay with messages.
 
-    A message misses the deadline if it is lost, never left, or its metric is larger; a one-way time is judged only if it does
-    or does not so surely, by its `clock_bound_ns`. Without a schedule the response is the round trip.
+    Without a schedule the response is the round trip; docs/explanation/method.md has the rest.
 
     Returns:
         Columns of `FRESHNESS_SCHEMA`. `judged` includes unsent messages; `unsure` are the others; `longest_missed` in a row and

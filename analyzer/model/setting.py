@@ -1,7 +1,4 @@
-"""The parameter `setting`: requested options without a column, as one canonical text.
-
-They are in `settings` of sessions and runs, in older traces in `host.middleware`.
-"""
+"""The parameter `setting` (docs/trace-format.md): requested options without a column, as one canonical text."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Two plans interleaved: base, new, new, base ... each in a folder of its own.
-
-Folders recorded one after the other differ first of all by time; interleaved runs can be compared as pairs.
-"""
+"""Two plans interleaved: base, new, new, base ... each in a folder of its own (docs/how-to/sweep.md)."""
 
 from __future__ import annotations
 

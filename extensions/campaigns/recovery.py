@@ -50,12 +50,7 @@ def read_outages(traces: Iterable[Trace]) -> dict[int, OutageTimes]:
 
 
 def recovery_frame(traces: Iterable[Trace], grouping: Grouping, rows: RowStore) -> pl.DataFrame:
-    """Return a row for each run with an outage; times in ns from its end on.
-
-    `out_ns` to the first message at the relay, `back_ns` to the first reply, null where none came; `never` where none came back
-    within `limit_ns`; messages sent within the outage that were lost or `replayed` after it, and those sent later and lost,
-    `reordered` or repeated.
-    """
+    """Return a row for each run with an outage (docs/how-to/axes.md); times in ns from its end on."""
     outages = read_outages(traces)
     group_of_run = dict(
         zip((exchange.run.run_id for exchange in grouping.exchanges), grouping.group_of_exchange.tolist(), strict=True)

@@ -90,11 +90,7 @@ def rehearse_plan(
     note: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> dict[str, str]:
-    """Return the cells, of all repeats, that cannot be recorded here, with the reason; `folder` is not made.
-
-    Of cells that differ only in size and rate, one ping starts and ends before its first message, and so does each relay
-    on its device, with namespaces, bridges and middleware; network and disk space stay untested.
-    """
+    """Return the cells that cannot be recorded here, with the reason (docs/how-to/sweep.md); `folder` is not made."""
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
     with (

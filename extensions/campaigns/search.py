@@ -1,8 +1,4 @@
-"""The search for the highest rate that a setup sustains: bisection, repeated at the knee.
-
-A run sustains its rate if it kept the schedule, lost no more than allowed, and met the deadline at a percentile of the
-response time (planned send to reply, so that a late sender counts).
-"""
+"""The search for the highest rate that holds (docs/how-to/sweep.md): bisection, repeated at the knee."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""A Dask cluster as an engine: its workers read the traces and process the batches.
-
-A worker that processes a batch reads the traces of its events itself, so no events pass this machine, and what a lost worker
-had is read again by another.
-"""
+"""A Dask cluster as an engine (docs/how-to/analyze.md): what a lost worker had is read again by another."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout.
-
-One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its `ros2msg` definition. The log time of a
-message is its sending on the ping's wall clock; plus `outbound_ms` it is the reception by the relay, on the same clock.
-"""
+"""Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout (docs/how-to/analyze.md)."""
 
 from __future__ import annotations
 

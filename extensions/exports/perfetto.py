@@ -1,8 +1,4 @@
-"""One timeline of all devices for https://ui.perfetto.dev, written by the protobufs of the package `perfetto` (extra of that name).
-
-A track for each device, below it lanes of round trips and topics; an arrow leads from each sending to its reception. All times are of the
-wall clock of the device that pinged first (`publish_utc` of its rows), the others' by the fits of their clocks in that boot.
-"""
+"""One timeline of all devices for https://ui.perfetto.dev: a track for each, on the wall clock of the device that pinged first."""
 
 from __future__ import annotations
 

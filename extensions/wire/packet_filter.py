@@ -1,8 +1,4 @@
-"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER): what a capture gets.
-
-It captures an RTPS packet up to its last submessage's header, following their lengths, and only headers of other UDP
-and of TCP; later IP fragments, where further headers may begin, are captured whole.
-"""
+"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER), of which it keeps headers (docs/reference/wire.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,1 @@
-"""What a middleware process really uses, read back from the kernel (Linux only).
-
-It is read before the first message and after the last one, never between messages.
-"""
+"""What a middleware process really uses, read back from the kernel (docs/reference/middlewares.md; Linux only)."""

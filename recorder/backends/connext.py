@@ -1,7 +1,4 @@
-"""`connext`: RTI Connext through `rti.connext`, with the topics and types of ROS 2.
-
-It needs a licence. Messages pass in serialized form, in a DynamicData of CDR. Only this file imports rti.connextdds.
-"""
+"""`connext`: RTI Connext, in a DynamicData of CDR (docs/reference/middlewares.md). Only this file imports rti.connextdds."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""`zenoh`: eclipse-zenoh, peer to peer, with the same serialized messages as DDS.
-
-The relay listens at a TCP port that follows from the domain, the ping connects, or both use `--peer multicast`.
-Only this file imports zenoh.
-"""
+"""`zenoh`: eclipse-zenoh, peer to peer (docs/reference/middlewares.md). Only this file imports zenoh."""
 
 # ruff: noqa: PLC0415 - loaded with a node: other backends run without it
 

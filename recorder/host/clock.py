@@ -110,11 +110,7 @@ class _Timex(ctypes.Structure):
 
 
 def read_adjtimex() -> JsonObject | None:
-    """Read how the kernel corrects CLOCK_MONOTONIC, without privileges; None where that is not permitted.
-
-    `frequency_ppb` is the correction by NTP or PTP; `tick_us` is 10,000 unless a large correction changes it (chrony);
-    `status` has bits `STA_*` (0x40: not synchronized).
-    """
+    """Read how the kernel corrects CLOCK_MONOTONIC (`clock` of docs/trace-format.md); None where that is not permitted."""
     timex = _Timex(modes=0)  # no mode: nothing is set
     try:
         failed = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex)) < 0

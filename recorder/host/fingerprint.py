@@ -26,11 +26,7 @@ _IW_TIMEOUT_S = 2.0
 def host_fingerprint(
     versions: Mapping[str, str] | None = None, environment: MiddlewareEnvironment | None = None
 ) -> dict[str, Json]:
-    """Return the `host` object of a session.
-
-    `versions` lists the middleware and its client library; `socket_buffers` are in bytes (or packets), `mtu` in
-    bytes by interface; `reassembly` limits the memory and time (s) of waiting IP fragments.
-    """
+    """Return the `host` object of a session (docs/trace-format.md); `versions` lists the middleware and its client library."""
     environment = environment or MiddlewareEnvironment()
     return {
         "machine": platform.machine(),

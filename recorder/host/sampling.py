@@ -29,12 +29,7 @@ _DROP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "ReasmFails", "Rea
 
 @dataclass(slots=True)
 class HostSampler:
-    """A context manager: a thread hands a sample to `write` each period, and a last one at the end.
-
-    Totals since boot are `network`, `udp`, `steal_ns` (of all processors) and `pressure_us` (time in which some task waited for
-    `cpu`, `io` or `memory`). `cpu_percent` of a process is of one core; `sampling_cpu_ns` is the CPU time of the preceding
-    sample. `processes` maps names to ids; this process is `self`.
-    """
+    """A context manager: a thread hands a sample (docs/trace-format.md) to `write` each period, and a last one at the end."""
 
     write: Callable[[JsonObject], None]
     processes: Mapping[str, int] = field(default_factory=dict)

@@ -51,12 +51,7 @@ _CHUNK_SECONDS = 0.25  # a measurement of seconds closes several chunks
 
 @dataclass(frozen=True, slots=True)
 class RecorderCost:
-    """The recorder's own cost in ns, with caches as cold as in a node at 1 kHz.
-
-    Attributes:
-        record_median_ns: recording one event; likewise `record_p99_ns` and `record_max_ns`.
-        cold_timer_ns: one reading of the clock after a sleep, taken between the events and subtracted from their times.
-    """
+    """The recorder's own cost in ns, with caches as cold as in a node at 1 kHz (`recorder_cost` of docs/trace-format.md)."""
 
     timer_ns: float
     record_median_ns: float

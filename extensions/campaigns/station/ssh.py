@@ -38,11 +38,7 @@ _WAIT_FOR_END = "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || bre
 
 
 class SshDevice(RelayDevice):
-    """Another machine, through the system's `ssh` and with its keys.
-
-    The shell there ends the relay when its standard input closes, also if this machine is gone. Traces wait in
-    `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
-    """
+    """Another machine, through the system's `ssh` and with its keys; it is not trusted (docs/how-to/sweep.md)."""
 
     def __init__(self, settings: DeviceSettings, folder: Path, sweep: str) -> None:
         assert settings.ssh is not None

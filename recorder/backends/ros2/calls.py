@@ -1,7 +1,4 @@
-"""Calls of ROS 2: a service (`rcl_interfaces/srv/SetParameters`) or an action (`test_msgs/action/Fibonacci`) for each data topic.
-
-rclpy has no serialized calls: a request carries the message in an array of integers, a response its stamp and filling.
-"""
+"""Calls of ROS 2, a service or an action for each data topic (docs/how-to/axes.md): rclpy has no serialized ones."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""`socket`: plain TCP or UDP without a middleware (docs/reference/middlewares.md).
-
-The relay listens at a port that follows from the domain, the ping connects. `-o transport=default` is TCP without
-Nagle's delay, `udp` is UDP with fragments of 60 KB and no retransmission.
-"""
+"""`socket`: plain TCP or UDP without a middleware (docs/reference/middlewares.md); the relay listens, the ping connects."""
 
 from __future__ import annotations
 

@@ -124,6 +124,9 @@ class Message:
     t4: int | None = None
     t2: int | None = None
 
+    def lost(self) -> "Message":
+        return replace(self, t2=None, t3=None, t4=None)
+
 
 TWELVE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 """The messages of a recording where only their number counts."""

@@ -83,7 +83,7 @@ def test_of_equal_severity_the_largest_effect_comes_first(tmp_path):
 def test_a_deeper_history_is_a_cure_only_where_it_keeps_nearly_all_that_was_lost(tmp_path, never_back, cure):
     """10 Hz and depth 10: a standstill of 2.1 s outlives the history; what is lost at the end may have any cause."""
     lost = {*range(50, 70), *range(200 - never_back, 200)}
-    write_pair(tmp_path, [replace(m, t2=None, t3=None, t4=None) if m.sequence in lost else m for m in sound(200)])
+    write_pair(tmp_path, [m.lost() if m.sequence in lost else m for m in sound(200)])
     (loss,) = (finding for finding in analyze(tmp_path).findings if finding.code == "loss")
     assert cure in loss.cure
     assert bool(loss.cure) == bool(cure)

@@ -90,7 +90,7 @@ def test_a_restarted_relay_is_not_a_suspend(tmp_path, sentences):
 
 
 def test_messages_lost_while_a_relay_restarts_are_one_outage_that_ends_and_no_fan_out(tmp_path):
-    sent = [replace(m, t2=None, t3=None, t4=None) if 90 <= m.sequence < 110 else m for m in drawn()]
+    sent = [m.lost() if 90 <= m.sequence < 110 else m for m in drawn()]
     write_restarted_relay(tmp_path, sent[:110], sent[110:], monotonic_anchor_ns=sent[110].t1)
     details = analyze(tmp_path).details
     assert details.outages.select("first_sequence", "messages").rows() == [(90, 20)]
@@ -113,7 +113,7 @@ def test_messages_that_ended_at_the_relay_and_did_not_reach_it_are_named(tmp_pat
 
 
 def test_what_is_lost_with_a_killed_relay_needs_no_deeper_history(tmp_path):
-    sent = [replace(m, t2=None, t3=None, t4=None) if m.sequence >= 120 else m for m in drawn()]
+    sent = [m.lost() if m.sequence >= 120 else m for m in drawn()]
     write_pair(tmp_path, sent, relay=relay_session(state="open"))
     loss = findings(tmp_path)["loss"]
     assert "80 of them" in loss.what

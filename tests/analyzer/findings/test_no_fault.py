@@ -24,7 +24,7 @@ def test_beacons_end_one_after_the_other_and_go_on_together(tmp_path, role):
         messages = evenly([MS] * sent, start_ns=10**9 + number * PERIOD, period_ns=PERIOD)
         for n in range(3, sent, 20):
             messages[n] = replace(messages[n], t0=messages[n].t0 - 30 * MS)
-        messages[sent - lost :] = [replace(one, t2=None, t3=None, t4=None) for one in messages[sent - lost :]]
+        messages[sent - lost :] = [one.lost() for one in messages[sent - lost :]]
         labels = {"role": role} if role == "beacon" else {}
         write_run(
             tmp_path / str(number),

@@ -37,15 +37,11 @@ def message(sequence, relay):
     return Message(sequence, t0=sent, t1=sent, t3=t3, t4=t3 + 10 * US, t2=t3 + 110 * US)
 
 
-def lost(one):
-    return replace(one, t2=None, t3=None, t4=None)
-
-
 def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, run_id=RUN_ID, first=1, **fields):
     sent = [message(sequence, 1) for sequence in range(MESSAGES)]
     described = run(run_id=run_id, planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields)
     ping = ping_session(session_id=run_id + 1, host={"cpu_cores": 2}, extra=BOOT)
-    events = [ping_events([lost(one) for one in sent], run_id=run_id)]
+    events = [ping_events([one.lost() for one in sent], run_id=run_id)]
     for relay in range(first, first + relays):
         got = [change(message(sequence, relay - first + 1), relay) for sequence in range(MESSAGES)]
         events.append(ping_events([replace(one, t1=None) for one in got], run_id=run_id, relay_id=relay))
@@ -75,7 +71,7 @@ def test_the_known_first_and_last_receiver_come_back(tmp_path):
 
 
 def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
-    analysis = campaign(tmp_path, lambda one, relay: lost(one) if relay == 2 and one.sequence < 50 else one)
+    analysis = campaign(tmp_path, lambda one, relay: one.lost() if relay == 2 and one.sequence < 50 else one)
     (row,) = analysis.details.fan_out.iter_rows(named=True)
     assert (row["messages"], row["complete"]) == (MESSAGES, MESSAGES - 50)
     received = analysis.details.fan_out_positions["received"].to_list()

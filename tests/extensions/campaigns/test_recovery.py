@@ -18,10 +18,6 @@ def message(sequence):
     return Message(sequence, t0=sent, t1=sent, t3=sent + MS, t4=sent + MS, t2=sent + 2 * MS)
 
 
-def lost(one):
-    return replace(one, t2=None, t3=None, t4=None)
-
-
 def campaign(folder, messages, limit_s=3.0):
     fields = {"run_id": RUN_ID}
     described = run(planned_messages=len(messages), published=len(messages), relay_domain_id=10)
@@ -45,14 +41,14 @@ def cut(sequence):
     if not BEGAN_NS <= one.t1 < ENDED_NS:
         return one
     if one.t1 < ENDED_NS - 500 * MS:
-        return lost(one)
+        return one.lost()
     back = ENDED_NS + 400 * MS
     return replace(one, t3=back, t4=back + MS, t2=back + 20 * MS)
 
 
 def test_the_known_time_from_link_up_to_the_first_message_each_way_comes_back(tmp_path):
     messages = [cut(sequence) for sequence in range(80)]
-    messages = [lost(one) if ENDED_NS <= one.t1 < ENDED_NS + 300 * MS else one for one in messages]
+    messages = [one.lost() if ENDED_NS <= one.t1 < ENDED_NS + 300 * MS else one for one in messages]
     # What leaves once the link is up overtakes nothing: it comes after what is replayed.
     later = [one for one in messages if one.t1 >= ENDED_NS + 300 * MS]
     messages = [replace(one, t3=one.t3 + S, t4=one.t4 + S, t2=one.t2 + S) if one in later else one for one in messages]
@@ -66,7 +62,7 @@ def test_the_known_time_from_link_up_to_the_first_message_each_way_comes_back(tm
 
 
 def test_never_is_told_from_slow_by_the_stated_limit(tmp_path, sentences):
-    messages = [message(s) if message(s).t1 < BEGAN_NS else lost(message(s)) for s in range(80)]
+    messages = [message(s) if message(s).t1 < BEGAN_NS else message(s).lost() for s in range(80)]
     analysis = campaign(tmp_path, messages)
     (row,) = analysis.details.recoveries.to_dicts()
     assert (row["never"], row["out_ns"], row["back_ns"]) == (True, None, None)

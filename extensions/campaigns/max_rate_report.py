@@ -70,17 +70,17 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
     labels = [_label(highest.cell) for highest in answers]
-    said = [printable(_rate_words(highest), _MOST_SAID) for highest in answers]
+    sentences = [printable(_rate_words(highest), _MOST_SAID) for highest in answers]
     left = 20 + _CHARACTER_PX * max(map(len, labels), default=0)
     bottom = _TOP_PX + _ROW_PX * len(answers)
-    right = left + _BAR_PX + 20 + _CHARACTER_PX * max(map(len, said), default=0)
+    right = left + _BAR_PX + 20 + _CHARACTER_PX * max(map(len, sentences), default=0)
     lines = [_HEAD.format(width=max(right, 640), height=bottom + 46, search=search)]
     lines += [
         _TICK.format(x=left + _x(rate_hz, search), top=_TOP_PX - 6, bottom=bottom, text_y=bottom + 16, rate_hz=rate_hz)
         for rate_hz in _ticks(search)
     ]
     lines.append(_AXIS.format(x=left + _BAR_PX / 2, y=bottom + 36))
-    for row, (highest, label, words) in enumerate(zip(answers, labels, said, strict=True)):
+    for row, (highest, label, words) in enumerate(zip(answers, labels, sentences, strict=True)):
         has_rate = highest.answer in (RateAnswer.FOUND, RateAnswer.AT_LEAST)
         width = _x(highest.cell.rate, search) if has_rate else 2
         y = _TOP_PX + _ROW_PX * row
@@ -88,7 +88,7 @@ def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
         lines.append(
             _BAR.format(
                 label=escape(label),
-                said=escape(words),
+                sentence=escape(words),
                 label_x=left - 8,
                 x=left,
                 y=y,
@@ -154,5 +154,5 @@ _BAR = """\
 <text x="{label_x}" y="{text_y}" text-anchor="end">{label}</text>
 <rect x="{x}" y="{y}" width="{width:.1f}" height="{height}" fill="#0072b2"/>
 <line x1="{x}" y1="{middle_y}" x2="{fails_x:.1f}" y2="{middle_y}" stroke="#0072b2"/>
-<text x="{end_x:.1f}" y="{text_y}">{said}</text>
+<text x="{end_x:.1f}" y="{text_y}">{sentence}</text>
 """

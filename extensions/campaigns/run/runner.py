@@ -81,7 +81,7 @@ class Runner:
         self._progress = progress
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
-        self._said: set[str] = set()
+        self._noted: set[str] = set()
 
     def _leave_out(self, cells: Iterable[Cell]) -> None:
         if self._is_installed_here:
@@ -299,9 +299,9 @@ class Runner:
         return results, report
 
     def _say_once(self, text: str) -> None:
-        if text and text not in self._said:
+        if text and text not in self._noted:
             self._progress.note(text)
-        self._said.add(text)
+        self._noted.add(text)
 
     def _store(self, drafts: Mapping[Cell, Path], results: Sequence[CellResult]) -> LinkReport | None:
         """Move complete traces to their final names; refuse traces that did not cross the link."""

@@ -28,12 +28,12 @@ from .report import (
     TopicRow,
     age_words,
     ended_words,
+    ends_ns,
     facts_words,
     gate_rows,
     judged_blocks,
     missing_words,
     rate_words,
-    rest_ns,
     seconds_words,
     verdict_words,
 )
@@ -142,7 +142,7 @@ class DriveComparison(blocks.Report):
     def _silence(self, *rows: TopicRow | None) -> Change:
         """Compare the longest silences of a steady topic."""
         sides = [(row, report.recordings[0]) for row, report in zip(rows, self.reports, strict=True) if row]
-        silent_ns = [max(row["gap_max_ns"] or 0, rest_ns(row, health)) for row, health in sides]
+        silent_ns = [max(row["gap_max_ns"] or 0, *ends_ns(row, health)) for row, health in sides]
         rates_hz = [row["expected_rate_hz"] for row, _ in sides if row["expected_rate_hz"]]
         if len(sides) < 2 or not rates_hz or silent_ns[1] <= max(2 * silent_ns[0], quiet_ns(SECOND_NS / min(rates_hz))):
             return None
@@ -162,15 +162,17 @@ def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> Change:
 
 
 def _rate(was: TopicRow | None, now: TopicRow | None) -> Change:
-    """Compare rates; of an unsteady topic by the median interval."""
+    """Compare rates; unsteady ones differ in mean and median."""
     if not was or not now or min(was["messages"], now["messages"]) < WINDOW:
         return None
-    bound, rates_hz = 1 + FEW, [row["expected_rate_hz"] or 0.0 for row in (was, now)]
-    if not all(rates_hz):
-        bound, rates_hz = 2, [SECOND_NS / (row["period_p50_ns"] or math.inf) for row in (was, now)]
-    ratio = rates_hz[1] / rates_hz[0] if all(rates_hz) else 1.0
-    words = f" {' → '.join(map(format_rate, rates_hz))} ({100 * (ratio - 1):+.3g} %)"
-    return None if 1 / bound <= ratio <= bound else (abs(math.log(ratio)), words)
+    bound, before, after = 1 + FEW, was["expected_rate_hz"], now["expected_rate_hz"]
+    ratios = [after / before] if before and after else []
+    if not ratios and was["period_p50_ns"] and now["period_p50_ns"]:
+        bound, before, after = 2, was["rate_hz"], now["rate_hz"]
+        ratios = [after / before, was["period_p50_ns"] / now["period_p50_ns"]]
+    if not ratios or (min(ratios) <= bound and max(ratios) >= 1 / bound):
+        return None
+    return abs(math.log(ratios[0])), f" {format_rate(before)} → {format_rate(after)} ({100 * (ratios[0] - 1):+.3g} %)"
 
 
 _CHANGES: tuple[tuple[str, Callable[[TopicRow | None, TopicRow | None], Change]], ...] = (

@@ -146,10 +146,7 @@ class TopicTimes:
                     is_jump = (steps > 1) & is_possible
                     usual = usual_steps(steps)
                     least = steps - 1 if usual is None else np.maximum(steps // usual - 1, 0)
-                    last_ns, wait_ns, missing, low = (
-                        row[is_jump] for row in (logged_ns[:-1], waits_ns, steps - 1, least)
-                    )
-                    jumps.append(Holes.due(last_ns, wait_ns, usual_ns, missing, low))
+                    jumps.append(Holes.due(logged_ns[:-1], waits_ns, usual_ns, steps - 1, least).at(is_jump))
         holes = Holes.of(jumps)
         high, low = (max(int(count.sum()) - len(self.left_out_ns), 0) for count in (holes.missing, holes.low))
         if not jumps or not (high or self.is_ros1):

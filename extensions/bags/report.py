@@ -94,14 +94,15 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
 
 
-def rest_ns(row: TopicRow, health: RecordingHealth) -> int:
-    return int(health.start_ns + health.duration_ns - row["start_ns"] - row["duration_ns"])
+def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
+    before_ns = row["start_ns"] - health.start_ns
+    return before_ns, health.duration_ns - before_ns - row["duration_ns"]
 
 
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     """Return which steady topic ends earliest."""
     steady = [row for row in rows if row["expected_rate_hz"]]
-    ends = [(rest_ns(row, health), row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
+    ends = [(ends_ns(row, health)[1], row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
     early = [(silent_ns, topic) for silent_ns, topic, usual_ns in ends if silent_ns > usual_ns]
     if not early:
         return ""
@@ -326,7 +327,7 @@ class BagReport(blocks.Report):
         chains = chain_lines([link for path, link in self.report.links if path == health.path], SHOWN)
         syncs = [sync.words for path, sync in self.report.syncs if path == health.path]
         damages = first_of(health.damages, SHOWN, "more like these")
-        lines = (*pause_lines(health), *damages, *health.notes, *chains, *syncs)
+        lines = [*pause_lines(health), *damages, *health.notes, *chains, *syncs]
         yield Points([*map(printable, lines)])
         if not rows:
             return

@@ -20,8 +20,7 @@ from .search import MaxRate, RateAnswer
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 
-_ROW_PX, _BAR_PX, _TOP_PX, _CHARACTER_PX = 22, 420, 58, 7
-_MOST_SAID = 80
+_ROW_PX, _BAR_PX, _TOP_PX, _CHARACTER_PX, _MOST_SAID = 22, 420, 58, 7, 80
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:

@@ -33,7 +33,7 @@ def own_port(domain_id: int) -> int:
 
 
 def counts_in(text: str) -> list[int]:
-    return [int(number) for number in re.findall(r"\b\d+\b", text)]
+    return [int(number) for number in re.findall(r"\b\d+\b", text.replace(",", ""))]
 
 
 class RunningCommand:

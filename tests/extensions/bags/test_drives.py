@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 from dds_trace.extensions.bags.drives import are_drives
 from dds_trace.extensions.gates.command import app
 
-BASE = {"/camera": timer(20, 60), "/imu": timer(100, 60), "/tf": timer(50, 60)}
+BASE = {"/camera": timer(20, 60), "/imu": timer(100, 60), "/tf": timer(50, 60), "/gps": timer(10, 60)}
 NEW = {"/camera": timer(20, 60, without=[(30, 33)]), "/imu": timer(90, 60), "/odom": timer(5, 60)}
+NEW["/gps"] = timer(10, 60)[100:]
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +41,8 @@ def test_both_sides_are_shown_by_topic(drives):
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
     for words in (
         "Gone on the new side: /tf. New there: /odom. A larger share of messages is missing on /camera.",
-        "/camera. Another rate: /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /camera 50 ms → 3.05 s.",
-        "2 topics on both sides, 2 on one",
+        "Another rate: /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /gps 100 ms → 10 s, /camera 50 ms → 3.05 s.",
+        "3 topics on both sides, 2 on one",
         "50 Hz → - | 0 → -",
         "100 Hz → 90 Hz | 0",
         "0 → 60 (5 %)",

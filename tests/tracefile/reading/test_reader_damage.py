@@ -266,7 +266,7 @@ class TestClaims:
         write_number(path, at + 2, 1 << 62)
         said = read_in_little_memory(path, "t.event_count, t.notes")
         assert said.startswith("24 (")
-        assert f"claim {1 << 62} messages of /dds_trace/t1, 12 were" in said
+        assert f"claim {1 << 62:,} messages of /dds_trace/t1, 12 were" in said
 
     def test_statistics_that_claim_fewer_events_than_there_are(self, tmp_path, sentences):
         path = small_trace(tmp_path, crcs=False)
@@ -290,7 +290,7 @@ class TestClaims:
         path.write_bytes(data)
         trace = read_trace(path)
         assert len(trace.notes) == 21
-        assert trace.notes[-1].endswith("more notes like these")
+        assert trace.notes[-1].endswith("more like these")
 
     def test_a_session_nested_without_end(self, tmp_path):
         text = ping_session().to_json()[:-1] + ', "x": ' + "[" * 100_000 + "]" * 100_000 + "}"

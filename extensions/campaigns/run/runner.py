@@ -319,7 +319,7 @@ class Runner:
         if link is not None and has_bypassed:
             raise CellFailedError(
                 f"its messages did not cross the link: {counted(link['ping']['sent_bytes'], 'byte')} of the "
-                f"{returned_bytes} that came back did; the trace is {target.name}",
+                f"{returned_bytes:,} that came back did; the trace is {target.name}",
                 hopeless=True,
             )
         return link

@@ -75,7 +75,16 @@ WIRE_TOPIC = "/dds_trace/wire"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventColumns:
-    """Events of one stage (`TraceEvent` of docs/trace-format.md) as columns of equal length, in file order."""
+    """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
+
+    Attributes:
+        sequence: number of the message within its run.
+        monotonic_ns: CLOCK_MONOTONIC of the recording device.
+        scheduled_ns: T0 on the same clock (T1 only, else 0).
+        source_ns, received_ns: the middleware's source and reception time stamps, ns since 1970; 0 if unknown.
+        payload_bytes: application bytes.
+        relay_id: 0 on T1.
+    """
 
     run_id: NDArray[np.uint64]
     sequence: NDArray[np.uint64]
@@ -173,7 +182,16 @@ PUBLISHER_TOPIC = "/dds_trace/publisher"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapColumns:
-    """Events of taps (`TapEvent` of docs/trace-format.md) as columns, in file order."""
+    """Events of taps as columns, in file order; all arrays are one-dimensional and equally long.
+
+    Attributes:
+        content_hash: identity of the serialized message (`hash_content`).
+        publication_sequence: the publisher's number of the message; 0 if unknown.
+        monotonic_ns: arrival on CLOCK_MONOTONIC of the recording device.
+        header_ns: stamp of the message's first header, on its sender's clock; 0 if there is none.
+        source_ns, received_ns: as in `EventColumns`.
+        payload_bytes: length of the serialized message.
+    """
 
     content_hash: NDArray[np.uint64]
     publication_sequence: NDArray[np.uint64]

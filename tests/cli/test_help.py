@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 from bags import imu, write_bag2
+from commands import run_trace
 
 from dds_trace.base.version import __version__
 from dds_trace.cli import analyze, trace
@@ -181,14 +182,13 @@ def test_a_recording_by_the_names_of_the_card_is_the_same(tmp_path, monkeypatch,
 def test_an_option_that_went_names_the_command_that_does_it(words, now, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["dds-trace"])
     monkeypatch.setattr("dds_trace.cli.doctor.all_checks", lambda _: [])
-    with pytest.raises(SystemExit) as ended:
-        trace.main([*words, "x"])
+    code = run_trace(*words, "x")
     said = f"{words[1]} went; use `dds-trace {now}`\n"
     if " ".join(words) in trace.FOLLOWED:
         assert capsys.readouterr().err.startswith(said)  # then what that command says of x
         assert trace.follow_moved([words[0], "a", words[1], "b"]) == [now.split()[0], "a", "b"]
     else:
-        assert (ended.value.code, capsys.readouterr().err) == (2, f"dds-trace: {said}")
+        assert (code, capsys.readouterr().err) == (2, f"dds-trace: {said}")
     assert " ".join(now.split()[:2]) in trace.commands() or now.split()[0] in {*trace.commands(), "record"}
 
 
@@ -198,9 +198,8 @@ def test_what_is_rarely_used_is_a_setting(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(take, lambda options, **_: (options.check(), taken.append(options)))
 
     def ends(*words):
-        with pytest.raises(SystemExit) as ended:
-            trace.main(["record", *words, "--backend", "socket", "--out", str(tmp_path / "x.mcap")])
-        return ended.value.code or 0, *capsys.readouterr()
+        code = run_trace("record", *words, "--backend", "socket", "--out", tmp_path / "x.mcap")
+        return code, *capsys.readouterr()
 
     assert ends("ping", "-o", "buffer=1MB", "-o", "own_cost=false")[0] == 0
     assert (taken[0].node.buffer_bytes, taken[0].own_cost) == (1_000_000, False)

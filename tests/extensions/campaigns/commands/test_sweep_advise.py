@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import polars as pl
 import pytest
+from commands import run_trace
 
 from dds_trace.base.errors import OptionError
-from dds_trace.cli.trace import main
 from dds_trace.extensions.campaigns.commands.advise import shown_proof
 from dds_trace.extensions.campaigns.plan.link import PRESETS
 from dds_trace.extensions.campaigns.proof import why_not
@@ -19,9 +19,7 @@ from dds_trace.extensions.gates.costs import pays
 def run(text, tmp_path, *options):
     plan = tmp_path / "mine.toml"
     plan.write_text(text)
-    with pytest.raises(SystemExit) as ended:
-        main(["advise", str(plan), "--out", str(tmp_path / "runs"), *options])
-    return ended.value.code
+    return run_trace("advise", plan, "--out", tmp_path / "runs", *options)
 
 
 @pytest.mark.parametrize(
@@ -58,9 +56,7 @@ def test_plans_that_it_is_not_for(text, tmp_path, capsys):
     ],
 )
 def test_a_question_that_is_none_is_one_line(words, reason, tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["advise", *words, "--out", str(tmp_path / "runs")])
-    assert ended.value.code == 2
+    assert run_trace("advise", *words, "--out", tmp_path / "runs") == 2
     error = capsys.readouterr().err
     assert reason in error
     assert error.count("\n") == 1

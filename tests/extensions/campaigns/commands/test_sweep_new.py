@@ -4,8 +4,8 @@ import sys
 
 import jsonschema
 import pytest
+from commands import run_trace
 
-from dds_trace.cli.trace import main
 from dds_trace.extensions.campaigns.plan.link import PRESETS
 from dds_trace.extensions.campaigns.plan.plan_file import read_plan
 from dds_trace.extensions.campaigns.plan.schema import plan_schema
@@ -31,10 +31,7 @@ def new(tmp_path, monkeypatch, capsys):
     def call(name, *options, typed=None):
         monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal("\n".join(typed) + "\n"))
         monkeypatch.setattr("sys.argv", ["dds-trace"])
-        with pytest.raises(SystemExit) as ended:
-            main(["sweep", "new", str(tmp_path / name), *options])
-        said = capsys.readouterr()
-        return ended.value.code, said.out, said.err
+        return run_trace("sweep", "new", tmp_path / name, *options), *capsys.readouterr()
 
     return call
 

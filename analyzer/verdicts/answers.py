@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from ..model.names import group_words
-from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS, ParameterValue
+from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS, DEVICE_COLUMNS, ParameterValue
 from ..model.runs import RunRows
 from ..model.setting import parse_setting
 from ..run_statistics.received import Bools, LossExcess, loss_excesses, received_interval
@@ -21,17 +21,8 @@ from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, Reason, exceeds_l
 from .ranking import Kind, Ranking, RankingOptions, judge_losers, rank_setups
 from .setup_runs import SetupRuns
 
-_WORDS = (
-    "data_type",
-    "payload_bytes",
-    "rate_hz",
-    "domain_mode",
-    "connectivity",
-    "ping_device",
-    "relay_device",
-    "conditions",
-)
-FAMILY = ("connectivity", "domain_mode", "data_type", "ping_device", "relay_device", "conditions")
+_WORDS = ("data_type", "payload_bytes", "rate_hz", "domain_mode", "connectivity", *DEVICE_COLUMNS, "conditions")
+FAMILY = ("connectivity", "domain_mode", "data_type", *DEVICE_COLUMNS, "conditions")
 """Fields of an answer that differ between families, whose spreads are pooled."""
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")

@@ -122,6 +122,11 @@ class Intervals:
         row = self.row(metric, percentile, group)
         return (None, None) if row is None else (row["low_ns"], row["high_ns"])
 
+    def typical(self, metric: str, percentile: str, group: int) -> int | None:
+        row = self.row(metric, percentile, group)
+        is_between = row is not None and row["basis"] == Basis.BETWEEN_RUNS.value
+        return whole_ns(row["typical_ns"]) if row and is_between else None
+
     def is_within_runs(self, metric: str, percentile: str, group: int) -> bool:
         row = self.row(metric, percentile, group)
         return row is not None and row["basis"] == Basis.WITHIN_RUN.value

@@ -24,8 +24,8 @@ _NOTE = (
     f"one or two runs give it an upper bound from {messages_to_end(0.99)} messages on."
 )
 _INTERVAL_NOTE = (
-    "95 %: confidence intervals, of a typical run where there are three or more, else within one run; a dash is an end that the "
-    "sample does not support."
+    "95 %: a typical run and its confidence interval where there are three or more, else the interval within one run; a dash is an "
+    "end that the sample does not support."
 )
 OWN_SHARE_NOTE = (
     "Own share: what the nodes of ping and relay themselves take of the median round trip, as each measured it at the run's rate "
@@ -69,7 +69,7 @@ def _columns() -> list[Column]:
     columns += [Column(name, right=True, media=MARKDOWN) for name in ("Unsent", "Own share")]
     for name in _TIMES:
         columns += [Column(name, right=True, media=MARKDOWN) if name == "p90" else shown(name, 7)]
-        columns += [Column("95 %", media=MARKDOWN)] if name in _WITH_INTERVALS else []
+        columns += [Column("Typical run, 95 %", media=MARKDOWN)] if name in _WITH_INTERVALS else []
         columns += [shown("Bur.", 4)] if name == "p99" else []
     return [*columns, Column("Distribution", width=SPARK_CELLS, is_cut=True, media=TERMINAL)]
 
@@ -88,10 +88,11 @@ def _group_row(book: Contents, group: Group, ends_ns: tuple[int, int], media: Me
         format_ratio(values.plain["own_share"][index]),
     ]
     for name in _TIMES:
-        ends = intervals.ends(metric, name, index)
+        ends, typical_ns = intervals.ends(metric, name, index), intervals.typical(metric, name, index)
+        typical = "" if typical_ns is None else f"{format_duration(typical_ns)}, "
         cells.append(format_duration(values.times_ns[metric][name][index]))
         cells += (
-            [MISSING if ends == (None, None) else " to ".join(map(format_duration, ends))]
+            [MISSING if ends == (None, None) else typical + " to ".join(map(format_duration, ends))]
             if name in _WITH_INTERVALS
             else []
         )

@@ -45,7 +45,6 @@ BRIDGE_COST = FigureMaker(
     nothing="no message has a latency both in the same and in different domains with all else equal.",
     kind="bridge_cost",
     make=bridge_cost_plan,
-    few=False,
 )
 
 

@@ -9,7 +9,7 @@ from dds_trace.base.extension import offers
 from ..book.book import Book
 from ..book.groups import is_of_topics
 from . import breakdown, clocks, costs, distribution, host_load, lines, own_times, timeline
-from .figure import Figure, Plan, Scope, is_few
+from .figure import Figure, LineFigure, Plan, Scope, is_few
 
 FIGURES: list[Figure] = [
     costs.DOTS,
@@ -52,11 +52,20 @@ def drawn_figures(book: Book) -> tuple[list[tuple[Figure, Plan]], list[tuple[Fig
         plan = figure.plan(book)
         if plan is None:
             left_out.append((figure, figure.nothing))
-        elif few and not figure.few and not of_topics:
+        elif few and not (figure.few or _has_line(book, figure)) and not of_topics:
             left_out.append((figure, "so few results are in the first figure, all in one."))
         else:
             drawn.append((figure, plan))
     return drawn, left_out
+
+
+LINE = 3
+"""Fewest marks of a line where a few results are in one chart, too."""
+
+
+def _has_line(book: Book, figure: Figure) -> bool:
+    over = figure in (lines.LATENCY_BY_RATE, lines.LATENCY_BY_SIZE) and isinstance(figure, LineFigure)
+    return over and any(len(line.x) >= LINE for panel in figure.info(book).panels for line in panel.lines)
 
 
 MOST_OPENED_PANELS = 9

@@ -50,26 +50,10 @@ if TYPE_CHECKING:
 
 FOLDED_FACTS = ("Traces", "Quality of service", "Settings", "Versions", "Cost of measuring")
 SCRIPTS = (
-    "data.js",
-    "units.js",
-    "view.js",
-    "layout.js",
-    "kinds/facets.js",
-    "kinds/lines.js",
-    "kinds/bars.js",
-    "kinds/few.js",
-    "kinds/cell.js",
-    "kinds/details.js",
-    "kinds/wire.js",
-    "tables.js",
-    "output/export.js",
-    "rows.js",
-    "figures.js",
-    "group.js",
-    "output/paper.js",
-    "job.js",
-    "theme.js",
-    "page.js",
+    *("data.js", "units.js", "view.js", "layout.js"),
+    *(f"kinds/{name}.js" for name in ("facets", "lines", "bars", "few", "cell", "details", "wire")),
+    *("tables.js", "output/export.js", "rows.js", "figures.js", "group.js"),
+    *("output/paper.js", "job.js", "theme.js", "page.js"),
 )
 """Scripts of the page, each after those that it needs."""
 UNPACK_SCRIPT = "unpack.js"
@@ -175,8 +159,7 @@ _BIBTEX = f"""@software{{dds_trace,
   title = {{dds-trace: MCAP trace recorder and offline analyzer for the latency of ROS 2 / DDS communication}},
   author = {{{{The dds-trace maintainers}}}},
   version = {{{__version__}}},
-  year = {{{YEAR}}},
-  url = {{https://github.com/OWNER/dds-trace}}
+  year = {{{YEAR}}}
 }}"""
 
 
@@ -299,6 +282,7 @@ def _island(book: Book, plans: Sequence[tuple[Figure, Plan]]) -> dict[str, objec
             "low_ns": by_group(lambda *where: intervals.ends(*where)[0]),
             "high_ns": by_group(lambda *where: intervals.ends(*where)[1]),
             "rests_on": by_group(intervals.rests_on),
+            "typical_ns": by_group(intervals.typical),
         },
         "figures": {
             figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": plan}

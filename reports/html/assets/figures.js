@@ -142,7 +142,7 @@ class FigureBlock {
   /** What the figure shows, in the words of the chosen metric and statistic. */
   title() {
     const { title, follows } = this.figure;
-    return follows ? `${title.replace(/^Latency/, labelOf("metric"))}, ${labelOf("statistic")} of all messages` : title;
+    return follows ? `${title.replace(/^Latency/, labelOf("metric"))}, ${labelOf("statistic")} of ${ofWhom()}` : title;
   }
 
   /** The beginning of the names of its files. */

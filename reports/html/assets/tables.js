@@ -187,6 +187,7 @@ function showGroups({ most = MOST_ROWS } = {}) {
         { label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs, stays: rested(key) },
         ...(bounded(key)
           ? [
+              { label: `${label} of a typical run`, unit: "ns", format: formatNs },
               { ...LOW, label: `${label} 95 % low` },
               { ...HIGH, label: `${label} 95 % high` },
             ]
@@ -211,7 +212,7 @@ function showGroups({ most = MOST_ROWS } = {}) {
       values.received_ratio[group],
       ...shown.flatMap((key) => [
         times[view.metric][key][group],
-        ...(bounded(key) ? intervalOf(group, key) : []),
+        ...(bounded(key) ? [typicalOf(group, key), ...intervalOf(group, key)] : []),
         ...(rested(key) ? [restsOn(group, key)] : []),
       ]),
       values.transfer_rate_bytes_per_s[group],

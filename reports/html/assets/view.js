@@ -150,9 +150,21 @@ function cellGroups() {
   );
 }
 
-/** The chosen statistic of the chosen metric, in ns, or null. */
-function statisticOf(group) {
-  return DATA.values.times_ns[view.metric][view.statistic][group];
+/** A percentile (the chosen one) of a typical run in ns; null with fewer than three runs. */
+function typicalOf(group, statistic = view.statistic, metric = view.metric) {
+  return DATA.intervals.typical_ns[metric]?.[statistic]?.[group] ?? null;
+}
+
+/** The chosen statistic of the chosen metric, in ns, or null: of what its interval is of. */
+function statisticOf(group, metric = view.metric) {
+  return typicalOf(group, view.statistic, metric) ?? DATA.values.times_ns[metric][view.statistic][group];
+}
+
+/** Whose chosen statistic the marks show. */
+function ofWhom() {
+  const typical = new Set(passingGroups().map((group) => typicalOf(group) !== null));
+  if (typical.size > 1) return "a typical run or all messages";
+  return typical.has(true) ? "a typical run" : "all messages";
 }
 
 /**

@@ -173,7 +173,7 @@ def test_a_few_groups_are_one_chart(reader, pages):
     names = tab.evaluate("blocks.map(b => b.name)")
     reader.draw_all()
     assert names[0] == "dots"
-    assert not {"latency_by_rate", "received", "domain_difference", "bridge_cost"} & set(names)
+    assert not {"latency_by_rate", "received", "domain_difference"} & set(names)
     assert tab.locator("#figure-dots .point").count() == 6 + 6, "a dot and a bar of the share received for each group"
     assert " of the same domain" in tab.locator("#figure-dots").text_content()
 

@@ -5,13 +5,12 @@
 const VALUES = {
   statistic(plan) {
     const metric = plan.metric || view.metric;
-    const times = DATA.values.times_ns[metric][view.statistic];
     const name = plan.metric
       ? (DATA.metrics.find((one) => one.key === metric) || { label: "Time in relay" }).label
       : labelOf("metric");
     const label = `${name}, ${labelOf("statistic")}`;
     return {
-      of: (group) => times[group],
+      of: (group) => statisticOf(group, metric),
       label,
       unit: "ns",
       format: formatNs,

@@ -39,7 +39,7 @@ function saveCsv(name, columns, rows) {
 const PX_PER_MM = 96 / 25.4;
 const EDGE = 8; // px around the plots, for labels that reach over their axis
 const SYMBOL = 44; // px of a name's symbol in the legend
-const LEGEND_SHARE = 0.19; // of a picture's height: plots grow where the legend has more
+const LEGEND_SHARE = 0.19; // of a picture's height: plots grow where the legend has more, up to a page
 const PNG_SCALE = 600 / 96; // 600 dots an inch where the width is one of print
 
 /** What journals print: one column or two; `null` is the width on the screen. */
@@ -151,7 +151,8 @@ function onWhite(drawn, title, width, mm) {
   });
   for (const [at, tiles] of traces.filter(({ type }) => type === "heatmap").entries()) tiles.showscale = at === 0;
   const margin = { ...layout.margin, b: layout.margin.b + EDGE, l: layout.margin.l + EDGE, r: layout.margin.r + EDGE };
-  const height = Math.round(Math.max(layout.height + above + EDGE, legend / LEGEND_SHARE));
+  const drawnHeight = layout.height + above + EDGE;
+  const height = Math.round(Math.max(drawnHeight, Math.min(PAGE_HEIGHT, legend / LEGEND_SHARE)));
   return {
     data: traces,
     layout: {

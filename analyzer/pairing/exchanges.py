@@ -95,7 +95,6 @@ Parts = tuple[EventPart, ...]
 
 
 UNREQUESTED = "unrequested_relay"
-"""Why replies of a relay that nobody asked for are left out."""
 NO_RELAY = 0
 _NAMES_NO_RELAY = frozenset((NO_RELAY, (1 << 32) - 1))
 
@@ -256,7 +255,7 @@ def requested_relays(exchange: Exchange) -> float:
 
 
 def _strangers(answers: Sequence[Exchange]) -> list[int]:
-    """Return the relays without a trace here, where as many as were asked for have one; after an outage ours may be one of them."""
+    """Return the relays without a trace, where as many as were asked for have one; after an outage ours may lack it."""
     recorded = [exchange for exchange in answers if exchange.relay is not None]
     is_beacon = answers[0].run.labels.get("role") == "beacon"
     if is_beacon or not 0 < len(recorded) < len(answers) or len(recorded) < requested_relays(recorded[0]):

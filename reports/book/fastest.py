@@ -257,7 +257,7 @@ def repeats_words(counts: Iterable[int | None]) -> str:
     return f"about {max(counted_repeats)} repeats would decide" if counted_repeats else ""
 
 
-def _decides(cases: Sequence[CaseAnswer], percentile: str, if_all: str = "") -> str:
+def _decides(cases: Sequence[CaseAnswer], percentile: str, tail: str = "") -> str:
     rows = [row for case in cases for row in case.of_claim(Claim.FASTEST, f"latency_{percentile}")]
     open_rows = [row for row in rows if row.verdict != PROVEN and row.value is not None]
     needs = [row.needs for row in open_rows if row.needs is not None]
@@ -265,7 +265,7 @@ def _decides(cases: Sequence[CaseAnswer], percentile: str, if_all: str = "") -> 
         is_near = any(row.reason == Reason.BELOW_MARGIN.value for row in open_rows)
         return "the measured lead is below the margin" if is_near else ""
     is_part = len(needs) < len(open_rows)
-    return repeats_words(needs) + (f" {len(needs)} of {len(open_rows)} comparisons" if is_part else if_all)
+    return repeats_words(needs) + (f" {len(needs)} of {len(open_rows)} comparisons" if is_part else tail)
 
 
 def _lowest(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> tuple[str, str]:

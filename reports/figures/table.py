@@ -59,13 +59,12 @@ def drawn_figures(book: Book) -> tuple[list[tuple[Figure, Plan]], list[tuple[Fig
     return drawn, left_out
 
 
-LINE = 3
-"""Fewest marks of a line where a few results are in one chart, too."""
+LEAST_MARKS = 3
 
 
 def _has_line(book: Book, figure: Figure) -> bool:
     over = figure in (lines.LATENCY_BY_RATE, lines.LATENCY_BY_SIZE) and isinstance(figure, LineFigure)
-    return over and any(len(line.x) >= LINE for panel in figure.info(book).panels for line in panel.lines)
+    return over and any(len(line.x) >= LEAST_MARKS for panel in figure.info(book).panels for line in panel.lines)
 
 
 MOST_OPENED_PANELS = 9

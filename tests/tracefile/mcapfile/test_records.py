@@ -47,12 +47,12 @@ def test_a_text_that_is_no_utf8_is_an_error():
 
 @pytest.mark.parametrize("kind", [Channel, Statistics])
 def test_a_map_that_no_file_needs_is_an_error(kind):
-    with pytest.raises(ValueError, match="it has 2097153 bytes"):
+    with pytest.raises(ValueError, match="it has 2,097,153 bytes"):
         parse_record(kind, bytes((2 << 20) + 1))
 
 
 def test_a_length_of_four_gigabytes_takes_no_memory():
-    with pytest.raises(ValueError, match="4294967295 bytes reaches beyond"):
+    with pytest.raises(ValueError, match="4,294,967,295 bytes reaches beyond"):
         parse_record(Header, struct.pack("<I", 2**32 - 1))
 
 

@@ -24,6 +24,8 @@ PACKET_BYTES = 1400
 """Largest datagram that no link splits, with its headers."""
 LARGEST_BYTES = 1 << 16
 """Largest datagram, which one period of a flow controller has to let through."""
+DATAGRAM_BYTES = {"fastdds": LARGEST_BYTES, "cyclonedds": 14_720}
+"""Largest datagram of a vendor's defaults; zenoh sends a stream."""
 PACED_SHARE, PERIOD_MS = 0.8, 10
 """Share of the link's rate at which Fast DDS may send, and its shortest period."""
 
@@ -40,6 +42,15 @@ def bundles(vendor: str, largest_bytes: int, link: Link | None) -> dict[str, str
         texts = {name: json.dumps({"transport": settings}, indent=2) for name, settings in by_name.items()}
         return {name: f"// Written by dds-trace: {name}.\n{text}\n" for name, text in texts.items()}
     return {}
+
+
+def arriving_share(vendor: str, bundle: str, largest_bytes: int, link: Link | None) -> float:
+    """Return the share of datagrams that arrive: one is lost with any of its packets."""
+    sizes = {"small-packets": PACKET_BYTES, "large-packets": LARGEST_BYTES}
+    own_bytes = DATAGRAM_BYTES.get(vendor, PACKET_BYTES)
+    datagram_bytes = next((size for name, size in sizes.items() if bundle.endswith(name)), own_bytes)
+    loss = link.loss_percent / 100 / max(1.0, link.loss_burst) if link else 0.0
+    return (1 - loss) ** math.ceil(min(datagram_bytes, largest_bytes) / PACKET_BYTES)
 
 
 def write_bundles(vendor: str, texts_by_name: Mapping[str, str], folder: Path) -> list[Path]:

@@ -8,7 +8,6 @@ import re
 import shlex
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -20,12 +19,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dds_trace.base.records import to_json
-from dds_trace.base.units import counted, format_rate, format_size
+from dds_trace.base.units import counted, format_rate, format_size, joined
 
 from .folder import replace_text
 from .halving import (
     FIRST_SECONDS,
     MOST_FIRST_SECONDS,
+    MOSTLY,
+    NO_MORE_TIME,
     NO_TIME,
     PASSES,
     Candidate,
@@ -79,18 +80,13 @@ def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_
     The folder of an interrupted search is continued; a finished one is kept, and a new one made.
 
     Args:
-        tell: gets each step, in this thread, between runs. What it raises, and Ctrl-C, end the search with its recordings kept.
         began_s: time of `time.monotonic` from which the minutes count, by default now.
 
     Returns:
         `question`, `link` (measured or emulated, null on one machine), `load` (payload over the link's rate), `sentence`, `recommended`
-        (`middleware`, `vendor`, `bundle`, `configuration`, `variables`) or null, `candidates` (best first: an `Event.to_dict()`
+        (`middleware`, `vendor`, `bundle`, `configuration`, `variables`, `exports`) or null, `candidates` (best first: an `Event.to_dict()`
         of the first looks, and `dropped`), `proofs` (of the best `against` another: `kept`, `verdict`, `reason`, `proof`, `received`,
         `command`), `fits` (highest `rate_hz` at the size and largest `size_bytes` at the rate, null if not found) or null, `seconds`, `folder`.
-
-    Raises:
-        OptionError: the plan has what cannot be advised on, or needs a right that is missing.
-        TraceError: nothing can be recorded at all.
     """
     check_advisable(question.plan)
     search = Search(question, new_folder(out, question.plan.name), tell, time.monotonic)
@@ -172,9 +168,10 @@ class Search:
         self.ranking = self.look(self.fitted(plan), self.link)
         sides = self.sides(self.ranking)
         if sides and self.load <= 1 and not sides[0].excess(limits)[0]:
-            fresh = self.record_proof(sides)
-            self.fresh = fresh or sides
-            self._judge(is_recorded=bool(fresh))
+            racing = [side for side in sides if side.excess(limits)[0] <= MOSTLY]
+            fresh = self.record_proof(racing)
+            self.fresh = fresh or racing
+            self._judge([*self.fresh[1:], *(side for side in sides if side not in racing)], is_recorded=bool(fresh))
         chosen, fits = self._choose(), None
         measured = [standing for standing in self.fresh or sides if standing.looks]
         if chosen is None and measured:
@@ -245,17 +242,15 @@ class Search:
 
     @staticmethod
     def sides(ranking: Sequence[Standing]) -> list[Standing]:
-        """Return the best, the default of its middleware, and the best of the others."""
+        """Return the best, the default of its middleware, had that time or not, and the best of the others."""
         measured = [standing for standing in ranking if standing.looks]
-        defaults = [standing for standing in measured[1:] if _is_default(standing, measured[0])]
+        waiting = [standing for standing in ranking if standing.dropped == NO_TIME]
+        defaults = [standing for standing in (*measured[1:], *waiting) if _is_default(standing, measured[0])]
         others = [standing for standing in measured[1:] if standing not in defaults]
         return [*measured[:1], *defaults[:1], *others[:1]]
 
     def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
-        """Record fresh runs of each side in turns, forwards and backwards, in a folder for each.
-
-        The runner-up has none where there is no time for `LEAST_PROOFS` of all; nothing is returned without one of each.
-        """
+        """Record fresh runs of each side in turns, none of the runner-up where time is short; return none without one of each."""
         fresh = [Standing(side.candidate) for side in sides]
         until_s = self._until_s - JUDGE_S * (len(sides) - 1)
         with ExitStack() as stack:
@@ -283,14 +278,14 @@ class Search:
     def _side_folder(self, standing: Standing) -> Path:
         return self.folder / "proof" / re.sub(r"[^\w.+-]", "-", standing.candidate.name)
 
-    def _judge(self, *, is_recorded: bool) -> None:
-        """Compare the best with each other side of the proof, if it was recorded."""
-        for other in self.fresh[1:]:
+    def _judge(self, others: Sequence[Standing], *, is_recorded: bool) -> None:
+        """Compare the best with each other side of the proof, if it was recorded, and name what is out of it."""
+        for other in others:
             best, folders = self.fresh[0], [self._side_folder(side) for side in (other, self.fresh[0])]
             proof: Answer = {"of": best.candidate.name, "against": other.candidate.name}
             failed = next((side for side in (best, other) if side.dropped), None)
             if failed or not is_recorded:
-                reason = f"{failed.candidate.name} was not recorded: {failed.dropped}" if failed else ""
+                reason = f"{failed.candidate.name} is out: {failed.dropped}" if failed else ""
                 proof |= {"kept": is_recorded and failed is other, "verdict": "incomplete", "proof": [], "received": []}
                 proof["reason"] = reason if is_recorded else "there was no time for fresh runs"
             else:
@@ -305,7 +300,7 @@ class Search:
         if not fitting or self.fresh[0] not in fitting:
             return min(fitting, key=lambda row: row.level, default=None)
         best = chosen = self.fresh[0]
-        for other, proof in zip(self.fresh[1:], self.proofs, strict=True):
+        for other, proof in zip(self.fresh[1:], self.proofs, strict=False):
             is_open, is_faster = proof["verdict"] != "better", other.level < chosen.level
             is_as_simple = bool(chosen.candidate.bundle) or not other.candidate.bundle
             is_better = _is_default(other, best) or (is_faster and is_as_simple) or proof["verdict"] == "worse"
@@ -363,6 +358,7 @@ class Search:
 
     def _result(self, chosen: Standing | None, fits: Answer | None) -> Answer:
         question, limits, host = self.question, self.question.limits, self.question.plan.relay.ssh
+        is_unproven = fits is not None and not any(fits.values())
         messages = [
             {"data": cell.data, "size": cell.size, "rate_hz": cell.rate, **({"flow": cell.flow} if cell.flow else {})}
             for cell in question.messages
@@ -372,7 +368,7 @@ class Search:
             "link": None if self.link is None else self.link.to_dict(),
             "load": self.load,
             "sentence": self._sentence(chosen, fits),
-            "recommended": None if chosen is None else settings_of(chosen.candidate),
+            "recommended": None if chosen is None or is_unproven else settings_of(chosen.candidate),
             "candidates": [{**row.event("look", limits).to_dict(), "dropped": row.dropped} for row in self.ranking],
             "proofs": self.proofs,
             "fits": fits,
@@ -388,9 +384,7 @@ class Search:
                 f"No answer: {failed.candidate.name} was not measured{' again' * bool(self.fresh)}: {failed.dropped}."
             )
         name = chosen.candidate.name
-        missing = Counter(row.dropped == NO_TIME for row in self.ranking if not row.looks)
-        ends = ((missing[True], "had no time (--minutes)"), (missing[False], "could not run"))
-        more = "".join(f"; {counted(count, 'more setup')} {words}" for count, words in ends if count)
+        more = self._missing_words(is_compared=fits is None)
         if fits is not None:
             rows = [row for row in (*self.ranking, *self.fresh) if row.looks]
             tried = {row.candidate.name for row in rows}
@@ -407,7 +401,7 @@ class Search:
         late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"
         if late and event.late > limits.late_percent / 100 * event.messages:
             late += f" (more than the {limits.late_percent:g} % allowed, but not for sure)"
-        sides = {side.candidate.name: side for side in self.fresh}
+        sides = {side.candidate.name: side for side in (*self.ranking, *self.fresh)}
         compared = []
         for proof in self.proofs:
             if name in (proof["of"], proof["against"]):
@@ -418,6 +412,20 @@ class Search:
                     words = f"{{}} breaks a limit, {breaks}"
                 compared.append(words.format(other.candidate.name))
         return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}{more}."
+
+    def _missing_words(self, *, is_compared: bool) -> str:
+        """Return how many setups were not measured, or had no time to be compared."""
+        proven = [row.candidate for row in self.fresh if row.looks]
+        names: dict[str, list[str]] = {}
+        for row in self.ranking:
+            words = "had no time (--minutes)" if row.dropped == NO_TIME else "could not run"
+            if row.looks:
+                words = "had no time for more runs" if is_compared and row.dropped.endswith(NO_MORE_TIME) else ""
+            if words and row.candidate not in proven:
+                names.setdefault(words, []).append(row.candidate.middleware)
+        return "".join(
+            f"; {counted(len(of), 'more setup')} {words} ({joined(sorted({*of}))})" for words, of in names.items()
+        )
 
     def _fits_words(self, fits: Answer) -> str:
         rate, size = fits["rate_hz"], fits.get("size_bytes")

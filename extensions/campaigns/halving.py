@@ -39,7 +39,7 @@ FIRST_SECONDS, MOST_FIRST_SECONDS = 2.0, 6.0
 FIRST_SHARE, FIRST_RUNS = 0.6, 2
 """Most of the time of the looks that the first pass may take if a limit is kept, and runs of it that are made whatever they take."""
 
-NO_TIME = "not tried, there was no time"
+NO_TIME, NO_MORE_TIME = "not tried, there was no time", "with no time for more runs"
 
 LEAST_SPREAD, DISTANCE = 0.05, 2.5
 """A candidate is slower if it is so by as many standard errors; runs spread by at least 5 %."""
@@ -53,13 +53,17 @@ MOSTLY = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A middleware with a bundle of settings; `cells` are its messages, `bundle` is empty and `path` None for the defaults."""
+    """A middleware with a bundle of settings, empty and without `path` for the defaults; `cells` are its messages.
+
+    `turn` is 0 for the first of a middleware likely to hold on the link, 1 for other defaults, 2 for the rest.
+    """
 
     middleware: str
     vendor: str
     bundle: str
     cells: tuple[Cell, ...]
     path: Path | None = None
+    turn: int = 0
 
     @property
     def name(self) -> str:
@@ -78,10 +82,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One run of a candidate.
-
-    `response_ms` has an array for each message of the plan: planned send to reply, infinite for a message that was lost or never sent.
-    """
+    """One run of a candidate; `response_ms` has planned send to reply for each message of the plan, infinite where none came."""
 
     response_ms: tuple[NDArray[np.float64], ...] = ()
     cpu_percent: float = 0.0
@@ -253,13 +254,13 @@ class Race:
         return sorted(standings, key=lambda standing: standing.rank(self.limits))
 
     def _affordable(self, racing: Sequence[Standing], seconds: float, number: int) -> list[Standing]:
-        """Drop those that there is no time for in a pass and the next of its length; of two none is dropped, or both are run."""
+        """Drop those without time in a pass and the next of its length; of two none is dropped, or both are run."""
         left_s = self._left_s(number)
         passes = 1 if number == PASSES else PASSES - (number - 1) % PASSES
         costs_s = (passes * self.measurer.expected_s(standing.candidate, seconds) for standing in racing)
         fitting = sum(total_s <= left_s for total_s in itertools.accumulate(costs_s))
         for standing in racing[max(FIRST_RUNS, fitting) :]:
-            self.drop(standing, f"{self._times_words(standing, racing[0])}, with no time for more runs")
+            self.drop(standing, f"{self._times_words(standing, racing[0])}, {NO_MORE_TIME}")
         return list(racing[:fitting]) if fitting >= min(FIRST_RUNS, len(racing)) else []
 
     def _not_excluded(self, racing: Sequence[Standing]) -> list[Standing]:

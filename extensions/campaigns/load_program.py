@@ -1,11 +1,9 @@
 """Load for a machine, in a process of its own with the standard library only: `load_program.py KIND HOST`.
 
-`cpu` keeps every processor busy, `memory` copies 64 MiB again and again on half of them, by stress-ng where it is
-installed; `network` sends UDP to the discard port of HOST; `awake` keeps processors from sleeping by threads of the lowest
-priority, `dma-latency` by holding /dev/cpu_dma_latency at 0; `emulated-pi3` takes four fifths of the processor HOST from
-the end of its input on. Of `cpu`, `memory`, `awake` and `emulated-pi3` a machine has one at a time: a
-second program waits for the first. It prints what makes the load and the time (CLOCK_MONOTONIC)
-once it starts, and runs until it is killed.
+`cpu` keeps every processor busy, `memory` copies on half of them, by stress-ng where it is installed; `network` sends UDP
+to HOST; `awake` and `dma-latency` keep processors from sleeping; `emulated-pi3` takes four fifths of the processor HOST from
+the end of its input on. Of all but `network` and `dma-latency` a machine has one at a time: a second program waits. It
+prints what makes the load and the time (CLOCK_MONOTONIC) once it starts, and runs until it is killed.
 """
 
 from __future__ import annotations

@@ -26,11 +26,7 @@ def ignored() -> str:
 
 
 def compared() -> CompareOptions:
-    """Return how setups are compared: messages of the same kind, whatever the middleware and settings.
-
-    The response counts a message that waits for its turn to be sent, too.
-    """
-
+    """Return how setups are compared: messages of a kind, with the time that they wait to be sent."""
     match = match_without(ignored().split(","))
     return CompareOptions(metrics=("response",), statistics=("p50", "p90", "p99"), match=match, paired=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +16,11 @@ from dds_trace.analyzer.model.setting import write_setting
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, spell_size
+from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES
 from dds_trace.recorder.backends import installed_middlewares, load_backend
 from dds_trace.recorder.backends.ros2 import middleware_of
 
-from .advice import bundles, variables_of, write_bundles
+from .advice import arriving_share, bundles, variables_of, write_bundles
 from .halving import Candidate, Limits
 from .learning.model import order
 from .learning.results import read_campaigns
@@ -33,6 +35,9 @@ THIS_MACHINE = ("here", "localhost")
 
 SIZED = ("binary", "string")
 """Data that has any size."""
+
+HOLDS = 0.9
+"""Least share of datagrams that arrive whole where a setup is likely to hold."""
 
 NOT_RECOMMENDED = ("socket",)
 """Backends that no ROS 2 node can use."""
@@ -66,9 +71,6 @@ def ask(
         size, rate: as `502KB`, `20`; a size of None is the data's own.
         link: name of a preset, or a file with `[link]`; both devices are then namespaces of this machine.
         hosts: the other device: an ssh name or a file with `[devices.relay]`; this machine may be named, too.
-
-    Raises:
-        OptionError: a value is wrong, or no middleware is installed.
     """
     others = [host for host in hosts if host not in (*THIS_MACHINE, platform.node())]
     if link is not None and others:
@@ -168,7 +170,7 @@ def check_advisable(plan: Plan) -> None:
 
 
 def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candidate]:
-    """Return the defaults of each setup of the plan, then its bundles; their files are written to the folder."""
+    """Return the candidates by their turn; the files of bundles are written to the folder."""
     setups: dict[Cell, list[Cell]] = {}
     for cell in plan.cells:
         axes = (*MESSAGE_AXES, *SENDER_AXES) if cell.flow else MESSAGE_AXES
@@ -182,15 +184,19 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
         is_fixed = vendor == "fastdds" and plan.discovery == "localhost"
         texts = {} if is_fixed else bundles(vendor, largest_bytes, link)
         middleware = " ".join([_label(setup), *setup.changed_axes])
-        rows.append((0, Candidate(middleware, vendor, "", tuple(cells))))
-        for number, path in enumerate(write_bundles(vendor, texts, folder / vendor), 1):
+        candidates = [Candidate(middleware, vendor, "", tuple(cells), turn=1)]
+        for path in write_bundles(vendor, texts, folder / vendor):
             configured = tuple(replace(cell, configuration=str(path)) for cell in cells)
-            rows.append((number, Candidate(middleware, vendor, path.stem, configured, path)))
-    return [candidate for _, candidate in sorted(rows, key=lambda row: row[0])]
+            candidates.append(Candidate(middleware, vendor, path.stem, configured, path, turn=2))
+        shares = [arriving_share(vendor, candidate.bundle, largest_bytes, link) for candidate in candidates]
+        first = next((number for number, share in enumerate(shares) if share >= HOLDS), 0)
+        candidates[first] = replace(candidates[first], turn=0)
+        rows += enumerate(candidates)
+    return [candidate for _, candidate in sorted(rows, key=lambda row: (row[1].turn, row[0]))]
 
 
 def as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates by what earlier campaigns took, defaults before bundles."""
+    """Return candidates by their turn, then by what earlier campaigns took."""
     rows = []
     for candidate in candidates:
         cell, link = candidate.cells[0], plan.link_of(candidate.cells[0])
@@ -208,17 +214,21 @@ def as_learned(plan: Plan, candidates: Sequence[Candidate]) -> list[Candidate]:
         }
         rows.append({**row, "candidate": candidate})
     learned = [row["candidate"] for row in order(rows, read_campaigns(), "response 0.9")]
-    return sorted(learned, key=lambda candidate: bool(candidate.bundle))
+    return sorted(learned, key=lambda candidate: candidate.turn)
 
 
 def settings_of(candidate: Candidate) -> dict[str, Any]:
-    """Return what a person's own nodes need."""
-    path = None if candidate.path is None else candidate.path.absolute()
+    """Return what a person's own nodes need; `exports` are the lines for a shell."""
+    path, cell = None if candidate.path is None else candidate.path.absolute(), candidate.cells[0]
+    variables = {} if path is None else variables_of(candidate.vendor, path)
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+    if rmw := cell.rmw or next((rmw for rmw, of in ROS_MIDDLEWARES.items() if of.vendor == candidate.vendor), None):
+        variables["RMW_IMPLEMENTATION"] = rmw
+        is_native = cell.backend != "ros2"
+        exports.append(f"export RMW_IMPLEMENTATION={rmw}{'  # ROS 2; its own API was measured' * is_native}")
     return {
         **{key: getattr(candidate, key) for key in ("middleware", "vendor", "bundle")},
         "configuration": None if path is None else str(path),
-        "variables": {
-            **({"RMW_IMPLEMENTATION": rmw} if (rmw := candidate.cells[0].rmw) else {}),
-            **({} if path is None else variables_of(candidate.vendor, path)),
-        },
+        "variables": variables,
+        "exports": exports,
     }

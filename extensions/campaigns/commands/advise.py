@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import sys
 import time
 from dataclasses import replace
@@ -151,18 +150,17 @@ def _say(event: Event) -> None:
 
 
 def shown(answer: Answer) -> list[str]:
-    variables = (answer["recommended"] or {}).get("variables", {})
-    lines = [answer["sentence"], *(f"  export {name}={shlex.quote(value)}" for name, value in variables.items())]
-    vendor = (answer["recommended"] or {}).get("vendor")
-    if vendor in ("cyclonedds", "zenoh") and "RMW_IMPLEMENTATION" not in variables:
-        lines.append(f"  export RMW_IMPLEMENTATION=rmw_{vendor}_cpp  # ROS 2 nodes; its own API was measured")
-    lines.append("By p50 and p99 of the response in fresh runs; `choose` ranks older recordings by a deadline.")
+    recommended, fits = answer["recommended"] or {}, answer["fits"]
+    lines = [answer["sentence"], *(["Settings for what fits:"] if recommended and fits else [])]
+    lines += [f"  {line}" for line in recommended.get("exports", [])]
+    if recommended and not fits:
+        lines.append("By p50 and p99 of the response in fresh runs; `choose` ranks older recordings by a deadline.")
     lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
     lines.append("Candidates, response in the first looks:")
     rows = [row["text"] + (f" ({row['dropped']})" if row["dropped"] else "") for row in answer["candidates"]]
     lines += [f"  {line}" for line in first_of(rows, MOST_ROWS)]
     last = f"Wrote {answer['folder']}/answer.json"
-    return [*lines, last if answer["recommended"] else f"The same command continues in {answer['folder']}"]
+    return [*lines, last if recommended or fits else f"The same command continues in {answer['folder']}"]
 
 
 def shown_proof(proof: Answer) -> list[str]:

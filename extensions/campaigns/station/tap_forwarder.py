@@ -1,6 +1,7 @@
 """The forwarder of an emulated link, for kernels without netem: carries frames between two TAP devices.
 
-It applies what docs/how-to/sweep.md says is its part of a link. As its own process it is not delayed by the sweep:
+It applies delay, jitter, loss and outages; the kernel's token bucket the rate, which slows the sender as a network card
+does. With a `Drive` it applies the rate, too, by a queue that drops what is too much, as a radio does:
 
     tap_forwarder.py FD FD FD
 

@@ -163,11 +163,12 @@ class Desk:
             return _json({**self._shown, "rows": [row.to_dict() for row in rows], "earlier": self._earlier})
 
     def _settings(self) -> Answer:
-        """Return the file of settings of this session's answer: the search itself has named it."""
+        """Return the file of settings of this session's answer, which the search has named, or its lines for a shell."""
         with self._lock:
-            result = self._shown["answer"] or {}
-        path = (result.get("recommended") or {}).get("configuration")
-        return "text/plain", b"" if path is None else Path(path).read_bytes(), ""
+            recommended = (self._shown["answer"] or {}).get("recommended") or {}
+        lines, path = recommended.get("exports", []), recommended.get("configuration")
+        text = "".join(f"{line}\n" for line in lines).encode()
+        return "text/plain", text if path is None else Path(path).read_bytes(), ""
 
     def _read_earlier(self) -> list[dict[str, object]]:
         """Return the newest answers of the folder; what is none is left out."""

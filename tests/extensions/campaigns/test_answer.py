@@ -95,8 +95,7 @@ def test_the_best_is_used_where_it_is_proven_and_else_the_default(
     assert len(proofs) == 3 * module.PROOFS
     assert proofs[:6] == [*proofs[:3], *((name, 2) for name, _ in reversed(proofs[:3]))]
     assert json.loads((tmp_path / "answer.json").read_text())["sentence"] == found["sentence"] == desk.events[-1].text
-    if recommended:
-        (name,) = found["recommended"]["variables"]
+    for name in ["CYCLONEDDS_URI"] * bool(recommended) + ["RMW_IMPLEMENTATION"]:
         assert f"  export {name}=" in "\n".join(shown(found))
     sentences(found["sentence"])
 
@@ -163,6 +162,9 @@ def test_no_step_begins_that_would_not_end_in_the_time_that_was_given(tmp_path, 
     assert found["recommended" if kind == "fits" else "fits"] is not None
     untried = sum("not tried" in one["dropped"] for one in found["candidates"])
     assert (f"{untried} more setup" in found["sentence"]) == (not kind.startswith("more") and untried > 0)
+    short = [one["candidate"]["name"] for one in found["candidates"] if "no time for more" in one["dropped"]]
+    is_said = kind == "fits" and bool({*short} - {*proofs})
+    assert ("for more runs" in found["sentence"]) == is_said
     assert untried <= 3 or more != "none"  # of 10: the first looks have half of the time
     if kind == "fits" and minutes >= 8:
         assert min(proofs.values()) >= module.LEAST_PROOFS
@@ -174,6 +176,40 @@ def test_without_time_for_a_proof_the_default_is_used_and_the_sentence_says_so(t
     assert found["recommended"]["bundle"] == ""
     assert {proof["verdict"] for proof in found["proofs"]} == {"incomplete"}
     assert "not compared with" in found["sentence"]
+
+
+@pytest.mark.parametrize(
+    ("loss", "burst", "bundle"),
+    [(0, 0, ""), (0.1, 0, ""), (3, 0, "small-packets"), (3, 8, ""), (30, 8, "small-packets")],
+)
+def test_where_the_link_loses_split_datagrams_the_first_looks_are_of_small_ones(
+    tmp_path, monkeypatch, loss, burst, bundle
+):
+    """In two minutes there is time for two; the default, which had none, is then a side of the proof."""
+    made_proofs(monkeypatch, defaultdict(lambda: "no difference"))
+    desk = Desk(median, more_s=lambda *_: 12)
+    desk.lost = lambda one: 0.5 * (bool(bundle) and one.vendor == "cyclonedds" and "small-packets" not in one.bundle)
+    link = replace(LINK, loss_percent=loss, loss_burst=burst)
+    found = desk.search(tmp_path, link, minutes=2).answer()
+    assert {(one.vendor, one.bundle) for _, one, _ in desk.looks[:2]} == {("cyclonedds", bundle), ("zenoh", "")}
+    if bundle:
+        assert found["recommended"]["bundle"] == bundle
+        assert ("proof", "Cyclone DDS default") in {(stage, one.name) for stage, one, _ in desk.looks}
+        assert "Cyclone DDS default breaks a limit" in found["sentence"]
+        assert "(Cyclone DDS and Zenoh)" in found["sentence"]
+
+
+def test_what_lost_most_in_the_first_looks_is_not_run_again(tmp_path, monkeypatch):
+    made_proofs(monkeypatch, {"Zenoh-default": "better"})
+    desk = Desk(median, lost=lambda one: one.name == "Cyclone DDS default")
+    found = desk.search(tmp_path).answer()
+    assert found["recommended"]["bundle"] == "small-packets"
+    proven = {one.name for stage, one, _ in desk.looks if stage == "proof"}
+    assert proven == {"Cyclone DDS small-packets", "Zenoh default"}
+    (skipped,) = (proof for proof in found["proofs"] if proof["against"] not in proven)
+    assert (skipped["kept"], skipped["verdict"]) == (True, "incomplete")
+    assert "is out: 100.0% lost" in skipped["reason"]
+    assert "breaks a limit, 100.0% lost" in found["sentence"]
 
 
 FLOWS = """[run]\nseconds = 2\n[axes]\nbackend = ["cyclonedds", "zenoh"]
@@ -236,12 +272,20 @@ def test_where_nothing_fits_the_highest_rate_and_the_largest_size_are_searched(t
         assert any(found["fits"].values())
 
 
-def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too(tmp_path):
-    desk = Desk(lambda candidate: 20 if candidate.cells[0].rate <= 5 else 400)
+@pytest.mark.parametrize("most_hz", [0, 5])
+def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too_and_settings_are_for_what_fits(
+    tmp_path, most_hz
+):
+    desk = Desk(lambda one: (20 if one.cells[0].rate <= most_hz else 400) + 40 * (one.bundle != "small-packets"))
     found = desk.search(tmp_path, deadline="100ms").answer()
-    assert 4 <= found["fits"]["rate_hz"] <= 5
+    lines = shown(found)
+    assert 0.8 * most_hz <= (found["fits"]["rate_hz"] or 0) <= most_hz
     assert found["fits"]["size_bytes"] is None
     assert "was nearest" in found["sentence"]
+    assert (found["recommended"] is not None) == ("Settings for what fits:" in lines) == bool(most_hz)
+    assert any("export" in line for line in lines) == bool(most_hz)
+    assert not any("fresh runs;" in line for line in lines)
+    assert lines[-1].startswith("Wrote")
 
 
 @pytest.mark.parametrize("minutes", [2, 3, 10, 30])

@@ -83,11 +83,9 @@ function showAnswer(state) {
   if (!found) return;
   byId("sentence").textContent = found.sentence;
   byId("proofs").replaceChildren(...found.proofs.map(proof => element("li", `${proof.of} against ${proof.against}: ${proof.verdict}${proof.reason ? ` (${proof.reason})` : ""}`)));
-  const variables = Object.entries(found.recommended?.variables ?? {});
-  byId("files").hidden = !variables.length;
-  byId("exports").textContent = variables.map(([name, value]) => `export ${name}='${value}'`).join("\n");
-  byId("save").hidden = !found.recommended?.configuration;
-  byId("save").download = (found.recommended?.configuration ?? "").split("/").pop();
+  byId("files").hidden = !found.recommended?.exports.length;
+  byId("exports").textContent = (found.recommended?.exports ?? []).join("\n");
+  byId("save").download = (found.recommended?.configuration ?? "environment.sh").split("/").pop();
   byId("command").textContent = state.command;
 }
 

@@ -183,7 +183,7 @@ class TestWithScikitLearn:
         ]
         assert as_learned(plan, candidates) == candidates
         keep(campaign(1))
-        candidates.append(replace(candidates[1], bundle="buffers"))
+        candidates.append(replace(candidates[1], bundle="buffers", turn=2))
         ranked = [(one.vendor, one.bundle) for one in as_learned(plan, candidates)]
         assert ranked == [("cyclonedds", ""), ("fastdds", ""), ("zenoh", ""), ("cyclonedds", "buffers")]
 

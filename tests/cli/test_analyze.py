@@ -3,9 +3,9 @@ import shutil
 
 import polars as pl
 import pytest
+from card_bags import MS, START_NS, write_mcap
 from commands import run_main as analyze
 from commands import run_trace
-from mcap.writer import Writer
 from trace_files import TWELVE, run, write_pair
 
 from dds_trace.cli.outputs import DESKTOP_VARIABLES
@@ -148,12 +148,7 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
 
 def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
     for name in ("a", "b"):
-        with (tmp_path / f"{name}.mcap").open("wb") as file:
-            writer = Writer(file)
-            writer.start()
-            channel = writer.register_channel("/imu", "cdr", 0)
-            writer.add_message(channel, 1, b"1234", 1)
-            writer.finish()
+        write_mcap(tmp_path / f"{name}.mcap", [("/imu", 1, 1, b"1234")])
     for given, status in ((tmp_path, 4), (tmp_path / "a.mcap", 3)):
         assert analyze(given) == status
         said = capsys.readouterr().err
@@ -163,18 +158,9 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    path = tmp_path_factory.mktemp("bag") / "x.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        camera, event = (writer.register_channel(name, "cdr", 0) for name in ("/camera", "/event"))
-        for number in range(100):
-            if number not in (40, 70):
-                writer.add_message(camera, 1_700_000_000 * 10**9 + number * 10_000_000, b"1234", 0)
-        for number in (3, 4, 80):
-            writer.add_message(event, 1_700_000_000 * 10**9 + number * 10_000_000, b"1234", 0)
-        writer.finish()
-    return path
+    numbers = {"/camera": set(range(100)) - {40, 70}, "/event": {3, 4, 80}}
+    messages = [(name, START_NS + n * 10 * MS, 0, b"1234") for name in numbers for n in sorted(numbers[name])]
+    return write_mcap(tmp_path_factory.mktemp("bag") / "x.mcap", messages)
 
 
 @pytest.mark.parametrize(

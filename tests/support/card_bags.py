@@ -8,6 +8,7 @@ from dds_trace.extensions.bags.analyze import analyze_topics
 
 MS, S = 1_000_000, 10**9
 START_NS = 1_700_000_000 * 10**9
+TEXT_SCHEMA = ("std_msgs/msg/String", "ros2msg", b"string data")
 HEADER = ("my_msgs/msg/Blob", "ros2msg", b"std_msgs/Header header\nuint8[] data\n")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from mcap.writer import CompressionType, Writer
+from card_bags import TEXT_SCHEMA, write_mcap
 from middlewares import needs
 from namespaces import needs_namespaces
 from processes import run, running
@@ -213,15 +213,9 @@ QUICK_WAYS = (
 
 
 def write_large(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE)
-        writer.start("", "other")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channels = [writer.register_channel(f"/t{number}", "cdr", schema) for number in range(20)]
-        for n in range(60_000):
-            at_ns = 10**18 + n * 10**6
-            writer.add_message(channels[n % 20], at_ns, b"\0\1\0\0\x60\0\0\0" + 96 * b"x", at_ns, n)
-        writer.finish()
+    data = b"\0\1\0\0\x60\0\0\0" + 96 * b"x"
+    messages = ((f"/t{n % 20}", 10**18 + n * 10**6, 10**18 + n * 10**6, data, n) for n in range(60_000))
+    write_mcap(path, messages, encoding="cdr", schema=TEXT_SCHEMA)
 
 
 def left_running(token: str) -> list[str]:

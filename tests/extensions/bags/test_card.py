@@ -5,13 +5,13 @@ import numpy as np
 import polars as pl
 import pytest
 from card_bags import HEADER, MS, START_NS, S, blob, card, timer, write, write_mcap
+from commands import run_trace
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_typestore
 from wording import numbers
 
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
-from dds_trace.cli import trace
 from dds_trace.extensions.bags.analyze import analyze_topics
 from dds_trace.extensions.bags.card import qos_words
 from dds_trace.extensions.bags.periods import find_grid, find_regularity
@@ -410,9 +410,7 @@ def test_three_impossible_times_cost_no_message_and_none_is_missing(tmp_path):
 def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path, capsys):
     write(tmp_path / "x.mcap", {"/a": timer(20, 30, without=[(10, 12)])})
     more = ["--report", "html", "--export", "perfetto"]
-    with pytest.raises(SystemExit) as ended:
-        trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / "health"), *more])
-    assert ended.value.code == 30
+    assert run_trace("bag", tmp_path / "x.mcap", "--out", tmp_path / "health", *more) == 30
     assert "40 messages" in capsys.readouterr().out
     assert "/a" in (tmp_path / "health" / "topics.html").read_text()
     assert b"40 messages" in (tmp_path / "health" / "topics.pftrace").read_bytes()
@@ -420,12 +418,10 @@ def test_bag_is_a_command_that_ends_with_30_where_messages_are_missing(tmp_path,
 
 def test_help_names_each_export_that_a_bag_has_and_no_other(tmp_path, capsys):
     write(tmp_path / "x.mcap", {"/a": timer(20, 3)})
-    with pytest.raises(SystemExit):
-        trace.main(["bag", "--help"])
+    assert run_trace("bag", "--help") == 0
     (listed,) = re.findall(r"Further file to write: ([^;]*);", " ".join(capsys.readouterr().out.split()))
     for kind in EXPORT_KINDS:
-        with pytest.raises(SystemExit) as ended:
-            trace.main(["bag", str(tmp_path / "x.mcap"), "--out", str(tmp_path / kind), "--export", kind])
+        code = run_trace("bag", tmp_path / "x.mcap", "--out", tmp_path / kind, "--export", kind)
         is_listed = kind in listed.split(", ")
-        assert (ended.value.code, (tmp_path / kind).exists()) == ((0, True) if is_listed else (2, False))
+        assert (code, (tmp_path / kind).exists()) == ((0, True) if is_listed else (2, False))
     assert 0 < len(listed.split(", ")) < len(EXPORT_KINDS)

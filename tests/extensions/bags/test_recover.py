@@ -6,9 +6,9 @@ from contextlib import closing
 
 import pytest
 from bags import imu, text, write_bag2
+from card_bags import TEXT_SCHEMA, write_mcap
 from damaged_bags import HOWS, KINDS, damage, joined, make_good, read_recovered
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
@@ -157,14 +157,8 @@ def test_what_holds_nothing_is_refused_in_one_line(tmp_path):
 
 def test_more_channels_than_a_file_can_have_cost_only_their_messages(tmp_path, monkeypatch):
     monkeypatch.setattr("dds_trace.extensions.bags.recover.MOST_CHANNELS", 3)
-    with (tmp_path / "many.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        for number in range(5):
-            channel = writer.register_channel(f"/{number}", "cdr", schema)
-            writer.add_message(channel, number, b"\0\1\0\0\1\0\0\0\0", number)
-        writer.finish()
+    messages = [(f"/{number}", number, number, b"\0\1\0\0\1\0\0\0\0") for number in range(5)]
+    write_mcap(tmp_path / "many.mcap", messages, encoding="cdr", schema=TEXT_SCHEMA)
     report = recover_recording(tmp_path / "many.mcap")
     assert report.messages == 3
     assert [

@@ -191,7 +191,9 @@ def test_half_of_a_bridge_beside_the_relay_over_ssh(sweep, robot):
 
 
 def test_person_starts_what_is_printed_and_the_sweep_goes_on_by_echo(sweep, tmp_path):
-    small = sweep('discovery = "localhost"\n[axes]\ndata = "imu"\nrate = [50, 100]\n')
+    small = sweep(
+        'discovery = "localhost"\n[devices.relay]\nssh = "nobody@127.0.0.1"\n[axes]\ndata = "imu"\nrate = [50, 100]\n'
+    )
     process = small.start("--print", "relay")
     lines = []
     while not lines or not lines[-1].startswith("start on the other device: "):

@@ -8,15 +8,13 @@ import re
 import shlex
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeAlias
-
-import numpy as np
 
 from dds_trace.base.records import to_json
 from dds_trace.base.units import counted, format_rate, format_size, joined
@@ -31,7 +29,6 @@ from .halving import (
     PASSES,
     Candidate,
     Event,
-    Look,
     Measurer,
     Race,
     Standing,
@@ -42,7 +39,7 @@ from .plan.plan import Plan
 from .proof import ignored, proof_of
 from .question import Question, as_learned, check_advisable, find_candidates, settings_of
 from .search import Bisection, RateAnswer, round_rate
-from .trials import Durations, open_trials
+from .trials import Imagined, open_trials
 
 if TYPE_CHECKING:
     from .halving import Tell
@@ -97,7 +94,7 @@ def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_
 def promise(question: Question) -> tuple[int, float]:
     """Return the recordings and seconds of a search in which the candidates hardly differ."""
     check_advisable(question.plan)
-    trials = _Imagined(question.plan)
+    trials = Imagined(question.plan)
     with tempfile.TemporaryDirectory(prefix="dds-trace-advise-") as folder:
         search = Search(question, Path(folder), lambda _: None, lambda: trials.now_s, trials.open)
         if question.plan.has_two_devices:
@@ -112,25 +109,6 @@ def new_folder(out: Path, name: str) -> Path:
     while (folder := out / (name if number == 1 else f"{name}-{number}")).joinpath("answer.json").exists():
         number += 1
     return folder
-
-
-@dataclass(slots=True)
-class _Imagined(Durations):
-    """A `Measurer` that records nothing and lets its own time pass."""
-
-    now_s: float = 0.0
-    recordings: int = 0
-    _numbers: dict[str, int] = field(default_factory=dict)
-
-    @contextmanager
-    def open(self, *_: object) -> Iterator[Measurer]:
-        yield self
-
-    def look(self, candidate: Candidate, _: int, seconds: float) -> Look:
-        self.now_s += self.expected_s(candidate, seconds)
-        self.recordings += len(candidate.cells)
-        number = self._numbers.setdefault(candidate.name, len(self._numbers))
-        return Look(tuple(np.full(100, 1.01**number) for _ in candidate.cells))
 
 
 @dataclass(slots=True)

@@ -11,11 +11,11 @@ from .figure import FigureMaker, Plan, plane_facet, spread_plan
 PART_LABELS = {
     "waiting_ns": "Late send (T0 to T1)",
     "outbound_ns": "Way there (T1 to T3)",
-    "outbound_transport_ns": "Transport there (T1 to its middleware)",
+    "outbound_transport_ns": "Transport there (T1 to arrival)",
     "relay_delivery_ns": "Delivery in the relay (to T3)",
     "relay_ns": "In the relay (T3 to T4)",
     "return_ns": "Way back (T4 to T2)",
-    "return_transport_ns": "Transport back (T4 to its middleware)",
+    "return_transport_ns": "Transport back (T4 to arrival)",
     "ping_delivery_ns": "Delivery in the ping (to T2)",
 }
 """Part of `details.breakdown` -> label, in the order of time."""

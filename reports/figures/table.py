@@ -63,8 +63,9 @@ LEAST_MARKS = 3
 
 
 def _has_line(book: Book, figure: Figure) -> bool:
-    over = figure in (lines.LATENCY_BY_RATE, lines.LATENCY_BY_SIZE) and isinstance(figure, LineFigure)
-    return over and any(len(line.x) >= LEAST_MARKS for panel in figure.info(book).panels for line in panel.lines)
+    if not isinstance(figure, LineFigure) or figure not in (lines.LATENCY_BY_RATE, lines.LATENCY_BY_SIZE):
+        return False
+    return any(len(line.x) >= LEAST_MARKS for panel in figure.info(book).panels for line in panel.lines)
 
 
 MOST_OPENED_PANELS = 9

@@ -122,6 +122,6 @@ def test_made_up_relays_do_not_make_rows_without_bound(tmp_path):
 
 def test_a_run_may_have_many_relays_that_answer(tmp_path):
     replies = {Stage.T2: [event(n, n * PERIOD + 500, relay_id=1000 + k) for k in range(20) for n in range(MESSAGES)]}
-    analysis = analyze(write_campaign(tmp_path, sound(), replies))
+    analysis = analyze(write_campaign(tmp_path, sound(), replies, settings={"relays": "21"}))
     assert analysis.load_roundtrips().height == 21 * MESSAGES
     assert not [finding for finding in analysis.findings if finding.code == "too_many_relays"]

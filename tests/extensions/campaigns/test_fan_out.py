@@ -82,8 +82,8 @@ def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
 def test_relays_of_repeats_are_no_positions(tmp_path):
     """A relay without a number of its own has another one in each run."""
     campaign(tmp_path / "three")
-    campaign(tmp_path / "one", relays=1, run_id=RUN_ID + 1)
-    campaign(tmp_path / "again", relays=1, run_id=RUN_ID + 2, first=7)
+    campaign(tmp_path / "one", relays=1, run_id=RUN_ID + 1000)
+    campaign(tmp_path / "again", relays=1, run_id=RUN_ID + 2000, first=7)
     details = analyze(tmp_path).details
     assert details.fan_out.sort("receivers")["receivers"].to_list() == [1, 3]
     assert details.fan_out.filter(receivers=1)["position_step_ns"].to_list() == [None]

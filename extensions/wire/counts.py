@@ -109,7 +109,7 @@ def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> dict[str,
 
 
 _TCP_DESTROYED_GROUP = 1 << 0  # SKNLGRP_INET_TCP_DESTROY as a bit of the address
-_CONNECTED_STATES = 0xFFF & ~(1 << 10) & ~(1 << 6)  # neither TCP_LISTEN nor TCP_TIME_WAIT
+_CONNECTED_STATES = 0xFFF & ~(1 << 6)  # not TCP_TIME_WAIT
 
 
 @dataclass(frozen=True, slots=True)

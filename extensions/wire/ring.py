@@ -28,6 +28,7 @@ _PACKET_RX_RING, _PACKET_STATISTICS, _PACKET_VERSION, _PACKET_IGNORE_OUTGOING = 
 _TPACKET_V3, _TP_STATUS_USER = 2, 1
 _SIOCGIFHWADDR = 0x8927
 _ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
+_BLOCK_BYTES = 1 << 18
 _FRAME_BYTES = 2048
 """Required, but version 3 packs frames of any size."""
 
@@ -50,9 +51,9 @@ def may_capture() -> bool:
 class RingStatistics:
     """Since the previous call: packets that passed the filter, that found no room, and how often the ring was full."""
 
-    packets: int = 0
-    drops: int = 0
-    freezes: int = 0
+    packets: int
+    drops: int
+    freezes: int
 
 
 class PacketRing:
@@ -61,19 +62,11 @@ class PacketRing:
     On `lo`, which frames pass twice, only the incoming pass is captured. An `OptionError` names what cannot be captured.
     """
 
-    def __init__(
-        self,
-        interface: str,
-        program: bytes,
-        *,
-        ring_bytes: int = 32 << 20,
-        block_bytes: int = 1 << 18,
-        block_timeout_ms: int = 100,
-    ) -> None:
+    def __init__(self, interface: str, program: bytes, *, ring_bytes: int, block_timeout_ms: int) -> None:
         self.interface = interface
         self.is_loopback = _hardware_type(interface) == _ARPHRD_LOOPBACK
-        self._block_bytes = block_bytes
-        self._blocks = max(2, ring_bytes // block_bytes)
+        self._block_bytes = _BLOCK_BYTES
+        self._blocks = max(2, ring_bytes // _BLOCK_BYTES)
         self._next = 0
         self._unreleased = 0
         try:

@@ -182,11 +182,11 @@ class FragmentTable(Generic[Owner]):
         self.lost_trails = 0
         self._datagrams: dict[Hashable, _Datagram[Owner]] = {}
 
-    def begin(self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b"") -> None:
+    def begin(self, key: Hashable, owner: Owner, length: int = 0, next_at: int = -1, carried: bytes = b"") -> None:
         self._datagrams.pop(key, None)  # a reused identification becomes the newest
         if len(self._datagrams) >= REMEMBERED_DATAGRAMS:
             self._datagrams.pop(next(iter(self._datagrams)))
-        self._datagrams[key] = _Datagram(owner, datagram_bytes, next_at, carried)
+        self._datagrams[key] = _Datagram(owner, length, next_at, carried)
 
     def continue_with(self, key: Hashable, piece: Piece) -> tuple[Owner, list[Submessage]] | None:
         datagram = self._datagrams.get(key)
@@ -219,13 +219,7 @@ class FragmentTable(Generic[Owner]):
         head = bytes(piece.memory[piece.begin : min(piece.end, piece.begin + LONGEST_FIELDS_BYTES)])
         seam = datagram.carried + head
         walk = walk_submessages(memoryview(seam), 0, len(seam), datagram.length - datagram.next_at)
-        # What begins within this fragment is left to the walk over the fragment itself.
-        submessages, at = [], 0
-        for submessage in walk.submessages:
-            if at >= len(datagram.carried):
-                break
-            submessages.append(submessage._replace(payload_at=None))  # it would be an index of `seam`
-            at += submessage.wire_bytes
-        datagram.next_at += at
+        first = walk.submessages[:1]  # longer than what was carried; the walk over the fragment finds the next
+        datagram.next_at += sum(submessage.wire_bytes for submessage in first)
         datagram.carried = b""
-        return submessages
+        return [submessage._replace(payload_at=None) for submessage in first]  # it would be an index of `seam`

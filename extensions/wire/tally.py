@@ -22,7 +22,7 @@ _UDP_BYTES = 8
 _FIRST_GROUP = 224 << 24
 _TCP_SEQUENCE = struct.Struct(">I")
 _FORGET_EVERY_NS = 1_000_000_000
-_ROWS_TO_PACK = 4096
+_ROWS_AT_ONCE = 4096
 """Rows that wait as Python numbers, five times as large as in an array."""
 
 
@@ -107,7 +107,7 @@ class WireTally:
             row = message_row(sample, stream.direction)
             if row is not None:
                 self._rows.append(row)
-        if len(self._rows) >= _ROWS_TO_PACK:
+        if len(self._rows) >= _ROWS_AT_ONCE:
             self._packed.append(pack_rows(self._rows))
             self._rows.clear()
 
@@ -122,7 +122,7 @@ class WireTally:
             sender = Sender(interface, direction, b"", 0)
             self.run.count_frame(frame, WireClass.UDP_OTHER, direction)
             if frame.more_fragments:
-                self._fragments.begin(_fragment_key(frame, sender), Datagram(WireClass.UDP_OTHER, sender), 0, -1)
+                self._fragments.begin(_fragment_key(frame, interface, direction), Datagram(WireClass.UDP_OTHER, sender))
 
     def _count_tcp(self, frame: Frame, memory: memoryview, direction: Direction) -> None:
         at = frame.transport
@@ -145,7 +145,7 @@ class WireTally:
         if not self._is_ours(frame, memory, packet, prefix):
             self.run.foreign_packets += 1
             if frame.more_fragments:
-                self._fragments.begin(_fragment_key(frame, sender), Datagram(None, sender), 0, -1)
+                self._fragments.begin(_fragment_key(frame, interface, direction), Datagram(None, sender))
             return
         piece_end = frame.transport_end
         datagram_end = frame.transport + frame.datagram_bytes
@@ -159,7 +159,7 @@ class WireTally:
             seen_whole = walk.next_at >= piece_end or frame.seen_end >= piece_end
             self.run.unseen_headers += not seen_whole
             self._fragments.begin(
-                _fragment_key(frame, sender),
+                _fragment_key(frame, interface, direction),
                 Datagram(principal, sender),
                 frame.datagram_bytes,
                 walk.next_at - frame.transport if seen_whole else -1,
@@ -169,7 +169,6 @@ class WireTally:
             self.run.unseen_headers += 1
 
     def _count_fragment(self, frame: Frame, memory: memoryview, interface: str, direction: Direction) -> None:
-        sender = Sender(interface, direction, b"", 0)
         piece = Piece(
             frame.fragment_offset,
             memory,
@@ -178,7 +177,7 @@ class WireTally:
             frame.transport_end,
             not frame.more_fragments,
         )
-        continued = self._fragments.continue_with(_fragment_key(frame, sender), piece)
+        continued = self._fragments.continue_with(_fragment_key(frame, interface, direction), piece)
         if continued is None:
             self.run.count_frame(frame, WireClass.FRAGMENT_UNKNOWN, direction)
             return
@@ -266,5 +265,5 @@ class WireTally:
             self.run.heartbeat_gaps_ns.append(time_ns - before_ns)
 
 
-def _fragment_key(frame: Frame, sender: Sender) -> tuple[object, ...]:
-    return (sender.interface, sender.direction, frame.source, frame.destination, frame.ip_id, frame.protocol)
+def _fragment_key(frame: Frame, interface: str, direction: Direction) -> tuple[object, ...]:
+    return (interface, direction, frame.source, frame.destination, frame.ip_id, frame.protocol)

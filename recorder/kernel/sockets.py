@@ -127,7 +127,7 @@ class Socket:
 
     @property
     def is_local(self) -> bool:
-        return self.remote_port > 0 and ip_address(self.remote_address).is_loopback
+        return ip_address(self.remote_address).is_loopback
 
 
 def tcp_info_fields(info: bytes, record: type[Any]) -> dict[str, Any]:

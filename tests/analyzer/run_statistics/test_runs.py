@@ -133,6 +133,7 @@ def residuals_of(others, times):
 def test_one_noisy_kind_keeps_its_spread():
     residuals = residuals_of(19, 9)
     assert spreads_are_alike([residuals])
+    assert [spreads_are_alike([residuals_of(1, times)]) for times in (7, 7.1)] == [True, False]  # of Bartlett's 1.323
     means = means_of(*residuals)
     assert (means[19, "a"].variance, means[19, "a"].degrees) == pytest.approx((3.0, 2.0))
     assert means[0, "a"].variance == pytest.approx((19 + 9) / 20 / 3)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dds_trace.analyzer.statistics.percentiles import (
     PERCENTILES,
+    STATISTICS,
     minimum_messages,
     order_statistic_ranks,
     planned_messages,
@@ -45,6 +46,7 @@ def test_nothing_and_one():
 
 
 def test_labels_and_the_series_of_decades():
+    assert [row.label for row in STATISTICS if row.name in ("p50", "p99_9")] == ["median", "p99.9"]
     labels = {percentile.label: percentile.is_decade for percentile in PERCENTILES}
     assert labels.items() >= {"p50": True, "p90": True, "p95": False, "p99": True, "p99.9": True}.items()
 

@@ -30,6 +30,7 @@ def test_a_datas_fields():
     found, next_at = walk(data(5, bytes(40)))
     assert found == [Submessage(rtps.DATA, 64, WRITER, 5, 0, 1, 40, payload_at=24)]
     assert next_at == 64
+    assert Submessage(7, 32) == (7, 32, 0, 0, 0, 0, 0, False, None)
 
 
 def test_a_sequence_number_of_more_than_32_bits_in_either_byte_order():
@@ -99,12 +100,9 @@ def test_submessages_follow_each_other():
 
 
 @pytest.mark.parametrize(("missing", "asks"), [(0, False), (1, True), (3, True)])
-def test_an_acknack_asks_only_if_something_is_missing(missing, asks):
+def test_an_acknack_asks_only_if_something_is_missing_a_nack_frag_always(missing, asks):
     (found,), _ = walk(acknack(4, missing))
     assert (found.sequence, found.asks) == (4, asks)
-
-
-def test_a_nack_frag_asks():
     (found,), _ = walk(nack_frag(6))
     assert (found.sequence, found.asks, found.writer) == (6, True, WRITER)
 
@@ -127,6 +125,13 @@ def test_the_walk_stops_before_a_header_that_was_not_captured():
         found, next_at = walk(first + second, seen)
         assert len(found) == count
         assert next_at == (0, len(first), len(first + second))[count]
+
+
+@pytest.mark.parametrize(
+    ("kind", "least"), [(0x15, 24), (0x16, 36), (0x07, 28), (0x13, 24), (0x08, 20), (0x06, 24), (0x12, 28)]
+)
+def test_what_is_shorter_than_its_fields_is_unknown(kind, least):
+    assert [walk(submessage(kind, bytes(size - 4)))[0][0].kind for size in (least, least - 1)] == [kind, 0]
 
 
 @pytest.mark.parametrize("broken", [submessage(0x15, b"", 1, length=5000), submessage(0x16, bytes(8))])

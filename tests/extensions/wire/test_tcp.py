@@ -17,7 +17,7 @@ from dds_trace.extensions.wire.counts import (
 from dds_trace.extensions.wire.packet_filter import PortRange
 from dds_trace.recorder.kernel.counters import since
 
-ACK, SYN = 0x10, 0x02
+ACK, SYN, FIN = 0x10, 0x02, 0x01
 
 
 @pytest.mark.parametrize(
@@ -27,8 +27,9 @@ ACK, SYN = 0x10, 0x02
         [(1001, 100, ACK, WireClass.TCP_DATA_AGAIN, 99), (1100, 1, ACK, WireClass.TCP_DATA_AGAIN, 1)],
         [(5000, 100, ACK, WireClass.TCP_DATA, 0), (1100, 100, ACK, WireClass.TCP_DATA_AGAIN, 100)],
         [(500, 0, SYN, WireClass.TCP_CONTROL, 0), (501, 100, ACK, WireClass.TCP_DATA, 0)],
+        [(1100, 9, FIN | ACK, WireClass.TCP_DATA, 0), (1100, 9, FIN | ACK, WireClass.TCP_DATA_AGAIN, 9)],
     ],
-    ids=["half is new", "one byte is new", "a gap is new data", "a new connection with the same ports"],
+    ids=["half is new", "one byte is new", "a gap is new data", "a new connection with the same ports", "the last"],
 )
 def test_segments_after_the_first_are_new_or_sent_again(segments):
     flows = TcpFlows()
@@ -37,7 +38,7 @@ def test_segments_after_the_first_are_new_or_sent_again(segments):
         assert flows.note("f", sequence, size, flags) == tuple(expected)
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), max_size=30))
+@given(st.integers(2**32 - 300, 2**32 - 1), st.lists(st.booleans(), max_size=30))
 def test_sequence_numbers_wrap(start, steps):
     flows, sent = TcpFlows(), 0
     for number, again in enumerate(steps):
@@ -111,6 +112,7 @@ def test_a_connection_that_ends_says_its_last_word():
         while not any(one.local_port == here for one in found.values()):
             assert select.select([closed], [], [], 20)[0]
             found |= closed.read()
+        assert here not in [one.local_port for one in read_connections([PortRange(port, port)]).values()]  # TIME_WAIT
         server.close()
         found |= closed.read()
         closed.close()

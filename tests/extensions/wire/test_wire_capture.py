@@ -112,7 +112,7 @@ def test_payload_is_not_in_the_ring(own):
     secret = b"nobody but the reader may see this"
     del options
     port = out.getsockname()[1]
-    with closing(PacketRing("lo", wire_program([], []), block_timeout_ms=20)) as ring:
+    with closing(PacketRing("lo", wire_program([], []), ring_bytes=0, block_timeout_ms=20)) as ring:
         out.send(rtps(data(1, bytes(500) + secret * 50)))
         deadline = time.monotonic() + PATIENCE_S
         seen = b""
@@ -163,6 +163,7 @@ def test_a_capture_that_was_killed_says_so(own):
 def test_localhost_discovery_keeps_to_loopback():
     assert run_interfaces(Discovery.LOCALHOST) == ("lo",)
     assert domain_ports(0) == PortRange(7400, 7649)
+    assert WireOptions(()).ring_bytes >= 2 * 12_500_000, "two seconds of 100 Mbit/s"
 
 
 def test_subnet_discovery_uses_all_that_are_up_and_no_port_of_a_bridge(tmp_path, monkeypatch):

@@ -85,6 +85,7 @@ def test_a_tcp_connection_says_how_it_fares():
     assert sending.tcp.rtt_us > 0
     assert sending.tcp.retransmitted == 0
     assert sending.is_local
+    assert not replace(sending, remote_address="192.0.2.1").is_local
     assert (sending.remote_address, sending.remote_port) == (listening.local_address, listening.local_port)
     assert listening.is_listening
     assert listening.tcp is None
@@ -138,13 +139,20 @@ def test_where_the_kernel_does_not_answer_nothing_is_known(monkeypatch):
     assert read_sockets() is None
 
 
-def test_a_kernel_that_tells_no_buffer_sizes_tells_nothing(monkeypatch, udp):
-    def without_memory(family, protocol):
-        return [replace(each, attributes={}) for each in dump_sockets(family, protocol)]
+@pytest.mark.parametrize(("told", "dropped"), [(0, None), (8, {0})], ids=["nothing", "no drops"])
+def test_a_kernel_that_tells_no_buffer_sizes_tells_nothing(told, dropped, monkeypatch, udp):
+    def with_less(*asked):
+        return [replace(each, attributes={7: each.attributes.get(7, b"")[: 4 * told]}) for each in dump_sockets(*asked)]
 
-    monkeypatch.setattr(sockets, "dump_sockets", without_memory)
-    assert read_sockets() is None
+    monkeypatch.setattr(sockets, "dump_sockets", with_less)
+    read = read_sockets()
+    assert (read and {each.dropped for each in read}) == dropped
     assert udp.fileno() >= 0
+
+
+def test_an_attribute_may_be_empty_and_one_without_its_own_length_ends_them():
+    body = bytes([socket.AF_INET]) + bytes(71) + struct.pack("=HHHHIHH", 4, 5, 8, 7, 9, 3, 1)
+    assert sockets.parse_socket(body).attributes == {5: b"", 7: struct.pack("=I", 9)}
 
 
 def test_a_protocol_that_the_kernel_does_not_know_is_an_error():

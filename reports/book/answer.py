@@ -203,7 +203,8 @@ def _why_undecided(
         return [f"{_levels(others, groups, medians)}.", "No other middleware was measured."]
     why = "One middleware per setting was measured, so there is no ranking."
     if not answers:
-        why = f"{joined(vendors)} are not ranked, because that needs the rows of all messages."
+        needs = "the rows of all messages" if "latency" in _of(others, medians) else "the relay's trace"
+        why = f"{joined(vendors)} are not ranked, because that needs {needs}."
     return [why, f"{_levels(others, groups, medians)}."]
 
 

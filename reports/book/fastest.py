@@ -169,7 +169,7 @@ def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list
             on = "" if len(by_pair) == 1 else f" on {_pairs(pairs, len(by_pair))}"
             left_out = len(by_pair) - sum(map(len, alike)) if pairs is alike[-1] else 0
             first = next((stretch for stretch in cut if stretch.is_decided), cut[0])
-            shown = _shown_case([case for case in by_pair[pairs[0]] if case in first.cases] or first.cases)
+            shown = _shown_case([case for case in by_pair[pairs[0]] if case in first.cases])
             kinds.append(Fastest(what + on, lines, pairs[0], shown, left_out))
     return sorted(kinds, key=lambda kind: not kind.is_decided)
 

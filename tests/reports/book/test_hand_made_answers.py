@@ -18,7 +18,7 @@ from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, OPEN, PROVEN, Claim, Judgement, Reason
 from dds_trace.reports.book.answer import PointKind
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.fastest import fastest_setups, tail_sentence, winner_sentences
+from dds_trace.reports.book.fastest import fastest_setups, lowest_sentence, tail_sentence, winner_sentences
 from dds_trace.reports.book.groups import VendorLabels
 from dds_trace.reports.book.headline import bridge_sentence
 from dds_trace.reports.book.losses import avoid_sentence, cure_sentence, few_lost_sentence
@@ -157,6 +157,15 @@ def test_who_is_fastest(answers, said, sentences):
     assert numbers(" ".join(found)) == said
 
 
+def test_the_middle_rate_is_shown_and_what_takes_least_runs_comes_first():
+    cases = [case(A, B, p50="a", rate_hz=rate_hz) for rate_hz in (10.0, 20.0, 50.0)]
+    assert fastest_setups(cases, VENDORS)[0].shown.rate_hz == 20
+    judged = [
+        (Judgement(Claim.FASTEST, "a", "", needs=needs), one) for needs, one in zip((None, 9, 7), cases, strict=True)
+    ]
+    assert numbers(lowest_sentence(judged, contender_labels(cases, VENDORS)))[1::5] == [50, 20, 10]
+
+
 def lossy(*shares, size=1000, device="d", **more):
     named = [(name, share) for name, share in zip("abcdef", shares, strict=False)]
     rows = tuple(lost_row(name, share, **more) for name, share in named if share)
@@ -270,6 +279,16 @@ def test_where_messages_were_lost(measured, said, sentences):
     assert numbers(found) == said
 
 
+def test_a_cause_is_said_of_what_lost_messages(sentences):
+    found = [("fragments_lost", 0), ("fragments_lost", 0), ("udp_buffer_overflow", 1)]
+    seen = tuple(Finding(Severity.WARNING, code, "", f"{code}.", "It: try less.", (group,)) for code, group in found)
+    analysis = make_analysis(Measured(HALF), Measured(FAST, **ZENOH))
+    books = [Book(replace(analysis, findings=findings)) for findings in (seen, seen[1:], seen[2:])]
+    causes = [[text for kind, text in book.answer.sentences if kind is PointKind.CAUSE] for book in books]
+    assert [["1 more" in text for text in each] for each in causes] == [[True], [False], []]
+    sentences(*causes[0], *causes[1])
+
+
 def test_how_long_each_setup_took_to_come_back(sentences):
     settings = [f"outage={length},outage_by=link" for length in ("2s", "12s")]
     ways = [{}, {}, BRIDGED, BRIDGED]
@@ -310,16 +329,16 @@ WITHIN = {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
 def undecided(number, reason):
     measured = (1.023, 1.007, 1.039) if reason is Reason.BELOW_MARGIN else (1.5, 0.9, 2.0)
     row = Judgement(Claim.FASTEST, "a", "latency_p50", "b", *measured, reason=reason.value)
-    mode = ("same", "different")[number - 1]
-    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, mode=mode, **WITHIN)
+    unlike = {"mode": ("same", "different")[number - 1], "data_type": ("binary", "string")[number - 1]}
+    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, rate_hz=number * 10.0, **unlike, **WITHIN)
 
 
 @pytest.mark.parametrize(
     ("reasons", "said"),
     [
         ((Reason.FEW_RUNS, Reason.ONLY_ONE), [3, 2, 1, 2, 4]),
-        ((Reason.NOT_SHOWN, Reason.NOT_SHOWN), [2, 1, 2, 4, 2, 2, 4]),
-        ((Reason.NOT_SHOWN, Reason.FEW_RUNS), [2, 1, 2, 4, 2, 2, 4, 1, 1, 3, 2]),
+        ((Reason.NOT_SHOWN, Reason.NOT_SHOWN), [2, 1, 10, 2, 4, 2, 20, 2, 4]),
+        ((Reason.NOT_SHOWN, Reason.FEW_RUNS), [2, 1, 10, 2, 4, 2, 20, 2, 4, 1, 1, 3, 2]),
         ((Reason.BELOW_MARGIN,), [2.3, 0.7, 3.9, 1, 2, 4]),
         *(((reason,), [1, 2, 4]) for reason in (Reason.IN_SEQUENCE, Reason.DEPENDENT, Reason.LOSSES)),
     ],

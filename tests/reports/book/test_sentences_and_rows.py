@@ -157,6 +157,11 @@ def test_every_number_of_an_answer_is_one_of_its_frames(tmp_path, name):
     check_comparison(analysis.load_messages())
 
 
+def test_answers_of_drawn_campaigns_are_those_that_were_read(sentences):
+    answers = [Book(make()).answer for make in DRAWN.values()]
+    sentences(*(said for one in answers for said in (one.outcome, one.headline, *one.points, *one.remarks)))
+
+
 def test_a_setup_is_not_compared_with_one_that_was_measured_with_another_message():
     sides = [({}, 33_000, 10), (ZENOH, 33_000, 10), ({}, 33_100, 1), (ZENOH, 33_100, 1)]
     measured = [

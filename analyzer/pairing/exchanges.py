@@ -255,7 +255,7 @@ def requested_relays(exchange: Exchange) -> float:
 
 
 def _strangers(answers: Sequence[Exchange]) -> list[int]:
-    """Return the relays without a trace, where as many as were asked for have one; after an outage ours may lack it."""
+    """Return relays without a trace where as many as requested have one; after an outage ours may lack it."""
     recorded = [exchange for exchange in answers if exchange.relay is not None]
     is_beacon = answers[0].run.labels.get("role") == "beacon"
     if is_beacon or not 0 < len(recorded) < len(answers) or len(recorded) < requested_relays(recorded[0]):

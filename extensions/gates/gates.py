@@ -319,9 +319,7 @@ def _advice(gate: Gate, change: Change) -> _Advice:
     limit = 1 + gate.limit / base_ns if gate.against is Against.DIFFERENCE else gate.limit
     is_of_new = gate.against is Against.NEW
     runs = runs_to_settle_value(change.new, limit) if is_of_new else runs_to_settle_ratio(change, limit)
-    if runs is not None:
-        return _runs_would_decide(runs, sides)
-    return _Advice(_why_undecidable(sides, limit))
+    return _Advice(_why_undecidable(sides, limit)) if runs is None else _runs_would_decide(runs, sides)
 
 
 def _why_undecidable(sides: Sequence[Interval], limit: float) -> str:
@@ -334,7 +332,7 @@ def _why_undecidable(sides: Sequence[Interval], limit: float) -> str:
 
 
 def _or_longer(advice: _Advice, gate: Gate, sides: Sequence[SetupRuns]) -> _Advice:
-    """Add how much longer runs would decide, where the runs differ by no more than their messages explain."""
+    """Add how much longer runs would decide, where runs differ by their messages only."""
     runs = [side.delivered(gate.metric) for side in sides]
     spreads = [spread_of_runs(side, STATISTIC_BY_NAME[gate.statistic]).between for side in runs]
     if not advice.runs or any(spread != 0 for spread in spreads):

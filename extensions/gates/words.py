@@ -224,7 +224,6 @@ def undecided_words(gates: Sequence[Gated]) -> str:
 
 
 def not_met_words(gates: Sequence[Gated]) -> str:
-    """Return how many limits are not met, and what was measured of the first."""
     failed = [gated.result for gated in gates if gated.result.outcome is GateOutcome.REGRESSED]
     parts = [f"{row.gate.text}: {measured_words(row, row.value)}" for row in failed if row.value is not None]
     values = f" ({some_of(parts, 'more')})" if parts else ""

@@ -84,7 +84,7 @@ class GroupRelay:
         return {program.relay_id for name, program in self._running.items() if name.startswith("relay")}
 
     def check_answers(self, relay_ids: Collection[int]) -> str:
-        """Return what to say about relays of others; if only those answered raise, and the next attempt waits for ours."""
+        """Return what to say about relays of others; raise if only those answered."""
         others = {*relay_ids} - self._relay_ids() - self._killed_ids
         if not others or self.device.keeps_traces:
             return ""

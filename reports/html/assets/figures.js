@@ -141,8 +141,9 @@ class FigureBlock {
 
   /** What the figure shows, in the words of the chosen metric and statistic. */
   title() {
-    const { title, follows } = this.figure;
-    return follows ? `${title.replace(/^Latency/, labelOf("metric"))}, ${labelOf("statistic")} of ${ofWhom()}` : title;
+    const { title, follows, kind } = this.figure;
+    const of = kind === "bars" ? "all messages" : ofWhom();
+    return follows ? `${title.replace(/^Latency/, labelOf("metric"))}, ${labelOf("statistic")} of ${of}` : title;
   }
 
   /** The beginning of the names of its files. */

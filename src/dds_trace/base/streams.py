@@ -117,7 +117,7 @@ def say(text: object) -> None:
 
 
 def wrapped(text: str, stream: Any = None) -> str:
-    """Return lines as a terminal shows them, words whole; in a log, which has no width, they stay as they are."""
+    """Return lines as a terminal shows them, words whole; a log has no width."""
     if not (stream or sys.stderr).isatty():
         return text
     width, lines = min(get_terminal_size().columns, WIDEST_SCREEN), text.splitlines()

@@ -410,7 +410,7 @@ class Search:
         parts = [f"{format_rate(rate)} at this size"] if rate else []
         parts += [f"{format_size(int(size))} at this rate"] if size else []
         if not parts:
-            return f"nothing that does was proven in {self.question.minutes:g} min"
+            return f"no other rate or size was proven to fit in {self.question.minutes:g} min"
         others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
         return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
 

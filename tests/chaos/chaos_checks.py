@@ -52,7 +52,7 @@ def untrue_exit(call: Call, folder: Path, cells: int) -> Iterator[str]:
         INCOMPLETE: complete < cells and all(f"{name}: " in call.output for name in missing),
         FULL: call.had("full-disk") and ("the disk is full" in call.output or "--keep-free" in call.output),
         UNAVAILABLE: any("tap_forwarder" in words for words in call.struck),
-        INTERRUPTED: call.had("interrupt") and "same command goes on" in call.output,
+        INTERRUPTED: call.had("interrupt") and "same command continues" in call.output,
         KILLED: call.had("kill", "sweep"),
     }
     if not allowed.get(call.code):

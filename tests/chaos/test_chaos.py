@@ -62,8 +62,8 @@ KILL_SWEEP, FULL = Fault("kill", "sweep", 0.0, 0.0), Fault("full-disk", "", 0.0,
         (Call(-9, "", (KILL_SWEEP,)), {"a": "running"}, True),
         (Call(-9, "", ()), {"a": "running"}, False),
         (Call(1, "", (KILL_SWEEP, FULL)), {"a": "running"}, False),
-        (Call(130, "the same command goes on", (Fault("interrupt", "", 0.0, 0.0),)), {"a": "failed"}, True),
-        (Call(130, "the same command goes on", ()), {"a": "failed"}, False),
+        (Call(130, "the same command continues", (Fault("interrupt", "", 0.0, 0.0),)), {"a": "failed"}, True),
+        (Call(130, "the same command continues", ()), {"a": "failed"}, False),
     ],
 )
 def test_exit_codes_are_held_against_the_state(sweep, call, states, is_true):

@@ -201,10 +201,17 @@ def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -
 
 _NO_CAUSE = "; the recorded environment shows no cause"
 _SLOW = frozenset(
-    (
-        *("udp_buffer_overflow", "fragments_lost", "retransmission_storm", "heartbeat_bound_recovery"),
-        *("carried_twice", "cpu_saturated", "stood_still", "schedule_not_held", "waits_in_reader"),
-    )
+    [
+        "udp_buffer_overflow",
+        "fragments_lost",
+        "retransmission_storm",
+        "heartbeat_bound_recovery",
+        "carried_twice",
+        "cpu_saturated",
+        "stood_still",
+        "schedule_not_held",
+        "waits_in_reader",
+    ]
 )
 
 

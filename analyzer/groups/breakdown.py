@@ -21,8 +21,12 @@ from ..statistics.percentiles import minimum_messages
 from .batch import Batch, described_exchanges
 
 STAGES = (
-    *("waiting_ns", "outbound_transport_ns", "relay_delivery_ns"),
-    *("relay_ns", "return_transport_ns", "ping_delivery_ns"),
+    "waiting_ns",
+    "outbound_transport_ns",
+    "relay_delivery_ns",
+    "relay_ns",
+    "return_transport_ns",
+    "ping_delivery_ns",
 )
 
 _ANCHORED = ("relay_delivery_ns", "ping_delivery_ns", "relay_write_ns", "ping_write_ns")

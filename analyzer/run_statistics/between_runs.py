@@ -1,8 +1,7 @@
 """The interval of a quantile or a mean of a group of runs: it holds for another run of the same kind.
 
-Runs with equal settings differ by more than the spread within each explains (a reboot, another memory layout). A run is
-therefore one observation, and the interval is Student's t on the logarithms of the runs' statistics, because causes of
-latency multiply. Of a bootstrap's 95 % intervals from three runs only 83 % contain the truth.
+A run is one observation (docs/explanation/statistics.md). The interval is Student's t on the logarithms of the runs' statistics,
+because causes of latency multiply. Of a bootstrap's 95 % intervals from three runs only 83 % contain the truth.
 """
 
 from __future__ import annotations

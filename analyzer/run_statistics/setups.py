@@ -1,11 +1,9 @@
 """Which setups differ, from the statistics of their runs with several kinds of message: pooled Welch tests.
 
-The logarithm of a run's statistic is `x[k, c, i]` of kind of message k, setup c and repeat i. From P repeats, a spread
-is known with P - 1 degrees of freedom. Where the spreads of the kinds are alike by Bartlett's test (1937), a setup has
-one spread, the mean of the kinds' variances, with `(P - 1) (tr S)^2 / tr(S^2)` degrees (S the covariance of the kinds
-over the repeats; F. E. Satterthwaite, Biometrics Bulletin 2, 1946): with one relay for all sizes these move together
-and count as one. A kind that spreads more than the others by an F test keeps its own. Few runs of two modes agree by
-chance, so where spreads are unlike, none of fewer than `ENOUGH_RUNS` is below the campaign's.
+The logarithm of a run's statistic is `x[k, c, i]` of kind of message k, setup c and repeat i of P. Where kinds share a spread
+(docs/explanation/statistics.md), it is the mean of their variances with `(P - 1) (tr S)^2 / tr(S^2)` degrees of freedom (S the
+covariance of the kinds over the repeats; F. E. Satterthwaite, Biometrics Bulletin 2, 1946): with one relay for all sizes these
+move together and count as one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Ranks the setups of every kind of message by each percentile: who leads, who differs from whom, what decides the rest.
 
-"Faster than each other setup" is one claim, so its p value is the largest of its pairs' (intersection-union test; R. Berger,
-Technometrics 24, 1982), adjusted by Hochberg over kinds of message. Claims about other pairs are adjusted by Holm over all pairs
-of all kinds. Both also need an estimated lead of the margin. Setups recorded one after the other are not compared.
+docs/explanation/statistics.md has the tests (R. Berger, Technometrics 24, 1982). All claims need an estimated lead of the margin.
 """
 
 from __future__ import annotations

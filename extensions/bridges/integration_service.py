@@ -1,8 +1,4 @@
-"""`integration-service`: eProsima's Integration Service, the paper's choice for Fast DDS.
-
-It has two ROS 2 system handles, and an installation usually has one: the static one is compiled for each type, the
-dynamic one reads the IDL of types from /opt/ros and is itself a Fast DDS participant.
-"""
+"""`integration-service`: eProsima's Integration Service, with a static or a dynamic ROS 2 handle (docs/reference/bridges.md)."""
 
 from __future__ import annotations
 

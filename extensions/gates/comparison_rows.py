@@ -82,8 +82,15 @@ def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFram
 SHOWN_STATISTICS = ("p50", "p99")
 
 WORST_FIRST = (
-    *("no reply came back", "loses more", "slower"),
-    *("no clear change", "undecided", "too few runs", "the same", "loses less", "faster"),
+    "no reply came back",
+    "loses more",
+    "slower",
+    "no clear change",
+    "undecided",
+    "too few runs",
+    "the same",
+    "loses less",
+    "faster",
 )
 """Verdicts on one result of both sides."""
 

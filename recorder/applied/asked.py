@@ -23,15 +23,7 @@ _INTERFACE = re.compile(r"<NetworkInterface\b[^>]*\bname=[\"']([^\"']+)[\"']")
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Settings that one side requests; 0, empty and None leave them to the system or the vendor.
-
-    Attributes:
-        transport: for a profile file, what its transports amount to.
-        interface: the only one that a configuration names.
-        profile: file name of the user's own profile.
-        buffer_is_exact: whether a larger receive buffer contradicts it too.
-        segment_bytes: of the process's own shared memory.
-    """
+    """Settings that one side requests (docs/trace-format.md); 0, empty and None leave them to the system or the vendor."""
 
     vendor: str
     domain_id: int = 0

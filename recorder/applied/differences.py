@@ -242,6 +242,12 @@ def _described(memory: list[SharedMemory]) -> str:
 
 
 _RULES: tuple[Callable[[Asked, Applied, Traffic | None], Difference | None], ...] = (
-    *(_transport, _receive_buffer, _segment, _send_buffer),
-    *(_interface, _shared_memory, _memory_namespace, _congestion_control),
+    _transport,
+    _receive_buffer,
+    _segment,
+    _send_buffer,
+    _interface,
+    _shared_memory,
+    _memory_namespace,
+    _congestion_control,
 )

@@ -31,13 +31,7 @@ _LOCK_TESTS = {_LOCK: fcntl.LOCK_SH, "_sl": fcntl.LOCK_EX}
 
 @dataclass(frozen=True, slots=True)
 class SharedMemory:
-    """One shared-memory file of a middleware that the process maps.
-
-    Attributes:
-        is_own: this process created it, None if the middleware leaves no sign of that.
-        is_served: some process holds its lock, None if there is none or it cannot be tested.
-        is_abandoned: nobody holds its lock: the process that served it was killed.
-    """
+    """One shared-memory file of a middleware that the process maps (docs/trace-format.md); None is unknown."""
 
     name: str
     middleware: str

@@ -42,8 +42,16 @@ MODES = {"same": "same domain", "different": "different domains"}
 
 # Columns that extend equal labels of setups.
 _FURTHER = (
-    *("backend", "relay_backend", "rmw", "reliability", "durability", "history", "depth", "serialization"),
-    *("vendor", "bridge"),
+    "backend",
+    "relay_backend",
+    "rmw",
+    "reliability",
+    "durability",
+    "history",
+    "depth",
+    "serialization",
+    "vendor",
+    "bridge",
 )
 
 

@@ -50,10 +50,26 @@ if TYPE_CHECKING:
 
 FOLDED_FACTS = ("Traces", "Quality of service", "Settings", "Versions", "Cost of measuring")
 SCRIPTS = (
-    *("data.js", "units.js", "view.js", "layout.js"),
-    *(f"kinds/{name}.js" for name in ("facets", "lines", "bars", "few", "cell", "details", "wire")),
-    *("tables.js", "output/export.js", "rows.js", "figures.js", "group.js"),
-    *("output/paper.js", "job.js", "theme.js", "page.js"),
+    "data.js",
+    "units.js",
+    "view.js",
+    "layout.js",
+    "kinds/facets.js",
+    "kinds/lines.js",
+    "kinds/bars.js",
+    "kinds/few.js",
+    "kinds/cell.js",
+    "kinds/details.js",
+    "kinds/wire.js",
+    "tables.js",
+    "output/export.js",
+    "rows.js",
+    "figures.js",
+    "group.js",
+    "output/paper.js",
+    "job.js",
+    "theme.js",
+    "page.js",
 )
 """Scripts of the page, each after those that it needs."""
 UNPACK_SCRIPT = "unpack.js"

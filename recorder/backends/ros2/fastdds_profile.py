@@ -1,15 +1,8 @@
-"""Fast DDS profiles of our own: for `--tuned`, and for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
+"""Fast DDS profiles of our own: for `--tuned`, and for ROS 2's LOCALHOST range (docs/reference/middlewares.md).
 
-`--tuned` enlarges receive buffers only, which that variable cannot do: with a large send buffer a message overflows the queue of
-an interface that is slower than its burst.
-
-In that range rmw_fastrtps adds shared memory and UDP to the default profile
-(rmw_fastrtps_shared_cpp/src/participant.cpp), so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT
-and load a profile that does the same: sockets on 127.0.0.1 only, no multicast beyond it, unicast search for
-participants.
-
-Fast DDS loads one profile file in each process, with its first participant. So all nodes of a process have the same
-transports, and the options are refused if the user has a profile.
+In that range rmw_fastrtps adds shared memory and UDP to the default profile (rmw_fastrtps_shared_cpp/src/participant.cpp). So we
+set the range SYSTEM_DEFAULT and load a profile that does the same: sockets on 127.0.0.1 only, no multicast beyond it, unicast
+search for participants. Fast DDS loads one profile file in each process, with its first participant.
 """
 
 from __future__ import annotations

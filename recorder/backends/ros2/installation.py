@@ -193,15 +193,7 @@ def _debian_version(package: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FastDds:
-    """What differs between Fast DDS 2 (Jazzy and before) and 3.
-
-    Attributes:
-        package: of ROS 2, which contains it.
-        profile_variables: which can name a profile, the first that is set counts; rmw_fastrtps of Kilted also passes on the older one.
-        profile_file: read from the current folder if no variable names one.
-        times: tags of the heartbeats' period, and of the delays of requests and answers.
-        large_data: settings of shared memory in LARGE_DATA, empty for the default segment.
-    """
+    """What differs between Fast DDS 2 (Jazzy and before) and 3 (docs/reference/middlewares.md); the first variable that is set counts."""
 
     package: str
     profile_variables: tuple[str, ...]

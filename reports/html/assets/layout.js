@@ -269,14 +269,14 @@ function wrapped(text, most) {
 }
 
 /** What is written to the right of marks (left of those at the edge), pushed apart where marks are close. */
-function besideMarks({ beside, y }, x, width, height, suffix) {
+function besideMarks({ beside, ends, y }, x, width, height, suffix) {
   const share = (axis, value) =>
     ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
   const ordered = beside
     .map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height }))
     .sort((a, b) => a.at - b.at);
   const long = ({ text }) => LETTER * text.length;
-  const isEdge = (one) => one.left + long(one) > width + 6;
+  const isEdge = (one) => one.left + long(one) > width + (ends?.length ? -6 : 6); // the lines' names begin there
   const start = (one) => one.left + (isEdge(one) ? -6 - long(one) : 6);
   const placed = [];
   for (const one of ordered) {

@@ -77,6 +77,7 @@ def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_
     The folder of an interrupted search is continued; a finished one is kept, and a new one made.
 
     Args:
+        tell: gets each step, in this thread, between runs. What it raises, and Ctrl-C, end the search with its recordings kept.
         began_s: time of `time.monotonic` from which the minutes count, by default now.
 
     Returns:
@@ -84,6 +85,10 @@ def answer(question: Question, out: Path, tell: Tell = lambda _: None, *, began_
         (`middleware`, `vendor`, `bundle`, `configuration`, `variables`, `exports`) or null, `candidates` (best first: an `Event.to_dict()`
         of the first looks, and `dropped`), `proofs` (of the best `against` another: `kept`, `verdict`, `reason`, `proof`, `received`,
         `command`), `fits` (highest `rate_hz` at the size and largest `size_bytes` at the rate, null if not found) or null, `seconds`, `folder`.
+
+    Raises:
+        OptionError: the plan has what cannot be advised on, or needs a right that is missing.
+        TraceError: nothing can be recorded at all.
     """
     check_advisable(question.plan)
     search = Search(question, new_folder(out, question.plan.name), tell, time.monotonic)

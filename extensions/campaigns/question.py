@@ -65,7 +65,7 @@ class Question:
 def ask(
     size: str | None, rate: str, *, data: str = "binary", link: str | None = None, hosts: Sequence[str] = ()
 ) -> Plan:
-    """Return the plan of what a person writes, with all installed middlewares.
+    """Return the plan of what a person writes, with all installed middlewares; an `OptionError` names a wrong value or that none is.
 
     Args:
         size, rate: as `502KB`, `20`; a size of None is the data's own.

@@ -35,16 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class ClassCount:
-    """Traffic of a `WireClass` in one direction (`sent`, `received`, or `local` on loopback, where it is both).
-
-    Attributes:
-        packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
-        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
-            their own, so the classes' bytes sum to the packets' bytes.
-        submessages: RTPS submessages; 0 for TCP and other UDP.
-        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as
-            repeated.
-    """
+    """Traffic of a `WireClass` in one direction (docs/reference/wire.md); a DATA_FRAG with a repeated fragment is repeated."""
 
     name: str
     direction: str
@@ -195,19 +186,7 @@ class InterfaceCount:
 
 @dataclass(frozen=True, slots=True)
 class WireCounts:
-    """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
-
-    Attributes:
-        heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
-        first_spdp_ns, first_data_ns, first_reply_ns: of a participant's announcement, of a message with our stamp and of one
-            with a relay's id, since the capture began, probes included.
-        unseen_headers: packets with a submessage but not its header; its kind is missing in `classes`, its
-            bytes count for the packet's class.
-        unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not
-            found; on the receiving side of a lossy link that is the link's loss.
-        late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
-        kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
-    """
+    """Counts of one run on the wire, seen from one side: the fields of docs/reference/wire.md."""
 
     run_id: str = ""
     interfaces: tuple[str, ...] = ()

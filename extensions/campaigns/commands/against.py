@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,6 +37,7 @@ class NewSide:
     name: str
     plan: Plan
     command: tuple[str, ...] | None = None
+    environment: Path | None = None
     is_same: bool = False
     looks: int = 1
 
@@ -64,7 +66,26 @@ def new_side(
             "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
             "[devices.relay] path is the environment there"
         )
-    return NewSide(environment_name(text), base, command)
+    return NewSide(environment_name(text), base, command, path.absolute())
+
+
+def keep_to_environment(folder: Path, side: NewSide) -> None:
+    """Refuse the folder of a new side that was recorded with another environment, or before a module of it changed."""
+    from dds_trace.base.files import open_regular
+
+    from ..folder import replace_text
+
+    mark, identity, recorded = folder / ".environment", "", ""
+    if side.environment is not None:
+        modules = (*side.environment.rglob("*.py"), *side.environment.rglob("*.so"))
+        identity = f"{side.environment} {max((path.lstat().st_mtime_ns for path in modules), default=0)}\n"
+    with suppress(OSError), open_regular(mark) as file:
+        recorded = file.read(1 << 16).decode(errors="replace")
+    if (folder / "state.json").exists() and recorded != identity:
+        raise OptionError(f"{folder}: recorded with another environment, or before it changed; give another --out")
+    if identity != recorded:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_text(mark, identity)
 
 
 def startable(plan: Plan, refused: Container[str]) -> Plan:
@@ -125,11 +146,12 @@ def busier(base: Path, new: Path) -> list[tuple[str, int]]:
 def run_sides(
     base: Plan, other: NewSide, out: Path, gates: Sequence[Gate] = (), *, as_json: bool, strict: bool = False
 ) -> int:
-    from ..against import run_against
+    from ..against import NEW, run_against
     from ..run.progress import make_progress
 
     if gates:
         say(shown_sides(base, other)[1][-1])
+    keep_to_environment(out / _name(base, other) / NEW, other)
     for look in range(1, other.looks + 1):
         run = replace(base.run, repeats=look * base.run.repeats)
         sides_outcome = run_against(

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -5,6 +6,7 @@ from sweep_desk import COMMAND, FIRST, PLAN, SECOND, Heard, files_of
 
 from dds_trace.base.errors import OptionError
 from dds_trace.extensions.campaigns.against import against_seconds, interleave, run_against
+from dds_trace.extensions.campaigns.commands.against import NewSide, keep_to_environment
 from dds_trace.extensions.campaigns.plan.plan_file import parse_plan
 from dds_trace.extensions.campaigns.plan.schedule import OWN_COST_S, RELAY_OVERHEAD_S, RUN_OVERHEAD_S
 
@@ -107,3 +109,19 @@ def test_environment_is_an_axis_whose_cells_are_run_by_the_dds_record_of_that_fo
     pings = {start["cell"]: start["arguments"] for start in desk.starts}
     assert "environment=kilted" in pings[f"{FIRST}_kilted"]
     assert not any("environment=" in word for word in pings[FIRST])
+
+
+def test_what_another_environment_recorded_is_no_run_of_this_one(tmp_path):
+    """The same command after a change of its code would print the verdict on the code before."""
+    for name in ("one", "two"):
+        (tmp_path / name / "lib").mkdir(parents=True)
+        (tmp_path / name / "lib/node.py").write_text("")
+    one, two = (NewSide("new", plan(), environment=tmp_path / name) for name in ("one", "two"))
+    keep_to_environment(side := tmp_path / "new", one)
+    keep_to_environment(side, two)  # nothing was recorded yet
+    (side / "state.json").write_text("{}")
+    keep_to_environment(side, two)
+    os.utime(tmp_path / "two/lib/node.py", ns=(0, 2 * 10**18))
+    for other in (one, two, NewSide("new", plan())):
+        with pytest.raises(OptionError, match="another environment"):
+            keep_to_environment(side, other)

@@ -226,6 +226,7 @@ def settings_of(candidate: Candidate) -> dict[str, Any]:
         variables["RMW_IMPLEMENTATION"] = rmw
         is_native = cell.backend != "ros2"
         exports.append(f"export RMW_IMPLEMENTATION={rmw}{'  # ROS 2; its own API was measured' * is_native}")
+        exports += ["# before it on each device: ros2 run rmw_zenoh_cpp rmw_zenohd"] * (rmw == "rmw_zenoh_cpp")
     return {
         **{key: getattr(candidate, key) for key in ("middleware", "vendor", "bundle")},
         "configuration": None if path is None else str(path),

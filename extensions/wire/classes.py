@@ -9,11 +9,7 @@ from . import rtps
 
 
 class WireClass(str, Enum):
-    """Purposes of bytes on the wire; a packet with several counts for the first of them.
-
-    `rtps_other` is packets without a purpose of their own and vendors' own submessages, such as the network statistics
-    (0x80, 60 bytes) that Fast DDS appends to each packet.
-    """
+    """Purposes of bytes on the wire (docs/reference/wire.md); a packet with several counts for the first of them."""
 
     DATA_FRAG = "data_frag"
     DATA_FRAG_AGAIN = "data_frag_again"

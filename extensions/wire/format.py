@@ -42,14 +42,7 @@ MESSAGE_ROW = np.dtype(
         ("waited_heartbeats", "<u2"),
     ]
 )
-"""A message of ours on the wire, in one direction: 61 bytes, no padding.
-
-`run_id`, `sequence`, `relay_id` of its stamp (`relay_id` 0 on the way out); `direction` a `Direction`; `fragments` the
-DATA_FRAGs of its first sending (1 for a DATA); `fragments_again` the DATA_FRAGs or DATAs sent again; `repeats` how often the
-most repeated one was; `sample_bytes` its serialized length; `first_ns`, `last_ns` the capture of its first and last packet
-on CLOCK_MONOTONIC; `resent_after_ns` from a fragment's first sending to the message's first repetition, or NEVER_NS;
-`waited_heartbeats` the heartbeats that its writer sent in between.
-"""
+"""A message of ours on the wire, in one direction: 61 bytes, no padding (docs/reference/wire.md)."""
 
 _ROWS_OF_A_TEXT = 8192
 """Most records of one text: 0.7 MB, a sixth of the longest text that a reader accepts."""

@@ -63,16 +63,18 @@ CAUSES = ("udp_buffer_overflow", "fragments_lost", "unrequested_relay")
 
 
 def cause_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return what was seen in the recordings with losses, the first of `CAUSES`, and what to do."""
-    lossy = {group.index for group in groups.groups if group.received < group.published}
+    """Return what was seen in results with losses, the first of `CAUSES`, how many they lost, and what to do."""
+    lost = {group.index: group.published - group.received for group in groups.groups}
     for code in CAUSES:
-        seen = [finding for finding in analysis.findings if finding.code == code and lossy & {*finding.groups}]
+        seen = [finding for finding in analysis.findings if finding.code == code and any(map(lost.get, finding.groups))]
         if seen:
+            there = sum(lost.get(group, 0) for group in {group for finding in seen for group in finding.groups})
             worst = seen[0]
             more = sum(finding.count for finding in seen if finding.subject is worst.subject) - 1
             others = f", as in {counted(more, f'more {worst.subject.value}')}" if more else ""
             action = worst.action.partition(": ")[2] or worst.action
-            return printable(f"Seen with losses: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
+            share = "losses" if there == sum(lost.values()) else f"{there:,} of {sum(lost.values()):,} losses"
+            return printable(f"Seen with {share}: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
     return ""
 
 

@@ -117,7 +117,7 @@ class Desk:
 
     def _tell(self, event: Event) -> None:
         with self._lock:
-            if event.candidate is not None and event.state:
+            if event.candidate is not None and event.state and event.stage != "fit":  # of other sizes and rates
                 self._rows.setdefault(event.candidate.name, Row(event)).take(event)
             self._shown |= {"left_s": event.left_s, "stage": event.stage, "note": event.text or self._shown["note"]}
         if self._is_stopped and event.stage != "answer":  # which is written

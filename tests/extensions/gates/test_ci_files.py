@@ -279,7 +279,9 @@ def test_the_first_workflow_of_the_page_installs_both_sides_and_gives_them_to_th
     done = bash(script, folder, {"RUNNER_TEMP": str(folder / "temp"), "GITHUB_PATH": str(folder / "path")})
     assert done.returncode == 0, done.stderr
     calls = [call.partition("temp/")[2] for call in (folder / "calls.log").read_text().splitlines()]
-    install = "bin/python -m pip install --quiet dds-trace[analyze,ros2]"
+    install = (
+        "bin/python -m pip install --quiet dds-trace[analyze,ros2] @ git+https://github.com/OWNER/dds-trace@VERSION"
+    )
     assert calls == [f"base/{install} ./main", f"new/{install} ."]
     assert (folder / "path").read_text() == f"{folder}/temp/base/bin\n"
     (given,) = (step["with"] for step in first if step.get("uses", "").startswith("OWNER/dds-trace"))

@@ -135,6 +135,11 @@ def on_devices(won):
         ),
         pytest.param([case(*TIERS)], [1, 5], id="one is slower than two"),
         pytest.param(
+            [case(TIERS[0], replace(TIERS[1], p50_ns=30 * MS), TIERS[2])],
+            [1, 5],
+            id="open, and above one that is slower",
+        ),
+        pytest.param(
             [case(*TIERS), case(A, B, setup("c", 20.0), rate_hz=20.0)],
             [1, 5, 1, 2],
             id="slower at one rate, open at another",

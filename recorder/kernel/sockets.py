@@ -102,15 +102,7 @@ class TcpState:
 
 @dataclass(frozen=True, slots=True)
 class Socket:
-    """One UDP or TCP socket of a process.
-
-    Attributes:
-        remote_address, remote_port: `0.0.0.0` and 0 if it is not connected.
-        receive_buffer_bytes: SO_RCVBUF as the kernel granted it: for a buffer that a program set, twice what it set,
-            or twice `net.core.rmem_max` if that is less (socket(7)).
-        dropped: datagrams that the kernel dropped at this socket since it was opened.
-        tcp: state of a TCP connection, None for UDP and for a listening socket.
-    """
+    """One UDP or TCP socket of a process (docs/trace-format.md); `0.0.0.0` and 0 as remote end if it is not connected."""
 
     protocol: str
     family: str

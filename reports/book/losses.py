@@ -73,7 +73,8 @@ def cause_sentence(analysis: Analysis, groups: Groups) -> str:
             more = sum(finding.count for finding in seen if finding.subject is worst.subject) - 1
             others = f", as in {counted(more, f'more {worst.subject.value}')}" if more else ""
             action = worst.action.partition(": ")[2] or worst.action
-            share = "losses" if there == sum(lost.values()) else f"{there:,} of {sum(lost.values()):,} losses"
+            share, every = format_count(there), format_count(sum(lost.values()))
+            share = "losses" if share == every else f"{share} of {every} losses"
             return printable(f"Seen with {share}: {worst.what.rstrip('.')}{others}. {action[0].upper()}{action[1:]}")
     return ""
 

@@ -7,6 +7,7 @@ sentence speaks of, are none.
 import json
 import re
 import tarfile
+from collections import defaultdict
 from functools import partial
 from pathlib import Path
 
@@ -64,6 +65,16 @@ def losses(groups):
     yield format_count(sum(group["unsent"] for group in groups))
 
 
+def seen_with_losses(report):
+    lost = [group["published"] - group["received"] for group in report["groups"]]
+    yield format_count(sum(lost))
+    seen = defaultdict(set)
+    for finding in report["findings"]:
+        seen[finding["code"]] |= {*finding["groups"]}
+    for groups in seen.values():
+        yield format_count(sum(lost[group] for group in groups))
+
+
 def judged(report):
     for row in report["judgements"]:
         if row["claim"] == "lossy":
@@ -96,7 +107,7 @@ def check(book):
     report = json.loads(document.render(book))
     groups = report["groups"]
     known = {*named(groups), *judged(report), *frames(report)}
-    known |= {*losses(groups)} if groups else set()
+    known |= {*losses(groups), *seen_with_losses(report)} if groups else set()
     for link in topic_links(book.analysis):
         known |= {format_ratio(link.share), *(format_duration(ns) for ns in (link.p50_ns, link.p99_ns) if ns)}
     for kind, sentence in book.answer.sentences:

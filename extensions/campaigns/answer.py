@@ -144,7 +144,7 @@ class Search:
             self._note("link", f"measuring the link and the clocks, {PROBE_S:.0f} s")
             self._use_link(probe_link(plan, self.folder, partial(self._note, "link")))
         if self.link is not None:
-            self._note("link", f"link: {self.link}")
+            self._note("link", str(self.link))
         if self.load > 1:
             self._note("fit", f"no setting makes this fit: {self._load_words()}")
         limits = self.question.limits

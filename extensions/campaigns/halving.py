@@ -231,7 +231,7 @@ class Race:
 
     def drop(self, standing: Standing, reason: str) -> None:
         standing.dropped = reason
-        self._tell(standing, "dropped", f"{standing.candidate.name} is out: {reason}")
+        self._tell(standing, "dropped", f"{standing.candidate.name} gets no more runs: {reason}")
 
     def halve(self, candidates: Sequence[Candidate], first_s: float = FIRST_SECONDS) -> list[Standing]:
         """Return all candidates, best first; those that no time was left for are dropped, too."""

@@ -72,7 +72,7 @@ class Row:
         """Return the event with `name`, `course`, and a `text` that does not repeat the name."""
         row = self.event.to_dict()
         name = row.pop("candidate")["name"]
-        return {**row, "name": name, "text": row["text"].removeprefix(f"{name} is out: "), "course": self.course}
+        return {**row, "name": name, "text": row["text"].removeprefix(f"{name} gets no more runs: "), "course": self.course}
 
 
 class Desk:

@@ -60,7 +60,7 @@ class MadeSearch:
         for run in (1, 2):
             tell(told(SLOW, 9.0 * run, 80.0, runs=run))
             tell(told(FAST, 1.5, 2.5, runs=run))
-        tell(told(SLOW, 18.0, math.inf, "dropped", lost=3, runs=2, text="Zenoh default is out: 3.8% lost"))
+        tell(told(SLOW, 18.0, math.inf, "dropped", lost=3, runs=2, text="Zenoh default gets no more runs: 3.8% lost"))
         self.going.wait()
         tell(told(FAST, 1.5, 2.5, runs=3))
         if ended := ENDS.get(question.plan.cells[0].rate):

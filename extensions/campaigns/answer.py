@@ -417,7 +417,8 @@ class Search:
         if not parts:
             return f"no other rate or size was proven to fit in {self.question.minutes:g} min"
         others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
-        return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
+        unproven = "" if rate else "; no rate at this size was proven"
+        return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}{unproven}"
 
 
 _OPPOSITES = {"better": "worse", "worse": "better"}

@@ -282,6 +282,7 @@ def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too_and_se
     assert 0.8 * most_hz <= (found["fits"]["rate_hz"] or 0) <= most_hz
     assert found["fits"]["size_bytes"] is None
     assert "was nearest" in found["sentence"]
+    assert "no rate at this size" in desk.search(tmp_path)._fits_words({"rate_hz": None, "size_bytes": 5000})
     assert (found["recommended"] is not None) == ("Settings for what fits:" in lines) == bool(most_hz)
     assert any("export" in line for line in lines) == bool(most_hz)
     assert not any("fresh runs;" in line for line in lines)

@@ -72,7 +72,8 @@ class Row:
         """Return the event with `name`, `course`, and a `text` that does not repeat the name."""
         row = self.event.to_dict()
         name = row.pop("candidate")["name"]
-        return {**row, "name": name, "text": row["text"].removeprefix(f"{name} gets no more runs: "), "course": self.course}
+        text = row["text"].removeprefix(f"{name} gets no more runs: ")
+        return {**row, "name": name, "text": text, "course": self.course}
 
 
 class Desk:

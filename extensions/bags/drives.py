@@ -119,10 +119,11 @@ class DriveComparison(blocks.Report):
             facts.append(
                 f"{printable(str(path))}: {verdict_words(health, rows)}{ended_words(health, rows)} {facts_words(health, len(rows))}"
             )
-        headline = (
-            " ".join(self._changes()) or "No topic is gone, at another rate, silent for longer, or known to lack more."
+        headline = " ".join(self._changes()) or "No topic is gone; no other rate, longer silence or more loss was seen."
+        lengths = " → ".join(seconds_words(report.recordings[0].duration_ns / SECOND_NS) for report in self.reports)
+        summary = (
+            f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new, {lengths} long."
         )
-        summary = f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new."
         columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
         table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
         heading = Heading(self.title, 1, media=MARKDOWN)
@@ -162,17 +163,26 @@ def _lacks_more(was: TopicRow | None, now: TopicRow | None) -> Change:
 
 
 def _rate(was: TopicRow | None, now: TopicRow | None) -> Change:
-    """Compare rates; unsteady ones differ in mean and median."""
+    """Compare rates and means, without what is lost for sure; of two unsteady ones mean and median have to change."""
     if not was or not now or min(was["messages"], now["messages"]) < WINDOW:
         return None
-    bound, before, after = 1 + FEW, was["expected_rate_hz"], now["expected_rate_hz"]
-    ratios = [after / before] if before and after else []
-    if not ratios and was["period_p50_ns"] and now["period_p50_ns"]:
-        bound, before, after = 2, was["rate_hz"], now["rate_hz"]
-        ratios = [after / before, was["period_p50_ns"] / now["period_p50_ns"]]
-    if not ratios or (min(ratios) <= bound and max(ratios) >= 1 / bound):
-        return None
-    return abs(math.log(ratios[0])), f" {format_rate(before)} → {format_rate(after)} ({100 * (ratios[0] - 1):+.3g} %)"
+    steady_hz = was["expected_rate_hz"], now["expected_rate_hz"]
+    mean_hz = tuple(row["rate_hz"] * (1 + (row["missing_low"] or 0) / row["messages"]) for row in (was, now))
+    bound, medians_hz = 1 + FEW, tuple(1 / (row["period_p50_ns"] or math.inf) for row in (was, now))
+    if not any(steady_hz):
+        bound = 2
+        if not all(medians_hz) or not _is_beyond(bound, *medians_hz):
+            return None
+    for before, after in (steady_hz, mean_hz):
+        if before and after and _is_beyond(bound, before, after):
+            return abs(
+                math.log(after / before)
+            ), f" {format_rate(before)} → {format_rate(after)} ({100 * (after / before - 1):+.3g} %)"
+    return None
+
+
+def _is_beyond(bound: float, before: float, after: float) -> bool:
+    return not 1 / bound <= after / before <= bound
 
 
 _CHANGES: tuple[tuple[str, Callable[[TopicRow | None, TopicRow | None], Change]], ...] = (

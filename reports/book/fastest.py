@@ -349,7 +349,7 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
         for name in outcome.slower
     ]
     decides = _decides(stretch.cases, "p50", " the rest")
-    unclear = [labels[name] for name in outcome.best[1:] if _is_above_a_slower(stretch, name)]
+    unclear = [labels[name] for name in outcome.best[1:] if _is_above_a_slower(stretch, outcome, name)]
     if unclear:
         parts.append(f"{joined(unclear)} {'are' if len(unclear) > 1 else 'is'} undecided")
     shown = [*some_of(parts, "take longer").split("; "), *filter(None, [decides])]
@@ -359,13 +359,12 @@ def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
     return f"{at_tail}{only}{joined(best, 'or')} ({'; '.join(shown)})"
 
 
-def _is_above_a_slower(stretch: Stretch, subject: str) -> bool:
+def _is_above_a_slower(stretch: Stretch, outcome: Outcome, subject: str) -> bool:
     """Return whether a setup that no test excludes has a longer time somewhere than one that a test does."""
-    assert stretch.outcome is not None
     for case in stretch.cases:
-        values = {setup.name: getattr(setup, f"{stretch.outcome.percentile}_ns") for setup in case.contenders}
+        values = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
         times = {name: math.inf if value is None else value for name, value in values.items()}
-        if times[subject] > min(times[name] for name in stretch.outcome.slower):
+        if times[subject] > min(times[name] for name in outcome.slower):
             return True
     return False
 

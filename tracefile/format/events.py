@@ -182,16 +182,7 @@ PUBLISHER_TOPIC = "/dds_trace/publisher"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapColumns:
-    """Events of taps as columns, in file order; all arrays are one-dimensional and equally long.
-
-    Attributes:
-        content_hash: identity of the serialized message (`hash_content`).
-        publication_sequence: the publisher's number of the message; 0 if unknown.
-        monotonic_ns: arrival on CLOCK_MONOTONIC of the recording device.
-        header_ns: stamp of the message's first header, on its sender's clock; 0 if there is none.
-        source_ns, received_ns: as in `EventColumns`.
-        payload_bytes: length of the serialized message.
-    """
+    """Events of taps (`TapEvent` of docs/trace-format.md) as columns, in file order."""
 
     content_hash: NDArray[np.uint64]
     publication_sequence: NDArray[np.uint64]

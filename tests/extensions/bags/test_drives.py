@@ -12,8 +12,10 @@ from dds_trace.extensions.bags.drives import are_drives
 from dds_trace.extensions.gates.command import app
 
 BASE = {"/camera": timer(20, 60), "/imu": timer(100, 60), "/tf": timer(50, 60), "/gps": timer(10, 60)}
+BASE["/lidar"] = timer(30, 60)
 NEW = {"/camera": timer(20, 60, without=[(30, 33)]), "/imu": timer(90, 60), "/odom": timer(5, 60)}
 NEW["/gps"] = timer(10, 60)[100:]
+NEW["/lidar"] = [*timer(30, 60)[:900], *timer(30, 60)[900::3]]  # a third of the rate from the middle on
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +43,8 @@ def test_both_sides_are_shown_by_topic(drives):
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
     for words in (
         "Gone on the new side: /tf. New there: /odom. A larger share of messages is missing on /camera.",
-        "Another rate: /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /gps 100 ms → 10 s, /camera 50 ms → 3.05 s.",
-        "3 topics on both sides, 2 on one",
+        "Another rate: /lidar 30 Hz → 20 Hz (-33.3 %), /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /gps 100 ms → 10 s, /camera 50 ms → 3.05 s.",
+        "4 topics on both sides, 2 on one",
         "50 Hz → - | 0 → -",
         "100 Hz → 90 Hz | 0",
         "0 → 60 (5 %)",

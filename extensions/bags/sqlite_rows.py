@@ -99,7 +99,7 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
         topics = {row_id: topic for row_id, topic in topics.items() if topic.name.startswith("/")}
         if not topics:
             raise UnreadableError(f"it is no rosbag2 database that can be read: {fault}")
-        more = f"; {counted(len(rows), 'message')} more from single pages" if rows else ""
+        more = f"; {counted(len(rows), 'message')} from single pages" if rows else ""
         condition.damages.append(f"{fault}{more}")
     condition.topics |= set(topics.values())
     messages = (RawMessage(topics[at], time_ns, None, None, data) for _, at, time_ns, data in rows if at in topics)

@@ -18,8 +18,8 @@ from dds_trace.reports.figures.table import FIGURES
 from dds_trace.reports.html.styles import Style, line_styles
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
-_POSITION_WIDTH = 24
-"""Pixels of one message on an axis of messages."""
+_POSITION_WIDTH = 110, 24
+"""Pixels of one message on an axis of messages, of few and of twelve or more, whose names are turned."""
 _MS, _MB = 1e6, 1e6
 
 
@@ -177,7 +177,7 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
             trace.mode = "lines+markers" if facet.x in ("size", "rate") else "markers"
             figure.add_trace(trace.update(showlegend=label not in in_legend), row, column)
             in_legend.add(label)
-        ticks = [axis.label(book, position) for position in positions]
+        ticks = [axis.label(book, position).replace(" at ", "<br>at ") for position in positions]
         kind = "log" if axis.is_log else "linear"
         figure.update_xaxes(type=kind, tickvals=list(at.values()), ticktext=ticks, row=row, col=column)
     figure.update_xaxes(title=axis.title, row=len(rows))
@@ -185,7 +185,7 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     figure.update_yaxes(title=shown.title, col=1)
     height = 160 + _PANEL_HEIGHT * len(rows)
     legend = {"orientation": "h", "y": -80 / height, "yanchor": "top"}
-    wide = _PANEL_WIDTH if axis.is_log else max(_PANEL_WIDTH, _POSITION_WIDTH * most)
+    wide = _PANEL_WIDTH if axis.is_log else max(_PANEL_WIDTH, _POSITION_WIDTH[most > 11] * most)
     return figure.update_layout(template="plotly_white", width=80 + wide * len(columns), height=height, legend=legend)
 
 

@@ -333,9 +333,10 @@ def _why_undecidable(sides: Sequence[Interval], limit: float) -> str:
 
 def _or_longer(advice: _Advice, gate: Gate, sides: Sequence[SetupRuns]) -> _Advice:
     """Add how much longer runs would decide, where runs differ by their messages only."""
+    if not advice.runs:
+        return advice
     runs = [side.delivered(gate.metric) for side in sides]
-    spreads = [spread_of_runs(side, STATISTIC_BY_NAME[gate.statistic]).between for side in runs]
-    if not advice.runs or any(spread != 0 for spread in spreads):
+    if any(spread_of_runs(side, STATISTIC_BY_NAME[gate.statistic]).between != 0 for side in runs):
         return advice
     times = math.ceil(advice.runs / min(map(len, runs)))
     return advice._replace(text=advice.text.replace(" would", f", or {times} times the messages a run, would", 1))

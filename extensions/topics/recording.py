@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.records import to_json
-from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.base.units import SECOND_NS, counted, first_of, format_duration
 from dds_trace.extensions.live.local_server import LocalServer
 from dds_trace.recorder.backends.node import TapNode, TopicPatterns
 from dds_trace.recorder.base_recording import BaseRecording, Recorded
@@ -130,8 +130,7 @@ class TapRecording(BaseRecording):
         names, domain_id = ", ".join(self._tap_options.topics), node.options.domain_id
         if tap.refused:
             reasons = [f"{topic}: {why}" for topic, why in sorted(tap.refused.items())]
-            more = [f"and {len(reasons) - MOST_REASONS} further topics"] if len(reasons) > MOST_REASONS else []
-            return "; ".join([*reasons[:MOST_REASONS], *more])
+            return "; ".join(first_of(reasons, MOST_REASONS, "further topics"))
         if tap.unseen:
             return (
                 f"no message of {', '.join(tap.unseen)} came, and no publisher is seen: of a key outside ROS the middleware shows none; "

@@ -77,7 +77,7 @@ def keep_to_environment(folder: Path, side: NewSide) -> None:
 
     mark, identity, recorded = folder / ".environment", "", ""
     if side.environment is not None:
-        modules = (*side.environment.rglob("*.py"), *side.environment.rglob("*.so"))
+        modules = (path for path in side.environment.rglob("*") if path.suffix in (".py", ".so"))
         identity = f"{side.environment} {max((path.lstat().st_mtime_ns for path in modules), default=0)}\n"
     with suppress(OSError), open_regular(mark) as file:
         recorded = file.read(1 << 16).decode(errors="replace")

@@ -1,6 +1,6 @@
 """What is said of a recording, in one frame.
 
-`seen` rests on times, numbers, stamps and sizes alone: a hole with its place, and in words regular gaps and changes of the rate. `counted` is what a reading shows to be missing, within `low` to
+`seen` rests on times, numbers, stamps and sizes alone: a hole with its start and length, regular gaps, a changed rate. `counted` is what a reading shows to be missing, within `low` to
 `high`; the reading `all` is their union, and messages are missing where its `low` is above 0. `explained` is a test that its rivals fail.
 """
 

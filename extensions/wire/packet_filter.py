@@ -1,4 +1,4 @@
-"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER), of which it keeps headers (docs/reference/wire.md)."""
+"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER): it keeps the headers (docs/reference/wire.md)."""
 
 from __future__ import annotations
 

@@ -187,7 +187,7 @@ function gridOf(
     const lastOfRow = column === wide - 1 || place === shown.length - 1;
     if (lastOfRow && panel.ends?.length) annotations.push(...endLabels(panel, heights[row], suffix));
     if (panel.beside?.length)
-      annotations.push(...besideMarks(panel, layout[`xaxis${suffix}`], panelWidth, heights[row], suffix));
+      annotations.push(...markLabels(panel, layout[`xaxis${suffix}`], panelWidth, heights[row], suffix));
     for (const note of panel.notes || [])
       annotations.push({ ...note(panelWidth, colors), xref: `x${suffix}`, showarrow: false, yref: "paper", y: bottom });
     for (const shape of panel.shapes || [])
@@ -269,7 +269,7 @@ function wrapped(text, most) {
 }
 
 /** What is written to the right of marks (left of those at the edge), pushed apart where marks are close. */
-function besideMarks({ beside, ends, y }, x, width, height, suffix) {
+function markLabels({ beside, ends, y }, x, width, height, suffix) {
   const share = (axis, value) =>
     ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
   const ordered = beside

@@ -58,7 +58,7 @@ def describe_progress(progress: Progress) -> str:
     return (
         f"sent {max(progress.sent - warmup, 0)}/{progress.planned - warmup}{plus}, "
         f"received {progress.received - progress.warmup_received}, lost {progress.lost - warmup_lost}, "
-        f"RTT p50 {p50}, p99 {p99}"
+        f"round trip p50 {p50}, p99 {p99}"
     )
 
 

@@ -53,7 +53,7 @@ class CellResult:
         cut = f", cut off after {self.published} of {self.planned}" if self.cut_off else ""
         rtt = "no reply"
         if self.rtt_ms:
-            rtt = f"RTT p50 {three_digits(self.rtt_ms['p50'])} p99 {three_digits(self.rtt_ms['p99'])} ms"
+            rtt = f"round trip p50 {three_digits(self.rtt_ms['p50'])} p99 {three_digits(self.rtt_ms['p99'])} ms"
         not_applied = f"; not applied: {self.not_applied}" if self.not_applied else ""
         return f"{rtt}, {self.received}/{self.published}{loss}{cut}{not_applied}"
 

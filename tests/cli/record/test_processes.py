@@ -200,7 +200,7 @@ def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
         assert drawn.returncode == 0
         command.stop()
     assert b"waiting for an echo" in seen
-    assert re.search(rb"sent \d+/60 \(\+10 warm-up\), received \d+, lost 0, RTT p50 [\d.]+ ms, p99 [\d.]+ ms", seen)
+    assert re.search(rb"sent \d+/60 \(\+10 warm-up\), received \d+, lost 0, round trip p50 [\d.]+ ms, p99", seen)
     assert stdout.startswith(f"Wrote {tmp_path / 'drawn.mcap'}\n")
     assert "\x1b" not in stdout
 

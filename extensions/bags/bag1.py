@@ -89,7 +89,6 @@ def bag1_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
 
 
 def bag1_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
-    """Yield the messages in file order; what is damaged is in `condition`."""
     with closing(RecordFile(path)) as file:
         for kind, items in groupby(_Bag1Walk(file, condition), type):
             in_batches: Any = iter if kind is MessageBatch else batched
@@ -102,6 +101,7 @@ class _Bag1Walk:
         self._budget, self._unpacked_bytes = Budget(file.size), 0
         self._topics: dict[int, RecordedTopic] = {}
         self._times_ns: list[int] = []
+        self._cut_at = -1
 
     def __iter__(self) -> Iterator[RawMessage | MessageBatch]:
         start = len(BAG1_MAGIC)
@@ -121,8 +121,9 @@ class _Bag1Walk:
         for record in self._records(source, at):
             if record.run is not None:
                 yield from self._batch(source.read(0, source.size), record.run)
-            elif record.opcode == _Op.BAG_HEADER and not int.from_bytes(record.fields["index_pos"], "little"):
-                self._condition.damages.append("it was not closed: it has no index (`rosbag reindex` makes one)")
+            elif record.opcode == _Op.BAG_HEADER and not 0 < _number(record, "index_pos") < source.size:
+                why = "it was not closed, or is cut off"
+                self._condition.damages.append(f"{why}: it has no index (`rosbag reindex` makes one)")
             elif record.opcode == _Op.CONNECTION:
                 self._add_topic(record, source.read(record.data_at, record.end - record.data_at))
             elif record.opcode == _Op.CHUNK:
@@ -176,11 +177,12 @@ class _Bag1Walk:
         while at < source.size:
             record = following
             if record is None:
+                is_cut = self._cut_at == at
                 resumed_at = self._resume(source, at + 1, source.size)
-                unread_bytes = (resumed_at or source.size) - at
-                what = counted(unread_bytes, "byte is no record", "bytes are no records")
+                unread = counted((resumed_at or source.size) - at, "byte")
+                what = "that are no record" if resumed_at and not is_cut else "of a cut or damaged record"
                 where = "" if source is self._file else "in a chunk, "
-                self._condition.damages.append(f"{where}at byte {at} {what}")
+                self._condition.damages.append(f"{where}at byte {at}: {unread} {what}")
                 at = resumed_at or source.size
                 following = self._record_at(source, at)
                 continue
@@ -217,7 +219,11 @@ class _Bag1Walk:
         header = source.peek(at + _LENGTH.size, header_bytes + _LENGTH.size)
         end = data_at + _LENGTH.unpack_from(header, header_bytes)[0]
         with suppress(struct.error, ValueError):
-            return self._record_of(source, at, data_at, end, _fields(header[:header_bytes]))
+            record = self._record_of(source, at, data_at, end, _fields(header[:header_bytes]))
+            is_container = record and record.opcode == _Op.CHUNK and record.fields["compression"] == b"none"
+            if end <= source.size or is_container:
+                return record
+            self._cut_at = at if record else -1
         return None
 
     def _record_of(self, source: Records, at: int, data_at: int, end: int, fields: dict[str, bytes]) -> _Record | None:
@@ -226,8 +232,7 @@ class _Bag1Walk:
         is_short = any(len(fields.get(name, b"")) != size for name, size in _NEEDED.get(opcode, {}).items())
         if opcode not in _NEEDED or is_nested or is_short or (opcode == _Op.CHUNK and "compression" not in fields):
             return None
-        is_container = opcode == _Op.CHUNK and fields.get("compression") == b"none"
-        if (end > source.size and not is_container) or end - data_at > MAX_RECORD_BYTES:
+        if end - data_at > MAX_RECORD_BYTES:
             return None
         record = _Record(opcode, fields, at, data_at, end)
         return (
@@ -335,5 +340,5 @@ def _unpack_bz2(packed: bytes, size: int) -> bytes:
         raise ValueError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
     unpacked = bz2.BZ2Decompressor().decompress(packed, size + 1)
     if len(unpacked) != size:
-        raise ValueError(f"a chunk holds {counted(len(unpacked), 'byte')} and claims {size}")
+        raise ValueError(f"a chunk holds {counted(len(unpacked), 'byte')} and claims {size:,}")
     return unpacked

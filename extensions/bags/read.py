@@ -32,6 +32,9 @@ from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpa
 from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, RecordingKind, function_at
 from .recorded import LATEST_NS, NONE, Condition, Int64, MessageBatch, RawMessage, batched
 
+RECOVERED = "recovered by dds-trace"
+_NOTE = f"{RECOVERED}: what the damage took is counted nowhere"
+
 
 @dataclass(slots=True)
 class RecordingFiles:
@@ -148,6 +151,8 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             except UnreadableError as err:
                 raise TraceFormatError(name, f"the recording cannot be read further: {err}") from err
             finally:
+                if re.search(r"[.-]recovered\b", f"{name.parent.name}/{name.name}") and file.suffix != ".mcap":
+                    about_file.notes.append(_NOTE)
                 where = f"{name.name}: " if len(recording.files) > 1 else ""
                 condition.damages += [f"{where}{damage}" for damage in about_file.damages]
                 condition.notes += [f"{where}{note}" for note in about_file.notes]
@@ -165,7 +170,7 @@ def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str,
     for topic, count in claimed.items():
         got = delivered.get(topic, 0)
         if got != count:
-            read = f"{got} {'was' if got == 1 else 'were'} read"
+            read = f"{got:,} {'was' if got == 1 else 'were'} read"
             note = f"{who} says that {topic} has {counted(count, 'message')}, {read}"
             (condition.damages if got < count else condition.notes).append(note)
 
@@ -354,6 +359,8 @@ def mcap_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
+            if items.header and RECOVERED in items.header.library:
+                condition.notes.append(_NOTE)
             names = {topic.name for topic in items.topics}
             silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
             condition.topics |= {*items.topics} | {topic_of(channel, items.channels.schemas) for channel in silent}

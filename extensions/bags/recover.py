@@ -17,7 +17,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
-from dds_trace.base.units import counted, first_of
+from dds_trace.base.units import counted, first_of, format_duration, utc_words
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, BagFile, RecordedTopic, write_bag_metadata
 from dds_trace.tracefile.format.encoding import MAGIC
@@ -33,7 +33,7 @@ from .bag1 import bag1_messages
 from .bounds import SHOWN
 from .kinds import function_at
 from .mcap_copy import McapCopy
-from .read import McapItems, kind_of, open_recording
+from .read import RECOVERED, McapItems, kind_of, open_recording
 from .recorded import LATEST_NS, Condition, Int64, MessageBatch
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
@@ -52,6 +52,8 @@ class RecordingRecovery:
     messages: int = 0
     doubtful: int = 0
     unchecked: int = 0
+    first_ns: int = LATEST_NS
+    last_ns: int = 0
     damages: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
@@ -61,7 +63,8 @@ class RecordingRecovery:
             unchecked = counted(self.unchecked, "message has", "messages have")
             damages = [*damages, f"{unchecked} no checksum: damage inside is not seen"]
         original = f"The original is left as it is: {self.path}"
-        return [f"{counted(self.messages, 'message')} recovered{doubtful}", *damages, original]
+        span = f"{format_duration(self.last_ns - self.first_ns)} from {utc_words(self.first_ns)}"
+        return [f"{counted(self.messages, 'message')} recovered, {span}{doubtful}", *damages, original]
 
 
 @dataclass(slots=True)
@@ -145,6 +148,7 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
                 flush_to_disk(new.path)
                 report.damages += [f"{original.name}: {damage}" for damage in damages]
                 report.messages += new.messages
+                report.first_ns, report.last_ns = min(report.first_ns, new.first_ns), max(report.last_ns, new.last_ns)
                 report.doubtful += doubtful
                 report.unchecked += new.unchecked
                 written.append(new)
@@ -201,7 +205,7 @@ def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
         items = iter(walked)
         item = next(items, None)  # now the header and the first chunk's compression are known
         library = walked.header.library if walked.header else "unknown"
-        library = f"{library}; recovered by dds-trace {__version__}"
+        library = f"{library}; {RECOVERED} {__version__}"
         copy, left_out = McapCopy(stream, _profile(walked), library, is_packed=not walked.walk.is_unpacked), 0
         channels = _NewChannels(copy, walked, new)
         while item is not None:

@@ -85,7 +85,8 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             tables = _rows_by_page(joined, topics) if joined else _rows_by_sqlite(path, topics)
             read_bytes = yield from _messages(tables, topics, budget, seen, condition)
         except (sqlite3.Error, MemoryError, ValueError, IndexError, struct.error) as err:
-            fault = fault or f"it is damaged ({err})"
+            why = "bytes are missing" if isinstance(err, IndexError | struct.error) else err
+            fault = fault or f"it is damaged ({why})"
         has_gaps = not seen or max(seen) - (min(seen) if len(files) == 1 else 1) >= len(seen)
         is_in_doubt = fault or has_gaps or surplus_bytes or 4 * read_bytes < before.st_size  # perhaps not all rows
         has_wal = any(file.log_kind == "wal" for file in files)  # perhaps of another database

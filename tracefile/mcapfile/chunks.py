@@ -89,7 +89,9 @@ class PackedChunk:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
         if unpacked_bytes != self.claimed_bytes:
             more = "more than " * (unpacked_bytes == self.unpacked_bytes < self.claimed_bytes)
-            raise DamagedChunkError(f"it claims {counted(self.claimed_bytes, 'byte')} and holds {more}{unpacked_bytes}")
+            raise DamagedChunkError(
+                f"it claims {counted(self.claimed_bytes, 'byte')} and holds {more}{unpacked_bytes:,}"
+            )
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
@@ -158,18 +160,18 @@ def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> byte
     except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
         raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
     if size_bytes != unpacked_bytes:
-        raise DamagedChunkError(f"it holds {counted(size_bytes, 'byte')} and claims {unpacked_bytes}")
+        raise DamagedChunkError(f"it holds {counted(size_bytes, 'byte')} and claims {unpacked_bytes:,}")
     return target
 
 
 def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> None:
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
-            f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
+            f"it claims {unpacked_bytes:,} bytes; at most {MAX_RECORD_BYTES:,} are read at once "
             "(a file that really has such chunks can be rewritten by `mcap compress`)"
         )
     if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
-        raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
+        raise DamagedChunkError(f"it claims {unpacked_bytes:,} bytes, packed into {packed_bytes:,}")
     if compression and compression not in _UNPACKERS:
         raise DamagedChunkError(f"its compression {compression!r} is not known")
 

@@ -162,7 +162,7 @@ class McapSource:
                 count = self._messages[channel_id]
                 notes.append(
                     f"the statistics claim {counted(claimed, 'message')} of {channel.topic}, "
-                    f"{count} {'was' if count == 1 else 'were'} found"
+                    f"{count:,} {'was' if count == 1 else 'were'} found"
                 )
         return notes
 

@@ -231,9 +231,13 @@ class McapWalk:
         header = self._record_at(self._file, at)
         self.headers += 1
         if header is None:
-            chunk = self._cut_chunk(at)
+            chunk, why = self._cut_chunk(at), "it is cut off" if self._torn_at(at) else "no record follows it"
+            if chunk is not None and not chunk.compression:
+                self.damages.append(f"the chunk at byte {at} is damaged ({why}); its records are read one by one")
+                self._at, self._is_in_damage = chunk.data_offset, True
+                return
             if chunk is not None:
-                yield from self._damaged_chunk(chunk, "it is cut off")
+                yield from self._damaged_chunk(chunk, why)
             self._at = self._next_record(at, chunk)
         elif header.opcode == Opcode.CHUNK:
             yield from self._chunk(header)
@@ -280,7 +284,7 @@ class McapWalk:
             if not self._is_trace or not self._torn_at(at):
                 self._leave_out(at, err)
             return None
-        return chunk if chunk.compression and not self._is_trace else None
+        return None if self._is_trace else chunk
 
     def _leave_out(self, at: int, why: object) -> None:
         self.damaged_chunks += 1
@@ -308,10 +312,8 @@ class McapWalk:
 
     def _single(self, source: Records, header: RecordHeader) -> Iterator[Block]:
         if header.length > MAX_RECORD_BYTES:
-            name = record_name(header.opcode)
-            self.damages.append(
-                f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
-            )
+            what = f"the {record_name(header.opcode)} record of {counted(header.length, 'byte')}"
+            self.damages.append(f"{what} at byte {header.offset} is left out")
         elif header.opcode in _OUTSIDE:
             data = source.read(header.offset, header.end - header.offset)
             scan = single_record(header.opcode, header.length, is_trace=self._is_trace)
@@ -329,11 +331,9 @@ class McapWalk:
             self.damages.append(f"at byte {at}: {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
         elif self._is_trace:
             self.torn = self._torn_at(at) or TornRecordError(at, "no record")
-        elif self._file.size > at:
-            unread = counted(self._file.size - at, "byte")
-            self.damages.append(f"it was not closed: {unread} of an unfinished record and no index at its end")
         else:
-            self.damages.append("it was not closed: it has no index")
+            unread = f"{counted(self._file.size - end, 'byte')} of an unfinished record and " * (self._file.size > end)
+            self.damages.append(f"it was not closed, or is cut off: {unread}no index")
         return resumed_at
 
     def _torn_at(self, at: int) -> TornRecordError | None:

@@ -248,7 +248,7 @@ class TestClaims:
         write_number(path, start + 9 + 16, claim)
         said = read_in_little_memory(path, "t.event_count, t.notes[0]")
         assert f"the chunk at byte {start} " in said
-        assert f" it claims {claim} bytes" in said
+        assert f" it claims {claim:,} bytes" in said
 
     @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
     @pytest.mark.parametrize("claim", [0, 1, 63 << 20])

@@ -12,6 +12,8 @@ EXTENSIONS = (
             "judge_tap": "limits:judge_tap",
             "are_drives": "drives:are_drives",
             "compare_drives": "drives:compare_drives",
+            "side_by_side": "drives:side_by_side",
+            "bag_report": "report:BagReport",
         },
     ),
     Extension(

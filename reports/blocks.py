@@ -10,6 +10,7 @@ from enum import Flag, auto
 from itertools import groupby
 from typing import Any, ClassVar, TypeAlias
 
+from dds_trace.base.extension import load
 from dds_trace.base.units import MISSING
 
 WITHIN_QUANTITY = re.compile(r"(?<=±) |(?<=\d) (?=(?:[nµm]?s|min|[hd]|%|[KMG]i?B(?:/s)?|B|k?Hz|ppm|[kM]bit/s)(?!\w))")
@@ -212,6 +213,10 @@ class Report(ABC):
     @property
     def screen(self) -> Sequence[Section]:
         return self.sections
+
+    def _repr_markdown_(self) -> str:
+        shown: str = load("parts", "presenter").markdown(self)
+        return shown
 
 
 def plain_text(words: Words) -> str:

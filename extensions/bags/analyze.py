@@ -17,6 +17,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.extension import load
 from dds_trace.base.units import first_of
 from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS
 
@@ -54,6 +55,10 @@ class TopicReport:
     links: tuple[tuple[str, Link], ...] = ()
     syncs: tuple[tuple[str, Sync], ...] = ()
 
+    def _repr_markdown_(self) -> str:
+        shown: str = load("parts", "bag_report")(self)._repr_markdown_()
+        return shown
+
     @property
     def verdict(self) -> str:
         verdicts = {health.verdict for health in self.recordings}
@@ -83,15 +88,6 @@ def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[
             topic.columns["stamp_ns"] = array("q", stamp_ns.tobytes())
             topic.bound_ns = int(bound_ns.max())
     return notes
-
-
-def _refuse_topics(columns: list[TopicMessages], condition: Condition) -> str:
-    """Leave out a recording of more topics than any robot has, and return why."""
-    if len(columns) <= MOST_TOPICS:
-        return ""
-    condition.damages.append(f"it has {len(columns)} topics; at most {MOST_TOPICS} of a recording are analyzed")
-    columns.clear()
-    return condition.damages[-1]
 
 
 def analyze_topics(
@@ -220,7 +216,10 @@ def _read(part: Part) -> _Recording:
         recording.failure = err.what
         recording.condition.damages.append(err.what)
     topics = messages.by_topic()
-    recording.failure = _refuse_topics(topics, recording.condition) or recording.failure
+    if len(topics) > MOST_TOPICS:  # more than any robot has
+        recording.failure = f"it has {len(topics)} topics; at most {MOST_TOPICS} of a recording are analyzed"
+        recording.condition.damages.append(recording.failure)
+        topics.clear()
     count_copies(topics, partial(read_batches, part.path, Condition()))
     names = ((one.topic.name, one.topic.message_type, one.topic.encoding) for one in topics)
     recording.columns = dict(zip(names, topics, strict=True))

@@ -62,20 +62,23 @@ def compare_drives(
     """Compare two recordings and judge what changed; an `OptionError` for several on a side or a limit that is none of topics."""
     gates = [parse_topic_gate(text, of_two=True) for text in texts]
     gates += [] if limits_file is None else read_limits(limits_file, of_recording=True)
-    comparison = DriveComparison((base, new), (_only_recording(base), _only_recording(new)))
+    comparison = side_by_side(analyze_topics(base), analyze_topics(new))
     if gates:
         comparison.judge(gates, allow_missing=allow_missing)
     return comparison
 
 
-def _only_recording(side: Path) -> TopicReport:
-    report = analyze_topics(side)
-    if len(report.recordings) != 1:
-        raise OptionError(f"{side}: {len(report.recordings)} recordings; name one of them to compare")
-    return report
+def side_by_side(base: TopicReport, new: TopicReport) -> DriveComparison:
+    for report in (base, new):
+        if not isinstance(report, TopicReport):
+            raise OptionError("compare takes two results of analyze, or two of analyze_topics")
+        if len(report.recordings) != 1:
+            where = report.recordings[0].path
+            raise OptionError(f"{where}: one of {len(report.recordings)} recordings; name one of them to compare")
+    return DriveComparison((Path(base.recordings[0].path), Path(new.recordings[0].path)), (base, new))
 
 
-@dataclass
+@dataclass(repr=False)
 class DriveComparison(blocks.Report):
     paths: tuple[Path, Path]
     reports: tuple[TopicReport, TopicReport]
@@ -125,7 +128,12 @@ class DriveComparison(blocks.Report):
             f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new, {lengths} long."
         )
         columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
-        table = Table(columns, [self._row(name, rows) for name, rows in topics.items()], label="Table of the topics")
+        table = Table(
+            columns,
+            [self._row(name, rows) for name, rows in topics.items()],
+            label="Table of the topics",
+            look="data cards",
+        )
         heading = Heading(self.title, 1, media=MARKDOWN)
         first = Section([heading, Sentence(headline, "headline"), Sentence(summary), Points(facts)])
         return [first, Section([table]), Section(judged_blocks(self.judged) if self.judged else [])]
@@ -133,7 +141,7 @@ class DriveComparison(blocks.Report):
     def _changes(self) -> Iterator[str]:
         if DAMAGED in (report.verdict for report in self.reports):
             yield "Only what can be read of a damaged recording is compared."
-        for words, change_of in (*_CHANGES, ("Longest time without a message: {}.", self._silence)):
+        for words, change_of in (*_CHANGES, ("Longest silence, also at start or end: {}.", self._silence)):
             changes = [(*change, name) for name, rows in self.topics.items() if (change := change_of(*rows))]
             changes.sort(key=lambda change: -change[0])
             topics = [f"{printable(name)}{how}" for _, how, name in changes]
@@ -141,7 +149,6 @@ class DriveComparison(blocks.Report):
                 yield words.format(", ".join(first_of(topics, SHOWN)))
 
     def _silence(self, *rows: TopicRow | None) -> Change:
-        """Compare the longest silences of a steady topic."""
         sides = [(row, report.recordings[0]) for row, report in zip(rows, self.reports, strict=True) if row]
         silent_ns = [max(row["gap_max_ns"] or 0, *ends_ns(row, health)) for row, health in sides]
         rates_hz = [row["expected_rate_hz"] for row, _ in sides if row["expected_rate_hz"]]

@@ -45,6 +45,7 @@ from .card import STRIP_PARTS, WHOLE, RecordingHealth
 from .chains import chain_lines
 from .losses import quiet_ns
 from .observations import READ_BY
+from .read import RECOVERED
 
 if TYPE_CHECKING:
     from .limits import JudgedTopic
@@ -54,8 +55,8 @@ TopicRow = Mapping[str, Any]
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Gap", "Covered", "Jitter", "Size", "Age")
 HOW_TO_READ = (
     "Rate: the mean, holes included. Missing: messages that should be there, by stamps, numbers or the usual rate; a range where these "
-    "disagree, - where none of them can show it. Gap: the longest interval. Covered: the share of the recording's time without holes; one begins when its first message was due. Jitter: typical deviation of an "
-    "interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
+    "disagree, - where none of them can show it. Gap: the longest interval. A hole begins when its first message was due, a period after its "
+    "gap does. Covered: the share of the recording's time without holes. Jitter: typical deviation of an interval; a hole does not change it. Age: median from the header's stamp, or (publish) from publishing, to the recording; between two "
     "machines it includes the difference of their clocks."
 )
 
@@ -88,7 +89,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     blind = f"{counted(unseen, 'topic has', 'topics have')} no steady rate"
     if not health.readable:
         return f"No loss can be seen: {blind}."
-    words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics}."
+    length = seconds_words(health.duration_ns / SECOND_NS)
+    words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics} in {length}."
     if most := [row["missing_high"] for row in rows if row["missing_high"]]:
         words = f"No loss is proven: up to {counted(sum(most), 'message')} may be missing on {len(most)} of {topics}."
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
@@ -100,15 +102,18 @@ def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
 
 
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
-    """Return which steady topic ends earliest."""
-    steady = [row for row in rows if row["expected_rate_hz"]]
-    ends = [(ends_ns(row, health)[1], row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
-    early = [(silent_ns, topic) for silent_ns, topic, usual_ns in ends if silent_ns > usual_ns]
-    if not early:
-        return ""
-    silent_ns, topic = max(early)
-    others = f", and {counted(len(early) - 1, 'more topic ends', 'more topics end')} early" if len(early) > 1 else ""
-    return f" {printable(topic)} ends {seconds_words(silent_ns / SECOND_NS)} before the recording{others}."
+    steady = [(row, quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in rows if row["expected_rate_hz"]]
+    words = " It is what was recovered of another." if any(RECOVERED in note for note in health.notes) else ""
+    for side, (verb, when, how) in enumerate((("begin", "after", "late"), ("end", "before", "early"))):
+        silences = [
+            (ends_ns(row, health)[side], row["topic"]) for row, usual in steady if ends_ns(row, health)[side] > usual
+        ]
+        if silences:
+            silent_ns, topic = max(silences)
+            more = len(silences) - 1
+            others = f", and {counted(more, f'more topic {verb}s', f'more topics {verb}')} {how}" if more else ""
+            words += f" {printable(topic)} {verb}s {seconds_words(silent_ns / SECOND_NS)} {when} the recording{others}."
+    return words
 
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
@@ -155,7 +160,7 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         low = 0 if is_unsure else hole["missing_low"]
         if low < hole["missing"]:
             count = f"{low:,} to {counted(hole['missing'], 'message')}"
-        yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
+        yield f"{_hole_words(hole)} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
     if elsewhere > 0 and not is_unsure and (shown or row["missing_from"] not in {"tap", "recorder"}):
         lengths_s = [hole["duration_s"] for hole in holes if hole not in shown]
@@ -163,16 +168,17 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
         yield f"{elsewhere:,} {'more ' if shown else ''}{'message is' if elsewhere == 1 else 'messages are'} missing{where}"
 
 
+def _hole_words(hole: TopicRow) -> str:
+    what = "missing" if hole["missing"] else "nothing"
+    return f"{what} for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
+
+
 def missing_words(row: TopicRow) -> str:
     missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
     if missing is None:
         return "-"
-    if low == 0 < high:
-        return f"0 to {high:,}"
-    expected = row["messages"] + missing
-    share = f" ({_share_words(missing / expected)})" if missing else ""
-    interval = f" [{low:,}, {high:,}]" if (low, high) != (missing, missing) else ""
-    return f"{missing:,}{share}{interval}"
+    share = f" ({_share_words(missing / (row['messages'] + missing))})" if missing and low else ""
+    return f"{missing:,}{share}" if low == high else f"{low:,} to {high:,}{share}"
 
 
 def age_words(row: TopicRow) -> str:
@@ -259,7 +265,7 @@ def topics_by_recording(report: TopicReport) -> dict[str, list[_Topic]]:
 
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
-_TONES = {"whole": "decided", "unknown": "open", "holes": "open", "empty": "lossy", "damaged": "lossy"}
+_TONES = {"whole": "decided", "unknown": "open", "holes": "lossy", "empty": "lossy", "damaged": "lossy"}
 _LEVELS = "·▁▂▃▄▅▆▇█"
 
 
@@ -335,7 +341,13 @@ class BagReport(blocks.Report):
         least = min(28, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]
         columns = [*names, *(Column(name, right=True) for name in numbers)]
-        yield Table(columns, [_row(health, *topic) for topic in topics], label="Table of the topics", parted=EVERYWHERE)
+        yield Table(
+            columns,
+            [_row(health, *topic) for topic in topics],
+            label="Table of the topics",
+            look="groups cards",
+            parted=EVERYWHERE,
+        )
         colors = [("there", "messages"), ("hole", "missing"), ("inside", "missing on all topics at once")]
         yield blocks.Key([("", f"00:00 to {_end(health)}"), *colors, ("some", "not periodic")], media=PAGE)
 
@@ -380,9 +392,8 @@ def strip_parts(
     for hole in holes:
         if not row["missing_low"] and hole["duration_s"] <= 1:
             continue
-        title = f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
-        kind = "inside" if hole["inside"] else "hole"
-        drawn.append((round(hole["start_s"] * scale, 2), round(max(hole["duration_s"] * scale, 0.1), 2), kind, title))
+        kind, width = "inside" if hole["inside"] else "hole", round(max(hole["duration_s"] * scale, 0.1), 2)
+        drawn.append((round(hole["start_s"] * scale, 2), width, kind, _hole_words(hole)))
     return drawn
 
 

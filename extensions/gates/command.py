@@ -99,7 +99,9 @@ def compare_command(
             "would become one.",
         ),
     ] = "",
-    out: Annotated[list[Path] | None, option("--out FILE", "File for the report. Default: stdout")] = None,
+    out: Annotated[
+        list[Path] | None, option("--out FILE", "File for the report, or a folder for it. Default: stdout")
+    ] = None,
 ) -> None:
     """Compare two sets of traces or bags: what is slower or lost.
 
@@ -159,6 +161,8 @@ def _write(contents: "Report", kind: ReportKind, file: Path | None, text: str = 
         return
     text = text or load_reporter(kind.value).render(contents)
     if file is not None:
+        is_folder = file.is_dir() or not (file.suffix or file.exists())
+        file = file / f"{contents.name}.{kind.value}" if is_folder else file
         print(f"Wrote {write_text_file(file, text)}")
     else:
         method = "write_commands" if kind is ReportKind.GITHUB else "write"

@@ -193,9 +193,14 @@ class Comparison:
 def compare(base: Analysis, new: Analysis, options: CompareOptions | None = None) -> Comparison:
     """Compare every group that two analyses measured (`details=False` is enough); interleaved sides repeat by repeat.
 
+    Of two bags (`analyze_topics`) it returns a report.
+
     Raises:
         OptionError: without the columns that are not matched, two groups of one side would be one.
     """
+    if not all(isinstance(side, Analysis) for side in (base, new)):
+        drives: Comparison = load("parts", "side_by_side")(base, new)
+        return drives
     options = options or CompareOptions()
     if not all(side.topic_messages.is_empty() for side in (base, new)):
         first = TOPIC_METRICS if all(side.summary.is_empty() for side in (base, new)) else ()

@@ -19,7 +19,7 @@ from dds_trace.reports.blocks import MARKDOWN, Span, Table, Words
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.findings import severity_counts
 from dds_trace.reports.book.sizes import HOW_TO_READ, size_block
-from dds_trace.reports.reporters import write_reports
+from dds_trace.reports.reporters import load_reporter, write_reports
 
 from .plotting import line_figure
 
@@ -39,6 +39,10 @@ _CELL = "text-align:left;white-space:nowrap"
 _PENS = (
     "<style>.dds-trace path{fill:none;stroke:#888;stroke-width:2}.dds-trace .base{stroke:#2e90d4}.dds-trace .new{stroke:#e68246}"
     ".dds-trace .dashed{stroke-dasharray:5 3}.dds-trace text{fill:#888;font-size:11px}</style>"
+)
+_HOW_TO_READ_CHANGES = (
+    f"<p style='{_SOFT}'>Each time is base → new, with the change and its interval. A verdict needs three runs a side, else: too few "
+    "runs. In <code>rows</code> a ratio is new to base, and inconclusive means that neither a change nor equality is shown.</p>"
 )
 _TOO_LONG = "The table is too long for a cell of a notebook."
 
@@ -119,8 +123,14 @@ def comparison_screen(comparison: Comparison) -> str:
         top += (
             f"<p>{escape(worst.label)}: base (dashed) and new side</p><div class='dds-trace'>{_PENS}{curve(row)}</div>"
         )
+    top += _HOW_TO_READ_CHANGES
     table = result_table(info, None, None)
     return f"<div>{top}{_table(table, MOST_CHARACTERS - len(top) - _BELOW, ('more result', 'more results'))}</div>"
+
+
+def markdown(report: blocks.Report) -> str:
+    text: str = load_reporter("md").render(report)
+    return text
 
 
 def plot(

@@ -105,7 +105,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         limits = [limits_words(analysis).strip()] if topics else []
         headline, *points = [*topics, *filter(None, limits)] or ["No measurement was found."]
         kinds = (PointKind.TOPIC if topics else PointKind.NOTHING,) * (1 + len(points))
-        return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "", kinds)
+        return Conclusion(headline, metric, (), (), "", tuple(points), kinds=kinds)
     if not values.has(metric):
         headline = "No message was received, so there is no time to compare."
         return Conclusion(headline, metric, (), (loss_sentence(groups, values),), "", kinds=(PointKind.LOSS,))

@@ -6,6 +6,7 @@ import base64
 import gzip
 import hashlib
 import json
+import re
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, fields
@@ -13,7 +14,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.kinds import summary_parquet
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+_CODE = re.compile(r"`([^`]+)`")
 FOLDED_FACTS = ("Traces", "Quality of service", "Settings", "Versions", "Cost of measuring")
 SCRIPTS = (
     "data.js",
@@ -184,6 +186,10 @@ def _unbroken(value: object) -> object:
     return WITHIN_QUANTITY.sub("\u00a0", value) if type(value) is str else value
 
 
+def _coded(text: str) -> Markup:
+    return Markup(_CODE.sub(r"<code>\1</code>", escape(_unbroken(text))))  # noqa: S704 - escaped
+
+
 def _framed(template: str, version: str | None = None, **values: object) -> str:
     environment = Environment(
         loader=FunctionLoader(_asset),
@@ -193,6 +199,7 @@ def _framed(template: str, version: str | None = None, **values: object) -> str:
         lstrip_blocks=True,
         finalize=_unbroken,
     )
+    environment.filters["coded"] = _coded
     environment.globals.update(PAGE=PAGE, plain_text=plain_text)
     return environment.get_template(template).render(version=version, **values)
 

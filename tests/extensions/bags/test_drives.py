@@ -8,6 +8,7 @@ from card_bags import timer, write
 from trace_files import ping_session, write_trace
 from typer.testing import CliRunner
 
+from dds_trace import analyze_topics, compare
 from dds_trace.extensions.bags.drives import are_drives
 from dds_trace.extensions.gates.command import app
 
@@ -43,7 +44,7 @@ def test_both_sides_are_shown_by_topic(drives):
     shown = compared(*drives, "--report", "md").stdout.replace("&#8594;", "→")
     for words in (
         "Gone on the new side: /tf. New there: /odom. A larger share of messages is missing on /camera.",
-        "Another rate: /lidar 30 Hz → 20 Hz (-33.3 %), /imu 100 Hz → 90 Hz (-10 %). Longest time without a message: /gps 100 ms → 10 s, /camera 50 ms → 3.05 s.",
+        "Another rate: /lidar 30 Hz → 20 Hz (-33.3 %), /imu 100 Hz → 90 Hz (-10 %). Longest silence, also at start or end: /gps 100 ms → 10 s, /camera 50 ms → 3.05 s.",
         "4 topics on both sides, 2 on one",
         "50 Hz → - | 0 → -",
         "100 Hz → 90 Hz | 0",
@@ -97,8 +98,7 @@ def test_of_a_damaged_side_no_limit_passes(tmp_path, drives):
 
 
 def test_without_a_common_topic_there_is_nothing_to_compare(tmp_path, drives):
-    other = write(tmp_path / "other.mcap", {"/scan": timer(10, 10)})
-    assert compared(drives[0], other).exit_code == 22
+    assert compared(drives[0], write(tmp_path / "other.mcap", {"/scan": timer(10, 10)})).exit_code == 22
 
 
 def test_a_side_of_several_recordings_is_refused(tmp_path, drives):
@@ -106,11 +106,13 @@ def test_a_side_of_several_recordings_is_refused(tmp_path, drives):
         write(tmp_path / f"{name}.mcap", {"/imu": timer(10, 10)})
     done = compared(drives[0], tmp_path)
     assert (code_of(done), "2 recordings" in str(done.exception)) == (2, True)
+    bag = analyze_topics(drives[0])
+    assert all("/lidar" in shown._repr_markdown_() for shown in (bag, compare(bag, bag)))
 
 
 def test_files_are_written_for_each_report(tmp_path, drives):
-    files = [tmp_path / f"comparison.{kind}" for kind in ("md", "html")]
-    words = [word for file in files for word in ("--report", file.suffix[1:], "--out", file)]
+    files = [tmp_path / kind / f"comparison.{kind}" for kind in ("md", "html")]
+    words = [word for file in files for word in ("--report", file.suffix[1:], "--out", file.parent)]
     assert compared(*drives, *words).exit_code == 0
     assert all("/camera" in file.read_text() for file in files)
     assert 'id="theme"' in files[1].read_text()
@@ -119,6 +121,4 @@ def test_files_are_written_for_each_report(tmp_path, drives):
 def test_traces_are_no_drives(tmp_path, drives):
     trace = tmp_path / "ping.mcap"
     write_trace(trace, ping_session())
-    assert not are_drives(trace)
-    assert not are_drives(tmp_path / "nothing")
-    assert are_drives(*map(type(trace), drives))
+    assert [are_drives(*side) for side in ([trace], [tmp_path / "a"], map(Path, drives))] == [False, False, True]

@@ -128,12 +128,8 @@ class DriveComparison(blocks.Report):
             f"{counted(common, 'topic')} on both sides, {len(topics) - common} on one; base → new, {lengths} long."
         )
         columns = [Column(name, right=name not in ("Topic", "Type")) for name in _COLUMNS]
-        table = Table(
-            columns,
-            [self._row(name, rows) for name, rows in topics.items()],
-            label="Table of the topics",
-            look="data cards",
-        )
+        drawn = [self._row(name, rows) for name, rows in topics.items()]
+        table = Table(columns, drawn, label="Table of the topics", look="data cards")
         heading = Heading(self.title, 1, media=MARKDOWN)
         first = Section([heading, Sentence(headline, "headline"), Sentence(summary), Points(facts)])
         return [first, Section([table]), Section(judged_blocks(self.judged) if self.judged else [])]

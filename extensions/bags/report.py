@@ -89,8 +89,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     blind = f"{counted(unseen, 'topic has', 'topics have')} no steady rate"
     if not health.readable:
         return f"No loss can be seen: {blind}."
-    length = seconds_words(health.duration_ns / SECOND_NS)
-    words = f"No loss found on {f'{health.readable} of ' if unseen else ''}{topics} in {length}."
+    readable = f"{health.readable} of " if unseen else ""
+    words = f"No loss found on {readable}{topics} in {seconds_words(health.duration_ns / SECOND_NS)}."
     if most := [row["missing_high"] for row in rows if row["missing_high"]]:
         words = f"No loss is proven: up to {counted(sum(most), 'message')} may be missing on {len(most)} of {topics}."
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
@@ -102,15 +102,13 @@ def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
 
 
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
-    steady = [(row, quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in rows if row["expected_rate_hz"]]
+    steady = [row for row in rows if row["expected_rate_hz"]]
+    ends = [(ends_ns(row, health), row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
     words = " It is what was recovered of another." if any(RECOVERED in note for note in health.notes) else ""
     for side, (verb, when, how) in enumerate((("begin", "after", "late"), ("end", "before", "early"))):
-        silences = [
-            (ends_ns(row, health)[side], row["topic"]) for row, usual in steady if ends_ns(row, health)[side] > usual
-        ]
+        silences = [(silent_ns[side], topic) for silent_ns, topic, usual_ns in ends if silent_ns[side] > usual_ns]
         if silences:
-            silent_ns, topic = max(silences)
-            more = len(silences) - 1
+            (silent_ns, topic), more = max(silences), len(silences) - 1
             others = f", and {counted(more, f'more topic {verb}s', f'more topics {verb}')} {how}" if more else ""
             words += f" {printable(topic)} {verb}s {seconds_words(silent_ns / SECOND_NS)} {when} the recording{others}."
     return words
@@ -169,7 +167,7 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
 
 
 def _hole_words(hole: TopicRow) -> str:
-    what = "missing" if hole["missing"] else "nothing"
+    what = "missing" if hole["missing_low"] else "nothing"
     return f"{what} for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
 
 
@@ -341,13 +339,8 @@ class BagReport(blocks.Report):
         least = min(28, max((len(row["topic"]) for row in rows), default=0))
         names = [Column(topic, least=least, media=TERMINAL | MARKDOWN), Column(topic, media=PAGE)]
         columns = [*names, *(Column(name, right=True) for name in numbers)]
-        yield Table(
-            columns,
-            [_row(health, *topic) for topic in topics],
-            label="Table of the topics",
-            look="groups cards",
-            parted=EVERYWHERE,
-        )
+        drawn = [_row(health, *topic) for topic in topics]
+        yield Table(columns, drawn, label="Table of the topics", look="groups cards", parted=EVERYWHERE)
         colors = [("there", "messages"), ("hole", "missing"), ("inside", "missing on all topics at once")]
         yield blocks.Key([("", f"00:00 to {_end(health)}"), *colors, ("some", "not periodic")], media=PAGE)
 

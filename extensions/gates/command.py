@@ -99,9 +99,7 @@ def compare_command(
             "would become one.",
         ),
     ] = "",
-    out: Annotated[
-        list[Path] | None, option("--out FILE", "File for the report, or a folder for it. Default: stdout")
-    ] = None,
+    out: Annotated[list[Path] | None, option("--out FILE", "File or folder for the report. Default: stdout")] = None,
 ) -> None:
     """Compare two sets of traces or bags: what is slower or lost.
 

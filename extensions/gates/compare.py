@@ -193,7 +193,7 @@ class Comparison:
 def compare(base: Analysis, new: Analysis, options: CompareOptions | None = None) -> Comparison:
     """Compare every group that two analyses measured (`details=False` is enough); interleaved sides repeat by repeat.
 
-    Of two bags (`analyze_topics`) it returns a report.
+    Of two bags it returns a report.
 
     Raises:
         OptionError: without the columns that are not matched, two groups of one side would be one.

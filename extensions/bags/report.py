@@ -251,16 +251,6 @@ def _age_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
 _Topic: TypeAlias = tuple[TopicRow, Sequence[TopicRow], Sequence[float]]
 
 
-def topics_by_recording(report: TopicReport) -> dict[str, list[_Topic]]:
-    holes: dict[tuple[str, str], list[TopicRow]] = {}
-    for hole in report.holes.iter_rows(named=True):
-        holes.setdefault((hole["recording"], hole["topic"]), []).append(hole)
-    topics: dict[str, list[_Topic]] = {health.path: [] for health in report.recordings}
-    for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True):
-        topics[row["recording"]].append((row, holes.get((row["recording"], row["topic"]), []), strip))
-    return topics
-
-
 _RENAMED = {"topic": "name", "stamps_backwards": "backward_stamps"}
 _OF_HOLE = ("start_s", "duration_s", "missing", "missing_low", "inside")
 _TONES = {"whole": "decided", "unknown": "open", "holes": "lossy", "empty": "lossy", "damaged": "lossy"}
@@ -277,7 +267,13 @@ class BagReport(blocks.Report):
 
     @cached_property
     def _topics(self) -> dict[str, list[_Topic]]:
-        return topics_by_recording(self.report)
+        report, holes = self.report, dict[tuple[str, str], list[TopicRow]]()
+        for hole in report.holes.iter_rows(named=True):
+            holes.setdefault((hole["recording"], hole["topic"]), []).append(hole)
+        topics: dict[str, list[_Topic]] = {health.path: [] for health in report.recordings}
+        for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True):
+            topics[row["recording"]].append((row, holes.get((row["recording"], row["topic"]), []), strip))
+        return topics
 
     @property
     def document(self) -> Mapping[str, Any]:

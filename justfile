@@ -31,6 +31,7 @@ demo: install
     @# 10: some recordings are missing, and the others have an answer.
     {{bin}}/dds-trace sweep plans/demo.toml --out out || test $? = 10
     {{bin}}/dds-trace analyze out/demo --report terminal --report html --open
+    @echo 'All of it: source .venv/bin/activate && dds-trace analyze out/demo --all'
 
 # Lint, format, types, import directions, size and words of the product, the Dockerfile
 check: setup

@@ -36,8 +36,8 @@ def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
     if history != History.KEEP_LAST or depth >= needed:
         return None
     return (
-        f"--depth {depth} keeps {depth / rate_hz * 1000:.3g} ms of messages at {rate_hz:g} Hz: a side that stalls longer "
-        f"loses some, reliable or not; --depth {needed} on both sides keeps more than {STALL_S * 1000:g} ms"
+        f"a stall of {depth / rate_hz * 1000:.3g} ms can lose messages, even reliable ones, as each side keeps {depth}; "
+        f"--depth {needed} on both sides outlasts {STALL_S * 1000:g} ms"
     )
 
 

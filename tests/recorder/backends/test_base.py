@@ -165,10 +165,6 @@ def test_a_depth_below_rate_times_stall_is_warned_of(history, depth, rate_hz, wa
     assert (warn_of_depth(history, depth, rate_hz) is not None) == warned
 
 
-def test_the_warning_of_a_depth_says_how_long_it_lasts_and_what_would_do(sentences):
-    sentences(warn_of_depth("keep_last", 10, 1000))
-
-
 class WakingNode(ToyNode):
     """A toy node that counts how often it was woken and how often it left."""
 

@@ -234,7 +234,7 @@ def test_a_tutorial_is_a_transcript(page, made, tmp_path, monkeypatch, domain_id
             elif part["end"]:
                 assert relay.stop(signal.SIGINT).status == 0
                 relay = None
-            for line in (part["sh"] or "").splitlines():
+            for line in (part["sh"] or "").replace("\\\n", "").splitlines():
                 if line.startswith("tar "):
                     subprocess.run(shlex.split(line), check=True)
                 if not line.startswith("dds-"):

@@ -28,7 +28,7 @@ class Example:
 
 def examples(language: str, page: Path | None = None) -> Iterator[Example]:
     for path in PAGES if page is None else [page]:
-        for found in FENCE.finditer(path.read_text(encoding="utf-8")):
+        for found in FENCE.finditer(path.read_text(encoding="utf-8").replace("\\\n", "")):
             if found["language"] == language:
                 yield Example(path, language, found["text"])
 
@@ -36,7 +36,7 @@ def examples(language: str, page: Path | None = None) -> Iterator[Example]:
 def command_lines() -> Iterator[tuple[Path, str]]:
     """Every line of a block, fenced or indented, that calls one of our programs, without its comment."""
     for path in PAGES:
-        for found in COMMAND.finditer(path.read_text(encoding="utf-8")):
+        for found in COMMAND.finditer(path.read_text(encoding="utf-8").replace("\\\n", "")):
             yield path, re.sub(r"\s+#.*$", "", found["line"])
 
 

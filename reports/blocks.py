@@ -179,9 +179,10 @@ class Bars(Block):
 
 @dataclass(frozen=True, slots=True)
 class Fitted(Block):
-    """What fits into `most` lines of a terminal."""
+    """What fits into `most` lines of a terminal: the first of `parts`, and always `last`."""
 
     parts: Sequence[Sequence[Block]]
+    last: Sequence[Block]
     most: int
     more: str
 

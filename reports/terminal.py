@@ -51,9 +51,13 @@ def print_report(report: Report) -> None:
 def _drawn(sections: Iterable[Section]) -> Group:
     parts: list[RenderableType] = []
     for _, content in visible(sections, TERMINAL):
-        lines = [line for block in content for line in _DRAWN[type(block)](block)]
+        lines = _lines(content)
         parts += [Text(), *lines] if parts and lines else lines
     return Group(*parts)
+
+
+def _lines(content: Iterable[Block]) -> list[RenderableType]:
+    return [line for block in content for line in _DRAWN[type(block)](block)]
 
 
 _GLUE = "\ue000"
@@ -105,16 +109,15 @@ def _wrapped(block: blocks.Sentence) -> list[Text]:
 
 
 def _fitted(block: blocks.Fitted) -> Drawn:
-    lines: list[RenderableType] = []
+    lines, last = [], _lines(block.last)
     remaining = 0
-    for part in block.parts:
-        drawn = [line for inner in part for line in _DRAWN[type(inner)](inner)]
-        if remaining or len(lines) + len(drawn) > block.most - 1:
+    for drawn in map(_lines, block.parts):
+        if remaining or len(lines) + len(drawn) + len(last) > block.most - 1:
             remaining += 1
         else:
             lines += drawn
     remainder = f"{counted(remaining, 'more fact')}, {block.more}" if remaining else block.more
-    return [*lines, Text(f"--all shows {remainder}", style="dim")] if block.more else lines
+    return [*lines, *last, *([Text(f"--all shows {remainder}", style="dim")] if block.more else [])]
 
 
 def _bars(block: blocks.Bars) -> Drawn:
@@ -237,9 +240,8 @@ class _Lines:
 
 def _fold(block: blocks.Fold) -> Drawn:
     grid = Grid.grid(padding=(0, 1, 0, 0))
-    for first in block.blocks[:1]:
-        for line in _DRAWN[type(first)](first):
-            grid.add_row(Text(" "), line)
+    for line in _lines(block.blocks[:1]):
+        grid.add_row(Text(" "), line)
     return [_text(block.summary), grid]
 
 

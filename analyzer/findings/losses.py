@@ -125,7 +125,7 @@ def _outlived_history(members: Sequence[_Member], row: Mapping[str, int]) -> _Ca
     return _Cause(
         f"{outlived} of them left while nothing arrived for up to {format_duration(gap_ns)}, and a history keeps "
         f"{format_duration(history_ns)} (--depth {run.qos.depth} at {run.rate_hz:g} Hz)",
-        f"give both sides --depth {2 * math.ceil(gap_ns * run.rate_hz / 1e9)}, which keeps them for twice that time",
+        f"give both sides --depth {2 * math.ceil(gap_ns * run.rate_hz / 1e9)}, enough for twice the longest time without an arrival",
     )
 
 

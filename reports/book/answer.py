@@ -67,6 +67,7 @@ class PointKind(str, Enum):
     FASTEST = "fastest"
     UNDECIDED = "undecided"
     CLIENT_FLOOR = "client floor"
+    DOUBT = "doubt"
     TAIL = "tail"
     FLOOR = "floor"
     PLACE = "place"
@@ -102,7 +103,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     metric, medians = values.default_metric, shown_medians(analysis, groups, values)
     topics = topic_parts(analysis, "topic_sentences")
     if not groups.groups or is_of_topics(analysis):
-        limits = [limits_words(analysis).strip()] if topics else []
+        limits = [limits_words(analysis)] if topics else []
         headline, *points = [*topics, *filter(None, limits)] or ["No measurement was found."]
         kinds = (PointKind.TOPIC if topics else PointKind.NOTHING,) * (1 + len(points))
         return Conclusion(headline, metric, (), (), "", tuple(points), kinds=kinds)
@@ -121,17 +122,15 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     replaced = [group for group in usable.groups if group.received < group.published and replaces(usable, group)]
     remarks = (
         *_deadline_remarks(analysis, groups),
-        *(
-            []
-            if has_latency
-            else [
-                f"{_without_latency(groups)}: the latency is unknown, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."
-            ]
-        ),
+        *[
+            f"{_without_latency(groups)}: the latency is unknown, and the {METRIC_LABELS[metric].lower()} below includes the time in the relay."
+        ]
+        * (not has_latency),
         *_level_remarks(usable, medians),
         *([] if losses or forged or unreached or replaced else ["Every message was received."]),
     )
-    verdicts, judged = verdicts_info(answers, groups.vendors), analysis.judgements
+    verdicts = verdicts_info(answers, groups.vendors)
+    judged = analysis.judgements if has_latency else analysis.judgements.clear()
     rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     if any(answer.clarity is Clarity.CLEAR and answer.fewest_runs == MIN_RUNS for answer in answers):
         rule += FEW_PASSES
@@ -144,17 +143,15 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         (PointKind.LOSS, losses),
         (PointKind.CAUSE, cause_sentence(analysis, usable) if losses else ""),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures, busy)),
-        (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
+        (PointKind.CURE, cure_sentence(usable, cures)),
         (PointKind.THROUGHPUT, throughput_sentence(usable, values)),
         first,
-        (
-            PointKind.CLIENT_FLOOR,
-            own_nodes_sentence(judged, contender_labels(answers, groups.vendors)) if has_latency else "",
-        ),
-        (PointKind.PLACE, place_sentence(judged) if has_latency else ""),
+        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged, contender_labels(answers, groups.vendors))),
+        (PointKind.PLACE, place_sentence(judged)),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),
+        (PointKind.DOUBT, limits_words(analysis)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         (PointKind.FEW_LOST, unreached),
     ]

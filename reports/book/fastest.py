@@ -12,7 +12,7 @@ from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Ju
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size, joined
 
-from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, size_span, some_of, time_words
+from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, in_domain, size_span, some_of, time_words
 from .verdicts import MODES, contender_labels, place_of
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
@@ -158,8 +158,7 @@ def fastest_setups(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
     kinds = []
     for (mode, data_type), by_pair in answers_by_kind(compared):
-        words = MODES.get(mode, printable(mode))
-        what = f"Fastest {'in the' if mode == 'same' else 'across'} {words}"
+        what = f"Fastest {in_domain(MODES.get(mode, printable(mode)))}"
         what += f" ({data_type_label(data_type)})" if several_types else ""
         alike = places_alike(by_pair)[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
         for pairs in alike:
@@ -244,9 +243,7 @@ def _where(case: CaseAnswer, cases: Sequence[CaseAnswer]) -> str:
     if len({other.rate_hz for other in cases}) > 1:
         words.append(f"and {format_rate(case.rate_hz)}")
     if len({other.domain_mode for other in cases}) > 1:
-        words.append(
-            f"{'in the' if case.domain_mode == 'same' else 'across'} {MODES.get(case.domain_mode, printable(case.domain_mode))}"
-        )
+        words.append(in_domain(MODES.get(case.domain_mode, printable(case.domain_mode))))
     if len({place_of(other) for other in cases}) > 1:
         words.append(f"on {place_of(case)}")
     return " ".join(words)

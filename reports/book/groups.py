@@ -271,7 +271,7 @@ def domain_label(series: Series) -> str:
 
 
 def in_domain(label: str) -> str:
-    return {"same domain": "in the same domain", "different domains": "across domains"}.get(label, label)
+    return {"same domain": "in the same domain", "different domains": "across different domains"}.get(label, label)
 
 
 def way_words(bridge: str) -> str:

@@ -25,7 +25,7 @@ from .numbers import Values
 from .verdicts import link_label, received_words, setup_labels
 
 BUSY_SHARE = 0.25
-"""Share of recordings with a full processor from which on a report warns."""
+"""Share of processes with a full processor from which on a report warns."""
 
 
 def recovery_sentences(analysis: Analysis, groups: Groups) -> list[str]:
@@ -197,15 +197,17 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
     executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
     ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
-    return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{ros}.{limits_words(analysis)}"
+    return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{ros}."
 
 
 def limits_words(analysis: Analysis) -> str:
     counts = Counter(code for finding in analysis.findings for code in [finding.code] * finding.count)
-    full, recordings = counts["cpu_saturated"], analysis.details.host_samples["session_id"].n_unique()
-    words = ""
-    if full and full >= BUSY_SHARE * recordings:
-        words = f" The machine was busy in {full} of {counted(recordings, 'trace')}: these times include waiting for a processor."
+    full, samples = counts["cpu_saturated"], analysis.details.host_samples
+    processes, words = samples["session_id"].n_unique(), []
+    if full and full >= BUSY_SHARE * processes:
+        process = f"{joined(sorted(samples['role'].unique()))} process"
+        which = counted(processes, process, f"{process}es")
+        words = [f"The machine was busy during {full} of {which}: these times include waiting for a processor."]
     if bound := counts["client_bound"]:
-        words += f" The throughput of {counted(bound, 'result')} is that of our ping or relay, not the middleware's."
-    return words
+        words += [f"The throughput of {counted(bound, 'result')} is that of our ping or relay, not the middleware's."]
+    return " ".join(words)

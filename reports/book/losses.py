@@ -9,7 +9,7 @@ from dds_trace.analyzer.model.names import device_pair
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason, is_replacing
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate, format_ratio, format_size, joined, mean_size
+from dds_trace.base.units import by_number, counted, format_rate, format_ratio, format_size, joined, mean_size
 
 from .groups import (
     MOST_NAMED,
@@ -63,7 +63,6 @@ CAUSES = ("udp_buffer_overflow", "fragments_lost", "unrequested_relay")
 
 
 def cause_sentence(analysis: Analysis, groups: Groups) -> str:
-    """Return what was seen in results with losses, the first of `CAUSES`, how many they lost, and what to do."""
     lost = {group.index: group.published - group.received for group in groups.groups}
     for code in CAUSES:
         seen = [finding for finding in analysis.findings if finding.code == code and any(map(lost.get, finding.groups))]
@@ -71,7 +70,7 @@ def cause_sentence(analysis: Analysis, groups: Groups) -> str:
             there = sum(lost.get(group, 0) for group in {group for finding in seen for group in finding.groups})
             worst = seen[0]
             more = sum(finding.count for finding in seen if finding.subject is worst.subject) - 1
-            others = f", as in {counted(more, f'more {worst.subject.value}')}" if more else ""
+            others = f", as was seen {counted(more, 'more time')}" if more else ""
             action = worst.action.partition(": ")[2] or worst.action
             share, every = format_count(there), format_count(sum(lost.values()))
             share = "losses" if share == every else f"{share} of {every} losses"
@@ -108,11 +107,12 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
     ways, messages = ({part(group) for group in lossy} for part in (sides[1][0], lambda group: group.cell))
     same = [group for group in groups.groups if group.cell in messages]
     vendors = {groups.series_of(group).vendor_label for group in same if sides[1][0](group) in ways}
-    parts = []
+    parts, is_listed = [], False
     for value_of, words in sides if len(vendors) > 1 else sides[1:]:
         values, all_values = ({value_of(group) for group in side} for side in (lossy, same))
-        if values != all_values and len(values) <= MOST_NAMED:
-            parts.append(words.format(joined(sorted(values), "or").replace(" or through ", " or ")))
+        if values != all_values and len(values) <= (1 if is_listed else MOST_NAMED):
+            is_listed = is_listed or len(values) > 1
+            parts.append(words.format(joined(sorted(values)).replace(" and through ", " and ")))
     cells = [groups.cell_of(group) for group in lossy]
     if len({cell.data_type for cell in cells}) == 1:
         sizes = sorted({cell.payload_bytes for cell in cells})
@@ -133,24 +133,24 @@ def avoid_sentence(
     parts = []
     for is_busy, condition in ((False, ""), (True, " on a machine as busy as this one was")):
         same = [pair for pair in lossy if (pair[0].group in busy) is is_busy]
-        worst = (
-            {row.subject: (row, where) for row, where in reversed(same)}.values() if len(same) > MOST_NAMED else same
-        )
-        shown = sorted(worst, key=same.index)[:MOST_NAMED]
-        more = [f"and {len(same) - len(shown)} more in the table"] if len(same) > len(shown) else []
-        words = "; ".join([*(_lost_words(row, where) for row, where in shown), *more])
+        subjects = [row.subject for row, _ in same]
+        order = sorted(same, key=lambda pair: same.index(pair) != subjects.index(pair[0].subject))
+        words = some_of([f"{where} ({format_ratio(row.value)} lost)" for row, where in order], "more in the table")
         parts += [f"Do not use{condition}, because of losses: {words}."] * bool(same)
     return " ".join(parts)
 
 
-def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
-    by_cure: dict[str, list[str]] = {}
-    for row, where in _advised(answers, vendors):
-        if row.group is not None and row.group in cures:
-            by_cure.setdefault(cures[row.group], []).append(_lost_words(row, where))
-    more = f"; and {len(by_cure) - 1} more in the findings" if len(by_cure) > 1 else ""
-    parts = [f"{some_of(setups, 'more')}: {printable(cure)}" for cure, setups in by_cure.items()]
-    return f"Losses with a known cure: {parts[0]}{more}." if parts else ""
+def cure_sentence(groups: Groups, cures: Mapping[int, str]) -> str:
+    counted_groups = [group for group in groups.groups if not replaces(groups, group)]
+    lost = {group.index: group.published - group.received for group in counted_groups}
+    unplanned = (group.index for group in counted_groups if "outage=" not in groups.series_of(group).setting)
+    cured = [group for group in unplanned if lost[group] and group in cures]
+    if not cured:
+        return ""
+    there, total = sum(lost[group] for group in cured), sum(lost.values())
+    share = "All" if there == total else f"{format_count(there)} of {format_count(total)}"
+    largest = max((cures[group] for group in cured), key=by_number)
+    return f"{share} losses are in results with a known cure; try: {printable(largest)}."
 
 
 def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
@@ -160,10 +160,6 @@ def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> s
         if row.reason == Reason.FEW_LOST.value
     ]
     return f"Too few losses or runs for a verdict: {some_of(few, 'more in the table')}." if few else ""
-
-
-def _lost_words(row: Judgement, where: str) -> str:
-    return f"{where} ({format_ratio(row.value)} lost)"
 
 
 def _advised(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:

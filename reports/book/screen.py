@@ -28,6 +28,7 @@ MOST_ADVICE = 6
 
 NONE = Span("")
 LOSSES = (PointKind.FORGED, PointKind.LOSS, PointKind.AVOID)
+DOUBTS = (PointKind.CLIENT_FLOOR, PointKind.DOUBT)
 FIRST = (PointKind.RECOVERY, PointKind.INTERFERENCE, *LOSSES, PointKind.CAUSE, PointKind.CURE)
 
 
@@ -59,7 +60,7 @@ def _brief(book: Contents) -> Fitted:
             facts = bridge_facts(book.analysis.details.bridge_costs, vendors)
             sentences = [Sentence(fact.replace(" as long", ""), mark=PASS) for fact in facts]
             parts.append([Sentence(COMPARED, "strong", NONE), *sentences])
-        elif kind not in (*FIRST, PointKind.FASTEST):
+        elif kind not in (*FIRST, *DOUBTS, PointKind.FASTEST):
             parts.append([Sentence(sentence, mark=OPEN)])
     if PointKind.FASTEST not in answer.kinds:
         labels = contender_labels(book.analysis.details.answers, vendors)
@@ -67,7 +68,8 @@ def _brief(book: Contents) -> Fitted:
     findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
     results = len(book.groups.groups)
     more = ", ".join([*findings, *([f"tables of {counted(results, 'result')}"] if results else [])])
-    return Fitted(parts, MOST_LINES, "" if book.shows_all else more)
+    doubts = [Sentence(sentence, mark=OPEN) for kind, sentence in answer.sentences if kind in DOUBTS]
+    return Fitted(parts, doubts, MOST_LINES, "" if book.shows_all else more)
 
 
 def _winners(kinds: Sequence[Fastest], labels: Mapping[str, str]) -> Iterator[list[Block]]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say, wrapped
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, first_of
 from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
 from .common import INCOMPLETE_EXIT_CODE
@@ -212,8 +212,8 @@ def print_complete(outcome: SweepOutcome, side: str = "") -> None:
 
 def say_missing(missing: Mapping[str, str], side: str = "", what: str = "") -> None:
     for reason in dict.fromkeys(missing.values()):
-        first, *more = [name for name, cause in missing.items() if cause == reason]
-        say(f"{side}{first}{f' and {len(more)} more' if more else ''}{what}: {reason}")
+        names = [name for name, cause in missing.items() if cause == reason]
+        say(f"{side}{' '.join(first_of(names, 1))}{what}: {reason}")
 
 
 def _name(base: Plan, other: NewSide) -> str:

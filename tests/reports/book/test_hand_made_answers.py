@@ -22,7 +22,9 @@ from dds_trace.reports.book.fastest import fastest_setups, lowest_sentence, tail
 from dds_trace.reports.book.groups import VendorLabels
 from dds_trace.reports.book.headline import bridge_sentence
 from dds_trace.reports.book.losses import avoid_sentence, cure_sentence, few_lost_sentence
+from dds_trace.reports.book.screen import MOST_LINES
 from dds_trace.reports.book.verdicts import contender_labels
+from dds_trace.reports.terminal import render
 
 UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
 VENDORS = VendorLabels({})
@@ -200,11 +202,13 @@ def test_what_is_not_to_be_used(answers, said, sentences):
     assert numbers(found) == said
 
 
-def test_a_proven_cure_replaces_the_advice_and_few_losses_are_not_judged(sentences):
-    cure = cure_sentence([lossy(0.25, 0, group=7), lossy(0.5, 0)], VENDORS, {7: "give both sides --depth 126"})
+def test_the_largest_of_the_cures_is_named_and_few_losses_are_not_judged(sentences):
+    groups = Book(make_analysis(Measured(HALF), Measured(HALF, **ZENOH), Measured(FAST, rate_hz=20.0))).groups
+    cures = {group: f"give both sides --depth {depth}" for group, depth in enumerate((9, 12, 126))}
+    found = [cure_sentence(groups, {group: cures[group] for group in cured}) for cured in ((0, 2, 1), (0, 1), (1,))]
     few = few_lost_sentence([lossy(0.015625, 0.5, verdict=OPEN, reason=Reason.FEW_LOST.value)], VENDORS)
-    sentences(cure, few)
-    assert numbers(cure) == [1, 10, 25, 126]
+    sentences(*found, few)
+    assert [*map(numbers, found)] == [[126], [10, 20, 9], []]
     assert numbers(few) == [1, 10, 64, 128, 1, 10, 2, 128]
 
 
@@ -316,26 +320,26 @@ def test_how_long_each_setup_took_to_come_back(sentences):
     sentences(*said)
 
 
-@pytest.mark.parametrize(("recordings", "is_said"), [(4, True), (5, False)])
-def test_one_full_recording_of_four_makes_a_busy_machine(recordings, is_said, sentences):
+@pytest.mark.parametrize(("processes", "errors", "is_said"), [(4, 0, True), (4, 2, True), (4, 9, True), (5, 0, False)])
+def test_a_machine_busy_in_a_quarter_of_processes_is_named_on_every_first_screen(processes, errors, is_said, sentences):
     analysis = make_analysis(Measured(FAST, ping_device="vm", relay_device="vm", connectivity="loopback"))
     full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
+    others = (replace(full, severity=Severity.ERROR, code=f"error_{n}", what="So. " * 60) for n in range(errors))
     sample = analysis.details.host_samples.head(1)
-    samples = (sample.with_columns(session_id=pl.lit(n, dtype=pl.UInt64)) for n in range(recordings))
-    busy = replace(analysis, details=replace(analysis.details, host_samples=pl.concat(samples)), findings=(full,))
-    where = Book(busy).answer.points[-1]
-    assert numbers(where) == ([1, 1, 4] if is_said else [1])
-    sentences(where)
-
-
-WITHIN = {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
+    samples = (sample.with_columns(session_id=pl.lit(n, dtype=pl.UInt64)) for n in range(processes))
+    details = replace(analysis.details, host_samples=pl.concat(samples))
+    book = Book(replace(analysis, details=details, findings=(full, *others)))
+    lines = render(book).splitlines()
+    assert (len(lines) <= MOST_LINES, "busy during 1 of 4" in " ".join(lines[-4:])) == (True, is_said)
+    sentences(*(text for kind, text in book.answer.sentences if kind in (PointKind.WHERE, PointKind.DOUBT)))
 
 
 def undecided(number, reason):
     measured = (1.023, 1.007, 1.039) if reason is Reason.BELOW_MARGIN else (1.5, 0.9, 2.0)
     row = Judgement(Claim.FASTEST, "a", "latency_p50", "b", *measured, reason=reason.value)
     unlike = {"mode": ("same", "different")[number - 1], "data_type": ("binary", "string")[number - 1]}
-    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, rate_hz=number * 10.0, **unlike, **WITHIN)
+    unlike |= {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
+    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, rate_hz=number * 10.0, **unlike)
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,7 @@ def seen_with_losses(report):
     seen = defaultdict(set)
     for finding in report["findings"]:
         seen[finding["code"]] |= {*finding["groups"]}
+        seen["cured" if finding["cure"] else ""] |= {*finding["groups"]}
     for groups in seen.values():
         yield format_count(sum(lost[group] for group in groups))
 

@@ -9,9 +9,10 @@ import subprocess
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from typer.models import OptionInfo
 
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError
@@ -19,9 +20,6 @@ from dds_trace.base.streams import say
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from .program import argument, option, starting
-
-if TYPE_CHECKING:
-    from typer.models import OptionInfo
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:

@@ -14,9 +14,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from typer.models import ArgumentInfo, OptionInfo
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
 from dds_trace.base.shortage import Room, shortage
@@ -24,10 +25,6 @@ from dds_trace.base.streams import plain_streams, say, wrapped
 from dds_trace.base.version import __version__
 
 from .defaults import PRINT_CONFIG, set_defaults, values_in_force
-
-if TYPE_CHECKING:
-    from typer.models import ArgumentInfo, OptionInfo
-
 
 SETTINGS: dict[str, Any] = {"help_option_names": ["--help"], "max_content_width": 120}
 SHORT_COLUMNS = 73  # of an option's name and what it means in a line of `-h`

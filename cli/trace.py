@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING
+
+import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import offers
@@ -18,9 +19,6 @@ from dds_trace.base.threads import one_blas_thread, tune_gc
 
 from .program import SETTINGS, ShortHelp, Version, make_app, run_command
 from .vector_sorts import avoid_slow_sorts
-
-if TYPE_CHECKING:
-    import typer
 
 PROGRAM = "dds-trace"
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.containers import Lines
 from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text
@@ -19,9 +20,6 @@ from dds_trace.base.units import counted
 
 from . import blocks
 from .blocks import TERMINAL, WITHIN_QUANTITY, Block, Report, Section, Span, Words, plain_text, visible
-
-if TYPE_CHECKING:
-    from rich.containers import Lines
 
 STYLES = {
     "strong": "bold",

@@ -6,7 +6,8 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
@@ -26,10 +27,6 @@ from ..model.environment import FLEETING, flat_fields, versions_of
 from ..model.finding import Subject
 from .evidence import Evidence, Observation, error, note, some, warning
 from .rows import Rows, frame_of, in_recording, named
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 UNSAVED_NS = 1_000_000_000
 """With `-o fsync=true` a power loss takes less (`chunk_seconds`)."""

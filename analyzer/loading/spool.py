@@ -11,18 +11,15 @@ import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dds_trace.base.files import open_regular, read_into
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
-
-if TYPE_CHECKING:
-    from io import BufferedReader
-
 
 Column = tuple[str, int]
 """Kind (`constant`, `counting`, `array`), and value, first value, or offset in the file."""

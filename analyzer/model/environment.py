@@ -6,14 +6,11 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.descriptions import Session
 
-    Sides = tuple[Session, Session | None]
-    """Sessions of ping and relay, None for a relay without a trace."""
-
+Sides = tuple[Session, Session | None]
+"""Sessions of ping and relay, None for a relay without a trace."""
 
 FLEETING = ("wifi",)
 """Parts of the fingerprint that change from minute to minute."""

@@ -6,15 +6,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from hashlib import blake2b
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+import polars as pl
 
 from dds_trace.base.printable import printable
 
 from .parameters import CELL_COLUMNS, SERIES_COLUMNS, ParameterValue
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 Item = TypeVar("Item")
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from ..model.names import is_topic
@@ -15,9 +16,6 @@ from ..model.runs import UNSENT, RunRows, delivered_runs, split_runs
 from ..run_statistics.between_runs import Estimate, Scale, estimates_of_runs, scale_of
 from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
 from ..run_statistics.setups import RunLogarithms
-
-if TYPE_CHECKING:
-    import polars as pl
 
 Made = TypeVar("Made")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import typer  # noqa: TC002 - it reads the annotation
+import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import load

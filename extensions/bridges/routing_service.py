@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
 
 from dds_trace.base.units import SECOND_NS
 from dds_trace.recorder.backends.dds_types import DDS_TYPES, dds_name, split_type
@@ -17,10 +17,6 @@ from dds_trace.tracefile.format.descriptions import Qos
 from .base import Bridge, BridgeOptions, BridgeSide
 from .programs import program_on_path, reported_version
 from .texts import element, xml_text
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
-
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"

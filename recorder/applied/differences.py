@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from ..domains import domain_port_range
 from ..kernel.sockets import Socket
 from .applied import SHARED_MEMORY, UNKNOWN, Applied, Traffic, is_excluded, payload_path
+from .asked import Asked
 from .memory import SharedMemory
 from .vendors import SEGMENT, TransportFacts, vendor_facts
-
-if TYPE_CHECKING:
-    from .asked import Asked
 
 KERNELS_PORT = 32_768
 """First port that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""

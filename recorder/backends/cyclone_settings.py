@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.tracefile.format.descriptions import Qos
@@ -17,11 +17,9 @@ from ..applied.asked import configuration_texts
 from ..choices import Discovery, Durability, History, Reliability
 from ..security.keys import enclave
 from .dds_types import dds_name
+from .node import NodeOptions
 from .qos import duration_extra, requested_durations
 from .sizes import VENDORS_SIZES, Sizes
-
-if TYPE_CHECKING:
-    from .node import NodeOptions
 
 # ROS 2's LOCALHOST range has no multicast: its nodes look for others at the well-known unicast ports of 127.0.0.1.
 # Cyclone DDS uses such a port only with a participant index, and finds the nodes only as peers.

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import INFINITE_NS, spell_duration
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Durability, History, Reliability
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
-
-    from .node import Endpoint
+from .node import Endpoint
 
 RANKS: Mapping[str, Sequence[str]] = {
     "reliability": (Reliability.BEST_EFFORT, Reliability.RELIABLE),

@@ -6,7 +6,6 @@ import os
 import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS, counted, format_size, spell_duration
 from dds_trace.tracefile.format.descriptions import Qos
@@ -22,10 +21,8 @@ from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
 from ..payloads.base import DataType
-
-if TYPE_CHECKING:
-    from .plan import RunPlan
-    from .progress import Silence
+from .plan import RunPlan
+from .progress import Silence
 
 
 @dataclass(frozen=True, slots=True)

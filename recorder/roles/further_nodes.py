@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from subprocess import PIPE
-from typing import TYPE_CHECKING
 
 import psutil
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.tracefile.format.json_fields import Json
 
 from ..backends import load_backend
+from ..backends.node import Node
 from ..host.child import Child
 from ..kernel.counters import read_interfaces
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from dds_trace.tracefile.format.json_fields import Json
-
-    from ..backends.node import Node
 
 IN_ONE_PROCESS = 10
 REST_S, PATIENCE_S = 3.0, 120.0

@@ -6,17 +6,14 @@ import os
 import socket
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import psutil
 
 from ..applied.vendors import vendor_facts
 from ..backends import load_backend
+from ..backends.node import Node
 from ..choices import Discovery
 from ..kernel.sockets import Socket, read_sockets
-
-if TYPE_CHECKING:
-    from ..backends.node import Node
 
 _STUCK_SEGMENTS = 3
 """Segments of a connection that were sent again; a healthy one that just opened has none."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -17,10 +16,7 @@ from ..backends import load_backend
 from ..backends.sizes import requested_bytes
 from ..choices import Call, Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, PingOptions, RecordOptions, run_settings
-
-if TYPE_CHECKING:
-    from ..payloads.base import DataType, Payload
-
+from ..payloads.base import DataType, Payload
 
 MOST_MESSAGES_A_SECOND = 200_000
 MOST_TIMED_MESSAGES = 20_000_000

@@ -6,14 +6,13 @@ import math
 from array import array
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from dds_trace.base.units import SECOND_NS
 
-if TYPE_CHECKING:
-    from ..applied.applied import Traffic
+from ..applied.applied import Traffic
 
 PERCENTILE_SAMPLES = 10_000
 """Most messages, evenly picked, for a percentile on the screen."""

@@ -5,21 +5,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.records import to_json
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..applied.applied import Applied, Traffic, read_applied, with_path
 from ..applied.asked import Asked, asked_settings
 from ..applied.differences import Difference, Setting, differences, publisher_differences
 from ..backends import load_backend
+from ..backends.node import Node
 from ..choices import Security, WhenFull
 from ..errors import NotAppliedError
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from ..backends.node import Node
 
 NEWS_S = 0.02
 """Polling period of a relay before its first probe."""

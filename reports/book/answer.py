@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
@@ -49,9 +50,6 @@ from .losses import (
 from .numbers import Median, Values, shown_medians
 from .sizes import late_by_group, late_share
 from .verdicts import CLEARLY, FEW_PASSES, WITHIN_ONE_RUN, DataVerdict, contender_labels, verdicts_info
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 class PointKind(str, Enum):

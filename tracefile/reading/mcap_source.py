@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
@@ -20,10 +20,6 @@ from ..mcapfile.file import RecordFile
 from ..mcapfile.scan import MESSAGES_AND_CHANNELS
 from .mcap_walk import McapWalk
 from .source import Batch, Text, UnreadableError, event_batch, unpack_message
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
 
 _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed

@@ -9,9 +9,9 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import closing, suppress
 from functools import partial
-from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 from mcap.records import Header
@@ -34,9 +34,6 @@ from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, Records,
 from ..mcapfile.records import ChannelTable, record_name
 from ..mcapfile.scan import MESSAGES_AND_CHANNELS, Int64, Scan, scan_records, single_record
 from .source import UnreadableError
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
 
 _EXACT = frozenset({Opcode.FOOTER, Opcode.DATA_END})
 _OUTSIDE = MESSAGES_AND_CHANNELS | {Opcode.HEADER, Opcode.STATISTICS, Opcode.ATTACHMENT, Opcode.METADATA}

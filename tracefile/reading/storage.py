@@ -8,9 +8,9 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import zstandard
 
@@ -22,10 +22,6 @@ from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.chunks import LARGEST_RATIO
 from .mcap_source import McapSource
 from .source import Source
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
 
 ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES, _FRAME_HEAD_BYTES = 1 << 20, 18

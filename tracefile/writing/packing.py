@@ -6,9 +6,10 @@ lock is a `FastLock`, and what is known earlier is packed earlier.
 
 from __future__ import annotations
 
+import queue
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base.threads import FastLock
 
@@ -23,11 +24,7 @@ from ..format.ring import (
     STAGE_MARKS,
     TIME_WORD,
 )
-
-if TYPE_CHECKING:
-    import queue
-
-    from .writer import TraceFiles
+from .writer import TraceFiles
 
 ExpectedPair: TypeAlias = tuple[int, int, int, int]
 """Two events without times: ticket of the first, its first word in the ring, the marks of both."""

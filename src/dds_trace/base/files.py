@@ -11,13 +11,11 @@ import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from .errors import OptionError, OutputError
-
-if TYPE_CHECKING:
-    from io import BufferedReader
 
 PLAN_COPY = "plan.toml"
 """Copy of its plan in the folder of a sweep."""

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.environment import flat_fields
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
@@ -16,9 +15,7 @@ from dds_trace.recorder.backends.ros2.installation import fast_dds
 from dds_trace.recorder.kernel.counters import read_limits
 
 from .folder import replace_text
-
-if TYPE_CHECKING:
-    from .plan.link import Link
+from .plan.link import Link
 
 PACKET_BYTES = 1400
 """Largest datagram that no link splits, with its headers."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from dds_trace.base.records import to_json
 from dds_trace.base.units import counted, format_rate, format_size, joined
@@ -32,18 +32,16 @@ from .halving import (
     Measurer,
     Race,
     Standing,
+    Tell,
 )
 from .link_probe import PROBE_S, probe_link
 from .plan.flows import recorded_together
+from .plan.link import Link
 from .plan.plan import Plan
 from .proof import ignored, proof_of
 from .question import Question, as_learned, check_advisable, find_candidates, settings_of
 from .search import Bisection, RateAnswer, round_rate
 from .trials import Imagined, open_trials
-
-if TYPE_CHECKING:
-    from .halving import Tell
-    from .plan.link import Link
 
 Answer: TypeAlias = "dict[str, Any]"
 """What `answer.json` has: see `answer`."""

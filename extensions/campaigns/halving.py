@@ -10,22 +10,18 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.analyzer.statistics.percentiles import minimum_messages, quantile_of
 from dds_trace.base.records import to_json
 from dds_trace.base.units import three_digits
 
+from .plan.cells import Cell
 from .search import exceeds
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from .plan.cells import Cell
 
 LOST_MS = 10_000.0
 """Response of a lost message where times are averaged."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
+
+import polars as pl
 
 from dds_trace.analyzer.model.parameters import SETTING_COLUMNS, ParameterValue
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
@@ -21,9 +23,6 @@ from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation
 from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.units import SECOND_NS, counted, format_rate, format_size
 from dds_trace.tracefile.format.descriptions import Run
-
-if TYPE_CHECKING:
-    import polars as pl
 
 SizeAndRate: TypeAlias = tuple[float, float]
 

@@ -8,7 +8,8 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.analyzer.model.parameters import QOS_DEFAULTS, SETTING_COLUMNS, SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of, parse_setting
@@ -22,9 +23,6 @@ from dds_trace.base.units import MISSING, counted, format_duration, format_ratio
 from dds_trace.reports.blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
 from dds_trace.reports.book.groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, time_words
 from dds_trace.reports.book.verdicts import few_words, place_label
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -14,23 +15,16 @@ from dds_trace.extensions.bridges.base import load_bridge
 from dds_trace.recorder.options import DEFAULT_WAIT_S
 from dds_trace.recorder.payloads import is_live
 
-from .plan.cells import DEFAULTS
+from .plan.cells import DEFAULTS, Cell
 from .plan.commands import half_arguments, ping_arguments, relay_arguments
-from .plan.schedule import group_by_relay
-from .run.runner import middlewares_of, missing_here
+from .plan.plan import Plan
+from .plan.schedule import CellGroup, group_by_relay
+from .run.runner import Middlewares, middlewares_of, missing_here
 from .run.state import SweepState
 from .station.programs import missing_environment, rehearse_program
-from .station.station import open_station
+from .station.station import Station, open_station
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from .plan.cells import Cell
-    from .plan.plan import Plan
-    from .plan.schedule import CellGroup
-    from .run.runner import Middlewares
-    from .station.station import Station
-
     CheckArguments = Callable[[Sequence[str]], None]
     """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dds_trace.base.errors import TraceError
 
 from .folder import locked_folder
-from .halving import Look
+from .halving import Candidate, Look, Measurer
+from .plan.cells import Cell
 from .plan.flows import recorded_together
+from .plan.plan import Plan
 from .plan.schedule import RELAY_OVERHEAD_S, Estimate, group_by_relay
 from .run.progress import SweepProgress
 from .run.result import read_cpu_percent, read_responses
 from .run.runner import Runner
 from .run.state import Status
 from .station.station import open_station
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from .halving import Candidate, Measurer
-    from .plan.cells import Cell
-    from .plan.plan import Plan
 
 CUTOFF_S, SETTLE_S = 5.0, 0.2
 

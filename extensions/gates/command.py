@@ -1,6 +1,7 @@
 """`dds-trace compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
@@ -14,8 +15,6 @@ from dds_trace.base.streams import say
 from dds_trace.cli.program import argument, command, make_app, option
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.reports.blocks import Report
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.analyzer.model.names import group_words, value_word, varying_parameters
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, MATCH_COLUMNS, ParameterValue
 from dds_trace.base.errors import OptionError
 
 from .matching import RELAY_COLUMNS, Key
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 IGNORABLE_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in CELL_COLUMNS)
 """Columns that may be ignored; times of different messages are never compared."""

@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import polars as pl
 
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import MATCH_COLUMNS, SERIES_COLUMNS
@@ -36,10 +38,6 @@ from .words import (
     with_article,
     with_undecided,
 )
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 UNCHANGED = {"no clear change", "undecided", "too few runs", "the same"}
 

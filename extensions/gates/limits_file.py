@@ -6,7 +6,9 @@ import glob
 import json
 import math
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError, OutputError
@@ -16,9 +18,6 @@ from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import format_duration, three_digits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     import polars as pl
 
     from dds_trace.analyzer.statistics.intervals import Interval

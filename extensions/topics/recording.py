@@ -6,11 +6,11 @@ import gc
 import json
 import os
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.records import to_json
@@ -18,21 +18,15 @@ from dds_trace.base.units import SECOND_NS, counted, first_of, format_duration
 from dds_trace.extensions.live.local_server import LocalServer
 from dds_trace.recorder.backends.node import TapNode, TopicPatterns
 from dds_trace.recorder.base_recording import BaseRecording, Recorded
+from dds_trace.recorder.options import TapOptions
 from dds_trace.recorder.payloads.cdr import CdrWriter
-from dds_trace.recorder.roles.progress import Health, TapProgress
-from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.recorder.roles.progress import Health, LiveRow, TapProgress
+from dds_trace.tracefile.format.descriptions import Qos, Session
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.writing.destination import ClosedTrace
 
 from .live import LiveTable
 from .tap import Tap, summarize
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from dds_trace.recorder.options import TapOptions
-    from dds_trace.recorder.roles.progress import LiveRow
-    from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace
 
 LONELY_S = 5.0
 """Wait for a publisher until the user gets a line about it."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.metrics import TOPIC_METRICS
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_ratio, mean_size
@@ -29,11 +31,6 @@ from dds_trace.reports.blocks import (
 from dds_trace.reports.book.groups import format_count
 
 from .streams import lost_words
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from dds_trace.analyzer.analysis import Analysis
 
 MOST_SENTENCES = 6
 MOST_ROWS = 200

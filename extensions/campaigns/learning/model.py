@@ -13,15 +13,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import polars as pl
+from numpy.typing import NDArray
 
 from dds_trace.analyzer.model.parameters import QOS_DEFAULTS
 from dds_trace.analyzer.model.setting import CONDITIONS, parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
-from dds_trace.analyzer.verdicts.job import Guess
+from dds_trace.analyzer.verdicts.job import Guess, Job
 from dds_trace.base import limits
 from dds_trace.base.units import counted
 
@@ -30,12 +32,6 @@ from ..plan.link import Link
 from ..plan.plan import Plan, RunSettings
 from ..plan.schedule import plan_seconds
 from .results import Campaign, campaign_of, read_campaigns, statistic_name
-
-if TYPE_CHECKING:
-    import polars as pl
-    from numpy.typing import NDArray
-
-    from dds_trace.analyzer.verdicts.job import Job
 
 Parameters: TypeAlias = "Mapping[str, Any]"
 

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from dds_trace.recorder.backends import load_backend
 
+from .cells import Cell
 from .flows import recorded_together
-from .plan import Order
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from .cells import Cell
-    from .plan import Plan
+from .plan import Order, Plan
 
 RUN_OVERHEAD_S = 1.0
 """Start, discovery, drain and close of a ping, measured on two busy cores."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
@@ -13,8 +14,6 @@ from dds_trace.base.streams import SCREEN_WIDTH, plain_console, wrapped
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from ..plan.schedule import Remaining
 
 

@@ -11,7 +11,9 @@ import itertools
 import signal
 import time
 from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
@@ -25,26 +27,20 @@ from ..folder import TRACE_ENDINGS, clear_parts, make_parts, place_of, remove_fi
 from ..plan.cells import Cell
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.flows import is_crowded, recorded_together, relay_places
-from ..plan.schedule import Estimate, start_lead_s
+from ..plan.link import LinkReport
+from ..plan.plan import Plan
+from ..plan.schedule import CellGroup, Estimate, start_lead_s
 from ..station.programs import Program, missing_environment
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
-from .outage import Outage
-from .result import read_result
+from .outage import Outage, OutageReport
+from .result import CellResult, read_result
 from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from ..plan.link import LinkReport
-    from ..plan.plan import Plan
-    from ..plan.schedule import CellGroup
     from ..station.devices import RelayDevice
     from ..station.station import Station
-    from .outage import OutageReport
     from .progress import SweepProgress
-    from .result import CellResult
 
 START_ALLOWANCE_S = 40.0
 

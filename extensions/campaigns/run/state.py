@@ -7,7 +7,6 @@ import re
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import UNREADABLE, OptionError, TraceFormatError
 from dds_trace.base.files import open_regular
@@ -16,10 +15,8 @@ from dds_trace.base.records import from_json, to_json
 
 from ..folder import is_segment_name, replace_text
 from ..plan.link import LinkReport
+from .outage import OutageReport
 from .result import CellResult
-
-if TYPE_CHECKING:
-    from .outage import OutageReport
 
 STATE_VERSION = 1
 

@@ -8,8 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError
 from dds_trace.base.files import create_file, expand_home
@@ -17,9 +17,6 @@ from dds_trace.extensions.bridges.programs import program_environment
 from dds_trace.extensions.bridges.supervise import describe_end
 from dds_trace.recorder.host.child import Child
 from dds_trace.recorder.recording import SERVING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 DEFAULTS_VARIABLE = "DDS_TRACE_CONFIG"
 """Empty for the programs of a sweep: no file of defaults adds to a plan."""

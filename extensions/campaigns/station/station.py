@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.files import expand_home
 from dds_trace.recorder.options import DEFAULT_WAIT_S
 from dds_trace.recorder.security.keys import shared_keys
 
 from ..folder import make_parts
-from .devices import LocalDevice, PrintedDevice, SpreadDevice
+from ..plan.plan import Plan
+from .devices import LocalDevice, PrintedDevice, RelayDevice, SpreadDevice
 from .namespaces import NamespacePair
 from .programs import environment_program, local_program, missing_environment
 from .ssh import SshDevice, folder_there
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from ..plan.plan import Plan
-    from .devices import RelayDevice
 
 PERSON_WAIT_S = 3600.0
 

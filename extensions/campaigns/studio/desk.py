@@ -23,13 +23,12 @@ from dds_trace.base.streams import say
 from dds_trace.cli.doctor import middleware_checks
 
 from ..answer import answer
+from ..halving import Event
 from ..plan.link import PRESETS
 from ..question import Question, ask, limits_of
 
 if TYPE_CHECKING:
     from dds_trace.extensions.live.local_server import Answer
-
-    from ..halving import Event
 
 FIELDS = ("data", "size", "rate", "deadline", "in_time", "minutes", "host", "link")
 """Names of the form, and of the options of `dds-trace advise`."""

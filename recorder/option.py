@@ -14,7 +14,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import Limit, Real, Whole, shown
 from dds_trace.base.units import SECOND_NS, parse_duration, parse_rate, parse_size, split_quantity
 
-from .choices import Call, Role
+from .choices import Role
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json
@@ -235,35 +235,3 @@ class KeepFree:
     def floor_bytes(self, disk_bytes: int) -> int:
         share_bytes = int(self.share * disk_bytes)
         return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
-
-
-ACTION_GOAL_BYTES = 4
-
-
-def check_call(
-    call: Call,
-    clients: int,
-    response_bytes: int | None,
-    bridge: str,
-    flows: tuple[str, ...],
-    size_bytes: int | None,
-    *,
-    is_one_way: bool = False,
-) -> None:
-    if call is Call.NONE:
-        if clients > 1 or response_bytes is not None:
-            raise OptionError("-o clients and -o response_size need -o call=service or action")
-    elif bridge != "none":
-        raise OptionError(
-            f"-o call={call.value} with --bridge {bridge}: bridges are started for topics; use one domain"
-        )
-    elif flows:
-        raise OptionError(f"-o call={call.value} with -o flow={flows[0]}: a flow is a topic; remove one of them")
-    elif is_one_way:
-        raise OptionError(
-            f"-o call={call.value} with --rate max or -o ping_share: each call has a response; remove them"
-        )
-    elif call is Call.ACTION and size_bytes not in (None, ACTION_GOAL_BYTES):
-        raise OptionError(
-            f"--size {size_bytes}: the goal of an action is one number of {ACTION_GOAL_BYTES} bytes; give -o response_size"
-        )

@@ -13,7 +13,7 @@ from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.json_fields import Json
 
-from .choices import Discovery, Durability, History, Load, Reliability, Role, Serialization
+from .choices import Call, Discovery, Durability, History, Load, Reliability, Role, Serialization
 from .option import (
     OUTSIDE_OF_KEY,
     Axis,
@@ -21,7 +21,6 @@ from .option import (
     Option,
     Rotation,
     changed_settings,
-    check_call,
     detail,
     option,
     parse_pairs,
@@ -371,22 +370,31 @@ class RecordOptions:
                 raise OptionError(f"-o flow={' -o flow='.join(self.flows)}: a ping is one flow; start a ping for each")
         if self.tap is not None:
             self.tap.check()
-        ping, node = self.ping or PingOptions(), self.node
-        is_one_way = ping.rate_hz == float("inf") or ping.ping_share is not None
-        check_call(
-            node.call,
-            ping.clients,
-            node.response_bytes,
-            ping.bridge,
-            self.flows,
-            ping.size_bytes,
-            is_one_way=is_one_way,
-        )
+        check_call(self.node, self.ping or PingOptions(), self.flows)
         slowest_hz, fastest_hz = BEACON_RATES_HZ
         if self.beacon_rate_hz is not None and not slowest_hz <= self.beacon_rate_hz <= fastest_hz:
             raise OptionError(
                 f"--rate {self.beacon_rate_hz:g}: a beacon sends {slowest_hz:g} to {fastest_hz:g} messages a second"
             )
+
+
+ACTION_GOAL_BYTES = 4
+
+
+def check_call(node: NodeOptions, ping: PingOptions, flows: tuple[str, ...]) -> None:
+    call = f"-o call={node.call.value}"
+    if node.call is Call.NONE:
+        if ping.clients > 1 or node.response_bytes is not None:
+            raise OptionError("-o clients and -o response_size need -o call=service or action")
+    elif ping.bridge != "none":
+        raise OptionError(f"{call} with --bridge {ping.bridge}: bridges are started for topics; use one domain")
+    elif flows:
+        raise OptionError(f"{call} with -o flow={flows[0]}: a flow is a topic; remove one of them")
+    elif ping.rate_hz == float("inf") or ping.ping_share is not None:
+        raise OptionError(f"{call} with --rate max or -o ping_share: each call has a response; remove them")
+    elif node.call is Call.ACTION and ping.size_bytes not in (None, ACTION_GOAL_BYTES):
+        goal = f"the goal of an action is one number of {ACTION_GOAL_BYTES} bytes"
+        raise OptionError(f"--size {ping.size_bytes}: {goal}; give -o response_size")
 
 
 def check_fields(record: object) -> None:

@@ -31,8 +31,7 @@ from .domains import check_domain, check_domain_id
 from .errors import BridgeError, NoEchoError, RelayLostError, StoppedError
 from .host.environment import kept_output
 from .host.process import parse_cpus
-from .option import ACTION_GOAL_BYTES
-from .options import PingOptions, RecordOptions
+from .options import ACTION_GOAL_BYTES, PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.base import DataType
 from .payloads.binary import BINARY

@@ -9,7 +9,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Call, WhenFull
-from dds_trace.recorder.option import check_call
+from dds_trace.recorder.options import PingOptions, check_call
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -69,17 +69,17 @@ def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more,
 @pytest.mark.parametrize(
     ("call", "values"),
     [
-        (Call.NONE, (2, None, "none", (), None)),
-        (Call.NONE, (1, 100, "none", (), None)),
-        (Call.SERVICE, (1, None, "builtin", (), None)),
-        (Call.SERVICE, (1, None, "none", ("camera",), None)),
-        (Call.ACTION, (1, None, "none", (), 33_000)),
-        (Call.SERVICE, (1, None, "none", (), None, True)),
+        (Call.NONE, (None, {"clients": 2}, ())),
+        (Call.NONE, (100, {}, ())),
+        (Call.SERVICE, (None, {"bridge": "builtin"}, ())),
+        (Call.SERVICE, (None, {}, ("camera",))),
+        (Call.ACTION, (None, {"size_bytes": 33_000}, ())),
+        (Call.SERVICE, (None, {"rate_hz": float("inf")}, ())),
     ],
 )
 def test_a_call_that_cannot_be_made_is_one_line(sentences, call, values):
     with pytest.raises(OptionError) as refused:
-        check_call(call, *values[:5], is_one_way=len(values) > 5)
+        check_call(NodeOptions(call=call, response_bytes=values[0]), PingOptions(**values[1]), values[2])
     sentences(str(refused.value))
 
 

@@ -7,20 +7,20 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 from dds_trace.base.errors import TraceError, TraceFormatError
-from dds_trace.base.records import to_json
+from dds_trace.base.records import RecordReader, to_json
 from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import Node, NodeOptions, RawMessage, Receive
-from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.host.process import stop_at_signals, tuned_gc
 from dds_trace.tracefile.format.descriptions import Qos
 
-from .base import Bridge, BridgedTopic, BridgeOptions, BridgeSide, Half
+from .base import Bridge, BridgedTopic, BridgeOptions, BridgeSide
 
 INSTALL_ROS2 = (
     "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]' (in a clone '.[ros2]'), or source /opt/ros/DISTRO/setup.bash"
@@ -40,19 +40,11 @@ def options_from_json(path: Path) -> BridgeOptions:
         values = json.loads(path.read_text())
         qos = values["qos"]
         policies = {name: qos.pop(name) for name in ("reliability", "durability", "history", "depth")}
-        return BridgeOptions(
-            ping_domain_id=values["ping_domain_id"],
-            relay_domain_id=values["relay_domain_id"],
-            topics=tuple(BridgedTopic(name, type_name) for name, type_name in values["topics"].items()),
-            qos=Qos(**policies, extra=qos),
-            discovery=Discovery(values["discovery"]),
-            transport=Transport(values["transport"]),
-            tuned=values["tuned"],
-            half=Half(values["half"]),
-            listen=values["listen"],
-            peers=tuple(values["peers"]),
-            keys=values.get("keys"),
+        topics = tuple(BridgedTopic(*topic) for topic in values["topics"].items())
+        options = RecordReader({"Sequence": Sequence}).read(
+            BridgeOptions, {**values, "qos": {**policies, "extra": {}}, "topics": []}
         )
+        return replace(options, topics=topics, qos=Qos(**policies, extra=qos))
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(
             path, f"is not a configuration of a built-in bridge ({err}); `dds-trace bridge NAME --config` prints one"

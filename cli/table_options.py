@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import nearest, shown
+from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.choices import Discovery, Role
 from dds_trace.recorder.option import Option
 from dds_trace.recorder.option_table import OPTIONS, choices_of, flag_of, help_of, is_setting, key_of
@@ -119,8 +120,6 @@ def _fault(row: Option, text: str) -> str | None:
 
 
 def _listed(rows: Mapping[str, Option], words: Sequence[str], role: Role | None) -> Iterator[str]:
-    from dds_trace.recorder.backends import load_backend
-
     named = words[words.index("--backend") + 1 :][:1] if "--backend" in words else []
     backend = load_backend(named[0] if named else OPTIONS["backend"].field_default)  # type: ignore[arg-type]
     can_have = {

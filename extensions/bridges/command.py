@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from dds_trace.cli.program import argument, command, make_app, option, starting
 from dds_trace.cli.table_options import default_discovery, given_values, read_record, with_options
 from dds_trace.recorder.choices import Side
+from dds_trace.recorder.option_table import CommandOptions
 
 from . import BRIDGE_MODULES
 
@@ -63,8 +64,6 @@ def bridge_command(
 
         dds-trace bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
     """
-    from dds_trace.recorder.option_table import CommandOptions
-
     from .base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
 
     chosen = given_values(values)

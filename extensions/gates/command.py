@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import load
 from dds_trace.base.streams import say
 from dds_trace.cli.program import argument, command, make_app, option
@@ -109,8 +110,6 @@ def compare_command(
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
-    from dds_trace.base.errors import OptionError
-
     from .gate import GateOutcome
     from .ignoring import match_without
     from .limits_file import limits_text
@@ -236,8 +235,6 @@ def judge_sides(
 def read_gates(
     texts: list[str], limits_file: Path | None, *, one_side: bool = False, needed: bool = False
 ) -> "list[Gate]":
-    from dds_trace.base.errors import OptionError
-
     from .gate import parse_gates
     from .limits_file import limits_of_one_side, read_limits
 
@@ -255,7 +252,6 @@ def read_gates(
 def topic_limits(texts: list[str]) -> "list[Gate]":
     """Return the limits of `analyze`, of topics only; an `OptionError` for others."""
     from dds_trace.analyzer.model.metrics import METRICS
-    from dds_trace.base.errors import OptionError
 
     from .gate import Against, parse_gates
 

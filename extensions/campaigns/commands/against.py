@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.files import expand_home, open_regular
 from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted, first_of
 from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
@@ -45,8 +46,6 @@ class NewSide:
 def new_side(
     text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
 ) -> NewSide:
-    from dds_trace.base.files import expand_home
-
     from ..plan.cells import environment_name
     from ..plan.plan_file import read_plan
     from ..station.programs import environment_program
@@ -71,8 +70,6 @@ def new_side(
 
 def keep_to_environment(folder: Path, side: NewSide) -> None:
     """Refuse the folder of a new side that was recorded with another environment, or before a module of it changed."""
-    from dds_trace.base.files import open_regular
-
     from ..folder import replace_text
 
     mark, identity, recorded = folder / ".environment", "", ""

@@ -8,7 +8,7 @@ A part in brackets is left out where one of its values is null or 0.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partialmethod
 from string import Formatter
@@ -87,7 +87,8 @@ def sentence(template: str, row: Row) -> str:
     return _SENTENCE.vformat(_OPTIONAL.sub(optional, template), (), row)
 
 
-def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
+def frame_of(records: Iterable[Row]) -> pl.DataFrame:
+    rows = [*records]
     ids = ("run_id", "session_id", "relay_id")
     for row in rows:
         texts = {name: value for name, value in row.items() if isinstance(value, str) and not value.isascii()}

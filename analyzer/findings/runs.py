@@ -63,11 +63,9 @@ def _empty_runs(evidence: Evidence) -> pl.DataFrame:
     with_events = {exchange.run.run_id for exchange in evidence.grouping.exchanges}
     with_events |= {item.run_id for item in evidence.exchanges.unplaced}
     return frame_of(
-        [
-            {"run_id": run_id, "state": run.state, "planned_messages": run.planned_messages}
-            for run_id, run in evidence.campaign.runs.items()
-            if run_id not in with_events and run.published == 0 and run.planned_messages > 0
-        ]
+        {"run_id": run_id, "state": run.state, "planned_messages": run.planned_messages}
+        for run_id, run in evidence.campaign.runs.items()
+        if run_id not in with_events and run.published == 0 and run.planned_messages > 0
     )
 
 
@@ -98,16 +96,13 @@ def _unplaced(evidence: Evidence) -> pl.DataFrame:
     for unplaced in evidence.exchanges.unplaced:
         alike[unplaced.reason, unplaced.relay_id, unplaced.traces].append(unplaced)
     return frame_of(
-        [
-            {
-                "reason": reason,
-                "where": evidence.campaign.names(traces) + (f", relay {relay_id:08x}" if relay_id else ""),
-                "events": sum(unplaced.events for unplaced in parts),
-                "runs": ("run " if len(parts) == 1 else "runs ")
-                + some(f"{unplaced.run_id:016x}" for unplaced in parts),
-            }
-            for (reason, relay_id, traces), parts in alike.items()
-        ]
+        {
+            "reason": reason,
+            "where": evidence.campaign.names(traces) + (f", relay {relay_id:08x}" if relay_id else ""),
+            "events": sum(unplaced.events for unplaced in parts),
+            "runs": ("run " if len(parts) == 1 else "runs ") + some(f"{unplaced.run_id:016x}" for unplaced in parts),
+        }
+        for (reason, relay_id, traces), parts in alike.items()
     )
 
 

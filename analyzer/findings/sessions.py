@@ -37,20 +37,18 @@ _ERROR_CHARACTERS = 400
 
 def _sessions(evidence: Evidence) -> pl.DataFrame:
     return frame_of(
-        [
-            {
-                "session_id": session.session_id,
-                "state": session.state,
-                "dropped_events": session.dropped_events,
-                "error": None if _failed_bridge(session) else _reason(session, "error"),
-                "stopped": _reason(session, "stopped"),
-                "longest_unsaved_ns": number_of(session.extra.get("longest_unsaved_ns")),
-                "dropped_datagrams": socket_drops(session),
-                "strangers": _strangers(session),
-                "cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED,
-            }
-            for session in evidence.campaign.sessions.values()
-        ]
+        {
+            "session_id": session.session_id,
+            "state": session.state,
+            "dropped_events": session.dropped_events,
+            "error": None if _failed_bridge(session) else _reason(session, "error"),
+            "stopped": _reason(session, "stopped"),
+            "longest_unsaved_ns": number_of(session.extra.get("longest_unsaved_ns")),
+            "dropped_datagrams": socket_drops(session),
+            "strangers": _strangers(session),
+            "cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED,
+        }
+        for session in evidence.campaign.sessions.values()
     )
 
 
@@ -195,16 +193,14 @@ SOURCES = Rows(Subject.FILE, _sources, named)
 
 def _traces(evidence: Evidence) -> pl.DataFrame:
     return frame_of(
-        [
-            {
-                "where": evidence.campaign.name(index),
-                "truncated": trace.truncated,
-                "unreadable_messages": trace.unreadable_messages,
-                "ring_events": trace.ring_events,
-                "notes": trace.notes,
-            }
-            for index, trace in enumerate(evidence.campaign.traces)
-        ]
+        {
+            "where": evidence.campaign.name(index),
+            "truncated": trace.truncated,
+            "unreadable_messages": trace.unreadable_messages,
+            "ring_events": trace.ring_events,
+            "notes": trace.notes,
+        }
+        for index, trace in enumerate(evidence.campaign.traces)
     )
 
 

@@ -66,17 +66,15 @@ def _links(evidence: Evidence) -> pl.DataFrame:
                 late_us = [number_of(object_of(way).get("lateness_p50_us")) or 0.0 for way in ways]
                 late_ns[session_id] = max([late_ns[session_id], *(late * 1e3 for late in late_us)])
     return frame_of(
-        [
-            {
-                "session_id": session_id,
-                "file": names[session_id],
-                "late_ns": late_ns[session_id],
-                "least_delay_ns": min(delay_ms for _, delay_ms, _ in rows) * 1e6,
-                "spans": _spans(rows),
-            }
-            for session_id, rows in values.items()
-            if names.get(session_id)
-        ]
+        {
+            "session_id": session_id,
+            "file": names[session_id],
+            "late_ns": late_ns[session_id],
+            "least_delay_ns": min(delay_ms for _, delay_ms, _ in rows) * 1e6,
+            "spans": _spans(rows),
+        }
+        for session_id, rows in values.items()
+        if names.get(session_id)
     )
 
 

@@ -92,7 +92,7 @@ def fit_exchanges(
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
     is_fitted, is_bounded = np.zeros((2, rows), np.bool_)
-    fitted: list[_FitInput] = []
+    fitted: list[tuple[int, slice | NDArray[np.intp], RelayedMessages]] = []
     damaged = [name for name in _FOUR_STAMPS if not _are_sane(stamps[name])]
     for number, (exchange, first, after) in enumerate(
         zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
@@ -116,10 +116,11 @@ def fit_exchanges(
             relay_boot=boot_id_of(exchange.relay) if exchange.relay else None,
             same_boot=share_boot(exchange.ping, exchange.relay),
         )
-        fitted.append(_FitInput(number, at, messages))
+        fitted.append((number, at, messages))
     fits: list[ClockFit | None] = [None] * len(exchanges)
-    for source, (fit, offsets) in zip(fitted, fit_clocks([stamped.messages for stamped in fitted]), strict=True):
-        t1, t3, t4, t2 = (getattr(source.messages, name) for name in _FOUR_STAMPS)
+    clock_fits = fit_clocks([messages for *_, messages in fitted])
+    for (number, at, messages), (fit, offsets) in zip(fitted, clock_fits, strict=True):
+        t1, t3, t4, t2 = (getattr(messages, name) for name in _FOUR_STAMPS)
         under_way = t2 - t1
         under_way -= t4
         under_way += t3
@@ -135,9 +136,9 @@ def fit_exchanges(
             else:
                 if name not in values:
                     values[name] = np.zeros(rows, np.int64)
-                values[name][source.at] = times
-        is_bounded[source.at] = _is_bounded(fit)
-        fits[source.number] = fit
+                values[name][at] = times
+        is_bounded[at] = _is_bounded(fit)
+        fits[number] = fit
     columns = []
     for name in ONE_WAY_COLUMNS:
         column = pl.Series(name, values[name] if values else np.zeros(rows, np.int64))
@@ -150,13 +151,6 @@ def _is_bounded(fit: ClockFit) -> bool:
     return fit.same_clock or not (
         fit.steps or any(is_bent(*np.array(s.knots, np.int64).T) for s in fit.segments if len(s.knots) > 2)
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _FitInput:
-    number: int
-    at: slice | NDArray[np.intp]
-    messages: RelayedMessages
 
 
 def _usable(stamps: Mapping[str, NDArray[np.int64]], rows: slice, damaged: Sequence[str]) -> NDArray[np.bool_]:

@@ -135,7 +135,7 @@ def make_keys(path: Path, level: Security) -> None:
     for side in SIDES:
         folder = draft / "enclaves" / side
         folder.mkdir(parents=True)
-        certificate, key = authority.issue(f"dds_trace_{side}")
+        certificate, key = authority.issue(f"dds_trace_{side}", authority)
         files = {
             "cert.pem": certificate.public_bytes(Encoding.PEM),
             "key.pem": key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
@@ -156,7 +156,7 @@ class _Authority:
     def __init__(self) -> None:
         now = datetime.now(timezone.utc)
         self.valid = (now - timedelta(days=1), now + _VALID)
-        self.certificate, self.key = self._make("dds_trace_authority", None)
+        self.certificate, self.key = self.issue("dds_trace_authority", None)
 
     @property
     def pem(self) -> bytes:
@@ -165,10 +165,7 @@ class _Authority:
         pem: bytes = self.certificate.public_bytes(Encoding.PEM)
         return pem
 
-    def issue(self, name: str) -> tuple[Any, Any]:
-        return self._make(name, self)
-
-    def _make(self, name: str, issuer: _Authority | None) -> tuple[Any, Any]:
+    def issue(self, name: str, issuer: _Authority | None) -> tuple[Any, Any]:
         from cryptography import x509  # noqa: PLC0415
         from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
         from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415

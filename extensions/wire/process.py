@@ -63,22 +63,14 @@ class Capture:
         self._tally = WireTally(options.rtps_ports)
         self._tcp: dict[int, TcpConnection] = {}
         self._tcp_read_ns = 0
-        self._resources = ExitStack()
         program = wire_program(options.udp_ports, options.tcp_ports)
         with ExitStack() as opened:
             self._closed: ClosedConnections | None = None
             if options.tcp_ports:
                 self._closed = opened.enter_context(closing(ClosedConnections(options.tcp_ports)))
-            self._rings = [
-                opened.enter_context(
-                    closing(
-                        PacketRing(
-                            interface, program, ring_bytes=options.ring_bytes, block_timeout_ms=options.block_timeout_ms
-                        )
-                    )
-                )
-                for interface in options.interfaces
-            ]
+            sizes = {"ring_bytes": options.ring_bytes, "block_timeout_ms": options.block_timeout_ms}
+            rings = (PacketRing(interface, program, **sizes) for interface in options.interfaces)
+            self._rings = [opened.enter_context(closing(ring)) for ring in rings]
             self._resources = opened.pop_all()
         self._before = self._now("")
         self._read_tcp()

@@ -270,16 +270,21 @@ def _levels(chosen: Sequence[Group], groups: Groups, medians: Mapping[int, Media
     spans = []
     for (vendor, way), same in list(ways.items())[: None if len(names) > 1 else _MOST_WAYS]:
         cell = f"({groups.cell_of(same[0]).label})" if len(names) > 1 and len(same) == 1 else ""
-        parts = (vendor if len(names) > 1 else "", _span(same, medians), cell, way if has_ways else "")
+        tails = f"({_tails(same, medians)})" if has_ways and len(names) == 1 and _tails(same, medians) else ""
+        parts = (vendor if len(names) > 1 else "", _span(same, medians), tails or cell, way if has_ways else "")
         spans.append(" ".join(filter(None, parts)))
     if not spans:
         return f"{joined(sorted(names))}: no message came back"
     what = f"edian {_of(chosen, medians)}"
     if len(names) > 1:
         return f"M{what}: {joined(spans)}"
-    tails_ns = [ns for group in chosen if group.index in medians and (ns := medians[group.index].p99_ns) is not None]
-    ends = dict.fromkeys(time_words(end(tails_ns)) for end in (min, max)) if tails_ns else ()
-    return f"{names.pop()}: m{what} {joined(spans)}{', p99 ' if ends else ''}{' to '.join(ends)}"
+    tails = "" if has_ways else _tails(chosen, medians)
+    return f"{names.pop()}: m{what} {', '.join(filter(None, (joined(spans), tails)))}"
+
+
+def _tails(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:
+    tails_ns = [ns for group in groups if group.index in medians and (ns := medians[group.index].p99_ns) is not None]
+    return f"p99 {' to '.join(dict.fromkeys(time_words(end(tails_ns)) for end in (min, max)))}" if tails_ns else ""
 
 
 def _span(groups: Iterable[Group], medians: Mapping[int, Median]) -> str:

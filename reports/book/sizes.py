@@ -16,7 +16,7 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_rate, format_ratio, format_size
+from dds_trace.base.units import format_duration, format_rate, format_ratio, format_size
 
 from ..blocks import EVERYWHERE, MARKS, OPEN, Column, Row, Span, Stack, Table, Words
 from .facets import Facets
@@ -182,14 +182,14 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
     ]
     if not judged:
         return None
-    all_results = f"of {counted(len(judged), 'result')}"
+    of_all = "" if len(judged) == 1 else f" of {len(judged)} results"
     missing = [(case, late_share(*counts)) for case, counts in judged if counts[0]]
     if missing:
         worst, share = max(missing, key=lambda pair: pair[1])
-        where = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}"
-        return Threshold("fail", f"{len(missing)} {all_results}, worst {where}: {format_ratio(share)} late")
+        words = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}: {format_ratio(share)} late"
+        return Threshold("fail", f"{len(missing)}{of_all}, worst {words}" if of_all else words)
     unknown = sum(bool(unsure) or not count for _, (_, count, unsure) in judged)
-    return Threshold("not known", f"for {unknown} {all_results}") if unknown else Threshold("pass", "")
+    return Threshold("not known", f"for {unknown}{of_all}" if of_all else "") if unknown else Threshold("pass", "")
 
 
 def _order(answer: CaseAnswer) -> tuple[object, ...]:

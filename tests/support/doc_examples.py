@@ -36,7 +36,7 @@ def examples(language: str, page: Path | None = None) -> Iterator[Example]:
 def command_lines() -> Iterator[tuple[Path, str]]:
     """Every line of a block, fenced or indented, that calls one of our programs, without its comment."""
     for path in PAGES:
-        for found in COMMAND.finditer(path.read_text(encoding="utf-8").replace("\\\n", "")):
+        for found in COMMAND.finditer(re.sub(r" *\\\n *", " ", path.read_text(encoding="utf-8"))):
             yield path, re.sub(r"\s+#.*$", "", found["line"])
 
 

@@ -32,7 +32,7 @@ class Block:
 def command_blocks(page: Path) -> list[Block]:
     section, found = "", []
     for part in re.finditer(r"^## (?P<heading>.+)$|^```sh\n# (?P<device>\w+)'s device.*\n(?P<body>(?:.*\n)+?)```$",
-                            page.read_text(), re.MULTILINE):  # fmt: skip
+                            re.sub(r" *\\\n *", " ", page.read_text()), re.MULTILINE):  # fmt: skip
         if part["heading"]:
             section = part["heading"]
         else:

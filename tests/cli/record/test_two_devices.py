@@ -1,15 +1,18 @@
 """The commands of `docs/tutorials/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
 
+import os
 import re
 import shlex
 import shutil
 import signal
+import subprocess
+import sys
 from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 
 import pytest
-from two_devices import command_blocks, needs_devices, two_devices
+from two_devices import SUBNET, command_blocks, needs_devices, two_devices
 
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -37,6 +40,33 @@ def test_the_page_names_the_addresses_and_every_section_has_its_commands():
         ("Bring the traces together", "ping"),
     ]
     assert PAGE.read_text().count("```sh") == len(blocks)
+
+
+@pytest.mark.thorough
+@pytest.mark.middleware
+@needs_devices
+def test_one_machine_is_two_devices_by_the_lines_of_the_page(tmp_path):
+    section = PAGE.read_text().partition("### Or try it")[2].partition("## Same")[0]
+    setup, relay = (
+        re.sub("^    ", "", part, flags=re.MULTILINE) for part in re.findall(r"(?:^    .*\n)+", section, re.MULTILINE)
+    )
+    ping = relay.strip().replace("relay", "ping")
+    script = f"""mount -t tmpfs tmpfs /run
+sudo() {{ "$@"; }}
+{setup}
+echo "dds-trace record relay --backend zenoh --discovery subnet --duration 10s --out relay.mcap" | {relay.strip()} &
+echo "dds-trace record ping --backend zenoh --peer {RELAY} --messages 20 --out ping.mcap" | {ping}
+wait"""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["unshare", "--mount", "--net", "bash", "-ec", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **SUBNET, "PATH": path, "USER": "root"},
+    )
+    assert "received 20" in done.stdout + done.stderr, done
 
 
 @pytest.mark.thorough
@@ -84,9 +114,8 @@ def _follow(blocks, devices):
 
 
 def _copy(arguments, devices):
-    source, target = arguments
-    found = re.fullmatch(rf"pi@{re.escape(RELAY)}:(.+)", source)
-    shutil.copy(devices["relay"].folder / found[1], devices["ping"].folder / target)
+    assert arguments == ["-r", f"pi@{RELAY}:runs", "."]
+    shutil.copytree(devices["relay"].folder / "runs", devices["ping"].folder / "runs", dirs_exist_ok=True)
 
 
 def _check(runs):

@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from dds_trace.base.printable import printable
-from dds_trace.base.streams import SCREEN_WIDTH, print_screen, screen_text
+from dds_trace.base.streams import SCREEN_WIDTH, command_lines, print_screen, screen_text
 from dds_trace.base.units import counted
 
 from . import blocks
@@ -138,9 +138,7 @@ def _bar(value: float, longest: float, cells: int) -> str:
 
 
 def _command(block: blocks.Command) -> Drawn:
-    width = SCREEN_WIDTH - len("      ") - len(" \\")
-    lines = textwrap.wrap(block.text, width, break_on_hyphens=False, break_long_words=False)
-    return [Text(f"  on {block.device}:", style="dim"), Text(" \\\n      ".join(["    " + lines[0], *lines[1:]]))]
+    return [Text(f"  on {block.device}:", style="dim"), Text(command_lines(block.text))]
 
 
 def _widths(columns: Sequence[blocks.Column], rows: Sequence[Sequence[Words]], gap: int) -> list[int]:

@@ -4,7 +4,7 @@
     python scripts/quoted.py runs/paper-claims   # and keeps the rows of that sweep for docs/results/study.md
 
 A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -->` the terminal's answer, `topics drive` the card of
-a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code, `security runs` that of its kept runs; `ratios
+a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code, `security runs` that of its kept runs, `links presets` those of a plan; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `speed rows` that of `just bench-speed DIR`, `claims study` and `needs study` those of a
 sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
 `dds-trace compare base new --paired` says of two sides.
@@ -37,6 +37,7 @@ from stored_tables import (
     security_table,
     speed_table,
 )
+from stored_tables import markdown as table_of
 
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from dds_trace.analyzer.pipeline import analyze
@@ -46,6 +47,7 @@ from dds_trace.extensions.campaigns import explain
 from dds_trace.extensions.campaigns.commands.advise import shown_proof
 from dds_trace.extensions.campaigns.commands.common import plan_of
 from dds_trace.extensions.campaigns.commands.explain import answer, answer_lines
+from dds_trace.extensions.campaigns.plan.link import PRESETS
 from dds_trace.extensions.campaigns.proof import proof_of
 from dds_trace.reports import markdown
 from dds_trace.reports.book.book import Book
@@ -101,6 +103,9 @@ def quote(kind: str, campaign: str) -> str:
     }
     if kind == "columns":
         return column_table(ROUNDTRIP_COLUMNS if campaign == "roundtrips" else SUMMARY_COLUMNS)
+    if kind == "links":
+        presets = (str(link).rstrip(")").partition(" (")[::2] for link in PRESETS.values())
+        return table_of(("preset", "what it is"), ([f"`{name}`", words] for name, words in presets))
     if kind in stored:
         rows, table = stored[kind]
         return table(read_rows(rows))

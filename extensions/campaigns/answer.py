@@ -38,7 +38,7 @@ from .link_probe import PROBE_S, probe_link
 from .plan.flows import recorded_together
 from .plan.link import Link
 from .plan.plan import Plan
-from .proof import ignored, proof_of
+from .proof import proof_of
 from .question import Question, as_learned, check_advisable, find_candidates, settings_of
 from .search import Bisection, RateAnswer, round_rate
 from .trials import Imagined, open_trials
@@ -125,7 +125,6 @@ class Search:
     open: OpenTrials = open_trials
     order: Callable[[Plan, Sequence[Candidate]], Sequence[Candidate]] = as_learned
     link: Link | None = field(default=None, init=False)
-    load: float = field(default=0.0, init=False)
     began_s: float = field(init=False)
     overheads_s: dict[str, list[float]] = field(default_factory=dict, init=False)
     ranking: list[Standing] = field(default_factory=list, init=False)
@@ -134,13 +133,13 @@ class Search:
 
     def __post_init__(self) -> None:
         self.began_s = self.clock()
-        self._use_link(self.question.plan.link)
+        self.link = self.question.plan.link
 
     def answer(self) -> Answer:
         plan = self.question.plan
         if plan.has_two_devices:
             self._note("link", f"measuring the link and the clocks, {PROBE_S:.0f} s")
-            self._use_link(probe_link(plan, self.folder, partial(self._note, "link")))
+            self.link = probe_link(plan, self.folder, partial(self._note, "link"))
         if self.link is not None:
             self._note("link", str(self.link))
         if self.load > 1:
@@ -165,14 +164,12 @@ class Search:
         self._say(Event("answer", result["sentence"], None if chosen is None else chosen.candidate))
         return result
 
-    def _use_link(self, link: Link | None) -> None:
-        self.link = link
-        if link is not None and link.rate_mbit_s:
-            self.load = self.question.load_mbit_s * (2 if link.shared else 1) / link.rate_mbit_s
+    @property
+    def load(self) -> float:
+        return 0.0 if self.link is None else self.link.load(self.question.load_mbit_s)
 
     def _load_words(self) -> str:
-        mbit_s = self.question.load_mbit_s
-        return f"the messages need {mbit_s:.3g} Mbit/s each way, the link carries {mbit_s / self.load:.3g}"
+        return "" if self.link is None else self.link.load_words(self.question.load_mbit_s)
 
     def _open(self, plan: Plan, stage: str, folder: Path) -> AbstractContextManager[Measurer]:
         return self.open(plan, folder, partial(self._note, stage), FIRST_SECONDS, self.overheads_s)
@@ -270,8 +267,9 @@ class Search:
                 proof |= {"kept": is_recorded and failed is other, "verdict": "incomplete", "proof": [], "received": []}
                 proof["reason"] = reason if is_recorded else "there was no time for fresh runs"
             else:
-                command = f"dds-trace compare {shlex.join(map(str, folders))} --paired --ignore {ignored()}"
-                proof |= {**proof_of(best.candidate.name, *folders), "command": command}
+                proof |= proof_of(best.candidate.name, *folders)
+                ignore = ["--ignore", ",".join(proof["ignored"])] if proof["ignored"] else []
+                proof["command"] = shlex.join(["dds-trace", "compare", *map(str, folders), "--paired", *ignore])
             self.proofs.append(proof)
 
     def _choose(self) -> Standing | None:

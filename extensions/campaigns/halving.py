@@ -100,6 +100,7 @@ class Event:
         state: of the candidate: `running`, `measured` or `dropped`; empty for a note.
         text: a line for a person.
         messages, lost, late: of all its runs of the stage so far; `p50_ms` and `p99_ms` of the response, infinite where such a message was lost.
+        slowest_ms: of too few messages for p99.
         left_s: rest of the time of the whole search.
     """
 
@@ -114,6 +115,7 @@ class Event:
     p50_ms: float | None = None
     p99_ms: float | None = None
     left_s: float = 0.0
+    slowest_ms: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the event as JSON takes it: of `candidate` its `name`, `middleware` and `bundle`; an infinite time is null."""
@@ -161,11 +163,11 @@ class Standing:
         name, values = self.candidate.name, np.sort(np.concatenate([*self.responses(), []]))
         lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
         p50, p99 = (quantile_of(values, quantile) if len(values) else None for quantile in QUANTILES)
-        slow = f"p99 {ms_words(p99)}"
-        if 0 < len(values) < minimum_messages(QUANTILES[-1]):
-            slow = f"slowest {ms_words(float(values[-1]))}"
+        slowest = float(values[-1]) if 0 < len(values) < minimum_messages(QUANTILES[-1]) else None
+        slow = f"p99 {ms_words(p99)}" if slowest is None else f"slowest {ms_words(slowest)}"
         words = f"{name}: p50 {ms_words(p50)}, {slow}, {lost} of {len(values)} lost" if len(values) else name
-        return Event(stage, text or words, self.candidate, state, len(self.looks), len(values), lost, late, p50, p99)
+        counts = len(self.looks), len(values), lost, late
+        return Event(stage, text or words, self.candidate, state, *counts, p50, p99, slowest_ms=slowest)
 
     def rank(self, limits: Limits) -> tuple[bool, bool, float, float]:
         return bool(self.dropped), not self.looks, self.excess(limits)[0], self.level

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.units import MISSING
 from dds_trace.extensions.gates.compare import CompareOptions, compare
 from dds_trace.extensions.gates.costs import pays, speaks_against
 from dds_trace.extensions.gates.ignoring import IGNORABLE_COLUMNS, match_without
@@ -21,13 +22,9 @@ _PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ra
 _RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "difference_high", "verdict")
 
 
-def ignored() -> str:
-    return ",".join(name for name in CONTENDER_COLUMNS if name in IGNORABLE_COLUMNS)
-
-
 def compared() -> CompareOptions:
     """Return how setups are compared: messages of a kind, with the time that they wait to be sent."""
-    match = match_without(ignored().split(","))
+    match = match_without(name for name in CONTENDER_COLUMNS if name in IGNORABLE_COLUMNS)
     return CompareOptions(metrics=("response",), statistics=("p50", "p90", "p99"), match=match, paired=True)
 
 
@@ -42,8 +39,10 @@ def proof_of(name: str, base: Path, new: Path) -> Proof:
     verdict = "better" if pays_off else "worse" if "worse" in verdicts else "no difference"
     if not pays_off and "better" in verdicts:
         verdict = "mixed" if any(speaks_against(proof, received)) else "incomplete"
-    reason = f"{name} " + ("is proven better" if pays_off else f"looked best, and {why_not(proof, received)}")
-    return {"kept": pays_off, "verdict": verdict, "reason": reason, "proof": proof, "received": received}
+    reason = f"{name} " + ("is proven better" if pays_off else f"looked best, but {why_not(proof, received)}")
+    differing = [sentence.partition(" ")[0] for sentence in comparison.ignored]  # each begins with its column
+    outcome = {"verdict": verdict, "reason": reason, "ignored": differing}
+    return {"kept": pays_off, **outcome, "proof": proof, "received": received}
 
 
 def proof_lines(proof: Sequence[Mapping[str, Any]], received: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -55,7 +54,7 @@ def proof_lines(proof: Sequence[Mapping[str, Any]], received: Sequence[Mapping[s
 
 def why_not(proof: Sequence[Proof], received: Sequence[Proof]) -> str:
     fewer, slower = speaks_against(proof, received)
-    judged = [*map(_delivery, fewer), *map(_response, slower)]
+    judged = [_delivery(row, "fewer") for row in fewer] + [_response(row, "slower") for row in slower]
     if not judged and "better" in {row["verdict"] for row in (*proof, *received)}:
         return "a result is missing, or is not to be judged"
     moved = min((row for row in proof if row["ratio"] is not None), key=lambda row: row["ratio"], default=None)
@@ -65,17 +64,19 @@ def why_not(proof: Sequence[Proof], received: Sequence[Proof]) -> str:
     return (judged[0] if judged else "no time and no share received is proven better") + most
 
 
-def _response(row: Mapping[str, Any]) -> str:
-
+def _response(row: Mapping[str, Any], verdict: str = "") -> str:
     before, after = map(time_words, (row["base_ns"], row["new_ns"]))
+    if before == after == MISSING:
+        return f"{_result(row)}: response {row['statistic']}: too few messages"
     ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
     has_ratio = "lost" not in (before, after) and None not in ratios
     times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if has_ratio else ""
-    return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {row['verdict']}"
+    return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {verdict or row['verdict']}"
 
 
-def _delivery(row: Mapping[str, Any]) -> str:
-    return f"{_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
+def _delivery(row: Mapping[str, Any], verdict: str = "") -> str:
+    shares = f"{row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}"
+    return f"{_result(row)}: received {shares}: {verdict or row['verdict']}"
 
 
 def _result(row: Mapping[str, Any]) -> str:

@@ -24,6 +24,8 @@ from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.units import SECOND_NS, counted, format_rate, format_size
 from dds_trace.tracefile.format.descriptions import Run
 
+from .learning.model import overload
+
 SizeAndRate: TypeAlias = tuple[float, float]
 
 Estimate: TypeAlias = Callable[[Mapping[str, ParameterValue], str], Guess]
@@ -105,6 +107,9 @@ def _measured(setting: Setting, rows: pl.DataFrame, request: _Request) -> tuple[
     fit, reason = _fit_by_runs(interval, late, request)
     if is_slow or (unfinished and fit is not Fit.MISSES):
         fit, reason = Fit.MISSES if is_slow else Fit.INCONCLUSIVE, failure
+    if fit is Fit.MISSES:
+        load = overload(str(setting["setting"]), float(rows["payload_bytes"][0]), rate_hz)
+        reason = "; ".join(filter(None, (reason, load)))
     received_ratio = group.received_share
     if not failure and interval.value == math.inf:
         failure = f"{100 * (1 - received_ratio):.3g} % are lost"
@@ -222,13 +227,15 @@ def _guessed(setting: Setting, measured: Mapping[SizeAndRate, tuple[Candidate, s
     message: Setting = {"data_type": job.data_type, "payload_bytes": job.payload_bytes, "rate_hz": job.rate_hz}
     guess = request.estimate({**setting, **message}, "; ".join(failing))
     fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
-    if guess.value_ns is None and not failing and around and len(around) == len(sizes) * len(rates):
+    if guess.value_ns is guess.lower_ns is None and not failing and around and len(around) == len(sizes) * len(rates):
         works = all(measured[point][0].fit in (Fit.MEETS, Fit.LIKELY) for point in around)
         does = "the deadline is met" if works else "it is not decided"
         guess = replace(guess, reason=f"{guess.reason}; {' and '.join(words.values())} {does}")
         fit = Fit.MEETS if works else fit
+    if guess.lower_ns != math.inf:  # no more than the link carries
+        fit = Fit.LIKELY if fit is Fit.MEETS else Fit.INCONCLUSIVE
     return _candidate_of(
-        *(setting, job, Fit.LIKELY if fit is Fit.MEETS else Fit.INCONCLUSIVE),
+        *(setting, job, fit),
         *(guess.value_ns, (guess.lower_ns, guess.upper_ns)),
         measured=False,
         held_out=guess.held_out,

@@ -170,8 +170,9 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
     likely = [name for candidate, name in candidates if candidate.fit is Fit.LIKELY]
     if likely:
         words = f"no setup is proven to meet {deadline}; likely to meet it: {joined(likely, comma='; ')}."
-    elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in candidates):
-        words = f"every setting that was measured misses {deadline}."
+    elif all(candidate.fit is Fit.MISSES for candidate, _ in candidates):
+        is_measured = any(candidate.measured for candidate, _ in candidates)
+        words = f"{'every setting that was measured misses' if is_measured else 'no setup can meet'} {deadline}."
     else:
         words = f"no setup is proven to meet {deadline}; some may."
     return words[0].upper() + words[1:] if opens else words

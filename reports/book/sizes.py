@@ -186,8 +186,8 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
     missing = [(case, late_share(*counts)) for case, counts in judged if counts[0]]
     if missing:
         worst, share = max(missing, key=lambda pair: pair[1])
-        words = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}: {format_ratio(share)} late"
-        return Threshold("fail", f"{len(missing)}{of_all}, worst {words}" if of_all else words)
+        lateness = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}: {format_ratio(share)} late"
+        return Threshold("fail", f"{len(missing)}{of_all}, worst {lateness}" if of_all else lateness)
     unknown = sum(bool(unsure) or not count for _, (_, count, unsure) in judged)
     return Threshold("not known", f"for {unknown}{of_all}" if of_all else "") if unknown else Threshold("pass", "")
 

@@ -14,7 +14,8 @@ import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
-from dds_trace.base.streams import say, wrapped
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.streams import command_lines, wrapped
 from dds_trace.base.units import counted, first_of
 from dds_trace.cli.program import argument, command, make_app, option
 
@@ -107,7 +108,9 @@ def advise_command(
 
     def run() -> int:
         result = answer(question, out, _say, began_s=began_s)
-        print(json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(shown(result)))
+        print(
+            json.dumps(to_json(result, not_finite=lambda _: None)) if as_json else "\n".join(map(_line, shown(result)))
+        )
         fits = result["fits"]
         return 0 if result["recommended"] and (fits is None or any(fits.values())) else INCOMPLETE_EXIT_CODE
 
@@ -145,8 +148,15 @@ def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
 
 
 def _say(event: Event) -> None:
-    if event.state != "running" and event.stage != "answer":
-        say(f"{event.left_s / 60:4.1f} min left, {event.stage}: {event.text}")
+    from ..halving import NO_TIME
+
+    if event.state != "running" and event.stage != "answer" and not event.text.endswith(NO_TIME):
+        text = f"{event.left_s / 60:4.1f} min left, {event.stage}: {event.text}"
+        print(wrapped(printable(text, MAX_FINDING_CHARACTERS), sys.stdout), file=sys.stderr, flush=True)
+
+
+def _line(text: str) -> str:
+    return text if text.startswith(("  export ", "    dds-trace ")) else wrapped(text, sys.stdout)  # a shell reads it
 
 
 def shown(answer: Answer) -> list[str]:
@@ -168,7 +178,7 @@ def shown_proof(proof: Answer) -> list[str]:
 
     words = "" if proof["verdict"] == "better" else f" ({proof['reason']})"
     lines = proof_lines(proof["proof"], proof["received"])
-    command = [f"  {proof['command']}"] if "command" in proof else []
+    command = [command_lines(proof["command"])] if "command" in proof else []
     return [
         f"{proof['of']} against {proof['against']}: {proof['verdict']}{words}",
         *(f"  {line}" for line in lines),

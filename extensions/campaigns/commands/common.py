@@ -58,7 +58,12 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
     return plan
 
 
-def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool = False) -> NoReturn:
+CONTINUES = "Interrupted; the same command continues here"
+
+
+def run_until_interrupted(
+    run: Callable[[], int], out: Path, *, analyzes: bool = False, words: Callable[[], str] = lambda: CONTINUES
+) -> NoReturn:
     """Exit with the code of `run`, or by a stop signal, which is raised again where a destructor or a callback lost it."""
     from dds_trace.recorder.host.process import unignored_stop_signals
 
@@ -79,7 +84,7 @@ def run_until_interrupted(run: Callable[[], int], out: Path, *, analyzes: bool =
         with given_to_caller(out):
             code = run()
     except KeyboardInterrupt:
-        print("Interrupted; the same command continues here", file=sys.stderr)
+        print(words(), file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     finally:
         sys.unraisablehook = hook

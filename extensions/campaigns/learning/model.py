@@ -92,6 +92,18 @@ def link_numbers(setting: str) -> dict[str, float]:
     return numbers
 
 
+def link_of(setting: str) -> Link:
+    numbers = link_numbers(setting)
+    rate_mbit_s, loss_percent = numbers.get("rate_mbit_s", 0.0), numbers.get("loss_percent", 0.0)
+    return Link(rate_mbit_s=rate_mbit_s, loss_percent=loss_percent, shared="shared" in numbers)
+
+
+def overload(setting: str, payload_bytes: float, rate_hz: float) -> str:
+    """Say of messages that the link of a setting cannot carry how much they need."""
+    link, mbit_s = link_of(setting), 8e-6 * payload_bytes * rate_hz
+    return link.load_words(mbit_s) if link.load(mbit_s) > 1 else ""
+
+
 def question_of(parameters: Parameters) -> Question:
     link, settings = link_numbers(parameters["setting"]), parse_setting(parameters["setting"])
     loss_percent, delay_ms = link.get("loss_percent", 0.0), link.get("delay_ms", 0.0)
@@ -285,6 +297,8 @@ class Estimator:
 
     def __call__(self, parameters: Parameters, why: str = "") -> Guess:
         """Return a guess of a result with these values of `SETTING_COLUMNS` and `CELL_COLUMNS`, none with a reason `why`."""
+        if words := overload(*(parameters[name] for name in ("setting", "payload_bytes", "rate_hz"))):
+            return Guess(f"no setting makes this fit: {words}", lower_ns=math.inf)
         if self.job.reliability > MOST_QUANTILE:
             why = why or f"estimates end at --reliability {MOST_QUANTILE:g}"
         answer = why if why or not can_learn() else self._learned.guess(question_of(parameters))
@@ -306,9 +320,7 @@ def minutes_to_measure(parameters: Parameters, reliability: float) -> int:
     size, rate_hz = parameters["payload_bytes"], parameters["rate_hz"]
     cell = Cell(backend=parameters["backend"], bridge=parameters["bridge"], size=size, rate=rate_hz)
     run = RunSettings(messages=math.ceil(planned_messages(reliability) / MIN_RUNS), repeats=MIN_RUNS)
-    numbers = link_numbers(parameters["setting"])
-    rate_mbit_s, loss_percent = numbers.get("rate_mbit_s", 0.0), numbers.get("loss_percent", 0.0)
-    link = Link(rate_mbit_s=rate_mbit_s, loss_percent=loss_percent, shared="shared" in numbers) if numbers else None
+    link = link_of(parameters["setting"]) if link_numbers(parameters["setting"]) else None
     return math.ceil(plan_seconds(Plan("measure", (cell,), run=run, link=link)).seconds / 60)
 
 

@@ -166,6 +166,14 @@ class Link:
     def needs_only_rate(self) -> bool:
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms or self.file)
 
+    def load(self, mbit_s: float) -> float:
+        """Return a load each way over what the link carries, 0 where its rate is not known."""
+        return mbit_s * (2 if self.shared else 1) / self.rate_mbit_s if self.rate_mbit_s else 0.0
+
+    def load_words(self, mbit_s: float) -> str:
+        carried = self.rate_mbit_s / (2 if self.shared else 1)
+        return f"the messages need {mbit_s:.3g} Mbit/s each way, the link carries {carried:.3g}"
+
     def to_dict(self) -> dict[str, str | float]:
         values = asdict(self)
         path = values.pop("file")  # keys of later versions

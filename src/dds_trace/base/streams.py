@@ -117,15 +117,24 @@ def say(text: object) -> None:
 
 
 def wrapped(text: str, stream: Any = None) -> str:
-    """Return lines as a terminal shows them, words whole; a log has no width."""
-    if not (stream or sys.stderr).isatty():
+    """Return lines as a terminal shows them, words whole; a log has no width, what goes to a `stream` that of a screen."""
+    is_terminal = (stream or sys.stderr).isatty()
+    if not is_terminal and stream is None:
         return text
-    width, lines = min(get_terminal_size().columns, WIDEST_SCREEN), text.splitlines()
+    width = min(get_terminal_size().columns, WIDEST_SCREEN) if is_terminal else SCREEN_WIDTH
+    lines = text.splitlines()
     whole = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
     for number, line in enumerate(lines):
         whole.subsequent_indent = " " * (len(line) - len(line.lstrip()) + 2)
         lines[number] = whole.fill(line)
     return "\n".join(lines)
+
+
+def command_lines(command: str) -> str:
+    """Return a command for a shell in lines that a screen has room for."""
+    width = SCREEN_WIDTH - len("      ") - len(" \\")
+    lines = textwrap.wrap(command, width, break_on_hyphens=False, break_long_words=False)
+    return " \\\n      ".join(["    " + lines[0], *lines[1:]])
 
 
 def plain_console(**options: Any) -> Console:

@@ -61,7 +61,7 @@ def made_proofs(monkeypatch, verdicts):
         "proof_of",
         lambda _name, base, _new: (
             {"verdict": verdicts[base.name], "kept": verdicts[base.name] == "better"}
-            | {"reason": "made", "proof": [], "received": []}
+            | {"reason": "made", "proof": [], "received": [], "ignored": []}
         ),
     )
 
@@ -224,7 +224,6 @@ def test_flows_are_asked_together_and_their_rates_fall_together(tmp_path):
     search = desk.search(tmp_path, replace(LINK, rate_mbit_s=12), FLOWS)
     plan = flows_together(search.question.plan)
     search.question = replace(search.question, plan=plan)
-    search._use_link(plan.link)
     assert search.load == pytest.approx(24.8 / 12)
     assert 0 < promise(search.question)[1] <= 600
     found = search.answer()

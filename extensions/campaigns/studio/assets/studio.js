@@ -33,7 +33,7 @@ function fill(values) {
 
 /** A place in percent on a logarithmic axis that has all times and the deadline. */
 function axisOf(rows, deadline) {
-  const all = rows.flatMap(row => [row.p50_ms, row.p99_ms]).concat(deadline).filter(value => value > 0);
+  const all = rows.flatMap(row => [row.p50_ms, row.slowest_ms, row.p99_ms]).concat(deadline).filter(value => value > 0);
   if (!all.length) return null;
   const low = Math.floor(Math.log10(Math.min(...all))), high = Math.max(low + 1, Math.ceil(Math.log10(Math.max(...all))));
   const place = value => 100 * (Math.log10(value) - low) / (high - low);
@@ -58,10 +58,11 @@ function rowOf(row, axis, deadline) {
   name.scope = "row";
   const why = row.state === "dropped" ? row.text : row.state === "running" ? `${row.stage}: run ${row.runs + 1}` : "";
   if (why) name.append(element("span", why, "why"));
+  const few = (row.slowest_ms ?? null) !== null, slow = few ? row.slowest_ms : row.p99_ms;
   const runs = element("td", "", "wide"), times = element("td", "", "times"), room = element("span", "", "room");
   if (row.course.some(value => value !== null)) runs.append(course(row.course));
   if (axis && row.p50_ms) {
-    const bar = element("span", "", "bar"), from = axis.place(row.p50_ms), to = row.p99_ms ? axis.place(row.p99_ms) : 100;
+    const bar = element("span", "", "bar"), from = axis.place(row.p50_ms), to = slow ? axis.place(slow) : 100;
     bar.style.left = `${from}%`;
     bar.style.width = `${to - from}%`;
     room.append(bar);
@@ -73,7 +74,8 @@ function rowOf(row, axis, deadline) {
   }
   times.append(room);
   const share = row.messages ? `${(100 * (1 - row.lost / row.messages)).toFixed(1)} %` : "–";
-  made.append(name, runs, element("td", share), times, ...["p50_ms", "p99_ms"].map(name => element("td", row[name] === null && row.messages ? "lost" : time(row[name]))));
+  made.append(name, runs, element("td", share), times, ...[row.p50_ms, slow].map(value => element("td", value === null && row.messages ? "lost" : time(value))));
+  if (few) made.lastChild.append(element("span", `slowest of ${row.messages}`, "why"));
   return made;
 }
 

@@ -158,4 +158,4 @@ def _floor(backend: Backend) -> Check:
 
 
 def _us(duration_ns: float) -> str:
-    return format_duration(duration_ns, "us")
+    return format_duration(duration_ns, "µs")

@@ -21,7 +21,7 @@ from dds_trace.analyzer.verdicts.recommend import LONG_BURST, Candidate, Fit, Re
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_ratio, joined, spell_duration, spell_size
 from dds_trace.reports.blocks import MARKS, OPEN, Block, Command, Points, Sentence, Span
-from dds_trace.reports.book.groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, time_words
+from dds_trace.reports.book.groups import LOST, METRIC_LABELS, Cell, VendorLabels, setting_labels, times_words
 from dds_trace.reports.book.verdicts import few_words, place_label
 
 
@@ -179,16 +179,18 @@ def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, ope
 
 
 def _row(candidate: Candidate, name: str) -> tuple[str, str, str]:
-    ends, time = (candidate.lower_ns, candidate.upper_ns), time_words(candidate.value_ns)
+    time, *ends = times_words([candidate.value_ns, candidate.lower_ns, candidate.upper_ns])
     share, numbers, basis = format_ratio(candidate.received_ratio), list[str](), list[str]()
     if candidate.value_ns is not None:
         kind = "95 %: " if candidate.measured else "90 %: "
-        interval = f"{time} ({kind}{' to '.join(map(time_words, ends))})"
-        numbers.append(time if None in ends or {*map(time_words, ends)} == {time} else interval)
+        interval = f"{time} ({kind}{' to '.join(ends)})"
+        numbers.append(time if MISSING in ends or {*ends} == {time} else interval)
         basis = ["a guess"]
     if share != MISSING:
         is_lost = time == LOST and candidate.survivors_ns is not None
-        numbers.append(f"received {share}" + (f" (those in {time_words(candidate.survivors_ns)})" if is_lost else ""))
+        numbers.append(
+            f"received {share}" + (f" (those in {times_words([candidate.survivors_ns])[0]})" if is_lost else "")
+        )
     if candidate.measured:
         basis = [counted(candidate.runs, "run")]
         basis += [few_words(candidate.runs)] if candidate.basis == "within one run" else []

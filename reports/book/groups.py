@@ -50,15 +50,18 @@ def markdown(text: object) -> str:
     return "".join(parts).replace("://", "&#58;//").replace("www.", "www&#46;")
 
 
-def format_added_ns(value_ns: float) -> str:
-    return f"+{format_duration(value_ns)}" if value_ns > 0 else format_duration(value_ns)
-
-
 LOST = "lost"
 
 
-def time_words(value_ns: float | None) -> str:
-    return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
+def time_words(value_ns: float | None, unit: str | None = None) -> str:
+    return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns, unit)
+
+
+def times_words(values_ns: Sequence[float | None]) -> list[str]:
+    """Return times in the unit of the largest."""
+    finite_ns = [abs(value) for value in values_ns if value is not None and math.isfinite(value)]
+    unit = format_duration(max(finite_ns, default=0.0)).rpartition(" ")[2]
+    return [time_words(value, unit) for value in values_ns]
 
 
 def format_count(value: float | None) -> str:

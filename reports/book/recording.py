@@ -26,7 +26,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import JsonObject, number_of, object_of
 
 from ..blocks import EVERYWHERE, Block, Column, Fold, Row, Sentence, Span, Table
-from .groups import VENDORS, Groups, VendorLabels, format_added_ns, format_count, in_order_of, qos_label, vendor_labels
+from .groups import VENDORS, Groups, VendorLabels, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
 
@@ -141,7 +141,7 @@ def cost_words(costs: Sequence[OwnCost], sessions: Sequence[Session]) -> str:
             words.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
     floors = [(cost.single_executor_ns, cost.floor_median_ns) for cost in costs]
     added_ns = [single - default for single, default in floors if single is not None and default is not None]
-    words += [f"through rclpy with -o executor=single {format_added_ns(max(added_ns))}"] if added_ns else []
+    words += [f"through rclpy with -o executor=single +{format_duration(max(added_ns))}"] if added_ns else []
     words += ["not subtracted"] if words else []
     used_ns = zip(*(_numbers(sessions, "own_cost", name) for name in ("cpu_ns", "duration_ns")), strict=False)
     shares = [cpu_ns / max(duration_ns, 1) for cpu_ns, duration_ns in used_ns]

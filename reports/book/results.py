@@ -12,7 +12,7 @@ from dds_trace.base.units import MISSING, counted, format_duration, format_rate,
 
 from ..blocks import EVERYWHERE, MARKDOWN, TERMINAL, Block, Column, Heading, Medium, Row, Sentence, Table
 from .contents import Contents
-from .groups import METRIC_LABELS, STATISTIC_LABELS, Group, data_type_label, drift_words, format_added_ns, format_count
+from .groups import METRIC_LABELS, STATISTIC_LABELS, Group, data_type_label, drift_words, format_count, times_words
 from .numbers import Cost
 
 MOST_GROUPS = 150
@@ -89,10 +89,10 @@ def _group_row(book: Contents, group: Group, ends_ns: tuple[int, int], media: Me
     ]
     for name in _TIMES:
         ends, typical_ns = intervals.ends(metric, name, index), intervals.typical(metric, name, index)
-        typical = "" if typical_ns is None else f"{format_duration(typical_ns)}, "
+        typical, low, high = times_words([typical_ns, *ends])
         cells.append(format_duration(values.times_ns[metric][name][index]))
         cells += (
-            [MISSING if ends == (None, None) else typical + " to ".join(map(format_duration, ends))]
+            [MISSING if ends == (None, None) else f"{'' if typical_ns is None else f'{typical}, '}{low} to {high}"]
             if name in _WITH_INTERVALS
             else []
         )
@@ -173,11 +173,12 @@ def wire(book: Contents) -> Iterator[Block]:
 def _added(cost: Cost | None) -> str:
     if cost is None:
         return MISSING
-    within = ""
-    if cost.low_ns is not None and cost.high_ns is not None:
-        within = f" [{format_added_ns(cost.low_ns)}, {format_added_ns(cost.high_ns)}]"
+    times_ns = (cost.difference_ns, cost.low_ns, cost.high_ns)
+    texts = zip(times_ns, times_words(times_ns), strict=True)
+    added, low, high = (f"+{words}" if value and value > 0 else words for value, words in texts)
+    within = "" if MISSING in (low, high) else f" [{low}, {high}]"
     ratio = "" if cost.ratio is None else f", x{cost.ratio:.3g}"
-    return f"{format_added_ns(cost.difference_ns)}{within}{ratio}"
+    return f"{added}{within}{ratio}"
 
 
 def _wire_row(book: Contents, group: Group, row: Mapping[str, Any]) -> tuple[str, ...]:

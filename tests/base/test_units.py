@@ -88,7 +88,7 @@ def test_durations_have_three_digits_and_a_unit(value_ns, shown):
 
 @pytest.mark.parametrize(
     ("value_ns", "unit", "shown"),
-    [(815_000, "ms", "0.815 ms"), (1_230_000_000, "ms", "1230 ms"), (30, "us", "0.03 µs"), (None, "ms", "-")],
+    [(815_000, "ms", "0.815 ms"), (1_230_000_000, "ms", "1230 ms"), (30, "µs", "0.03 µs"), (None, "ms", "-")],
 )
 def test_a_column_may_keep_to_one_unit(value_ns, unit, shown):
     assert format_duration(value_ns, unit) == shown

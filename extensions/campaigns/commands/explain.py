@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dds_trace.base.units import format_duration, format_size
+from dds_trace.base.units import format_size
 from dds_trace.cli.program import argument, command, make_app
 
 from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, PlanPath, plan_of, run_until_interrupted
@@ -123,24 +123,26 @@ def answer_lines(explanation: Explanation, setup: ExplainedSetup, result: Answer
     if result is None:
         yield f"{setup.name}: not measured"
     elif explanation.is_of_rates:
-        yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(result.rise, format_duration)}"
+        yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(result.rise)}"
         if not result.rise.is_sure:
             yield "  no rise is shown here: record more repeats, or on a quieter machine"
             return
-        yield from (f"  {cause.name}: {_shown(cause, format_duration)}, {cause.share:.0%}" for cause in result.shares)
+        yield from (f"  {cause.name}: {_shown(cause)}, {cause.share:.0%}" for cause in result.shares)
         yield from (
-            f"  with {_WORDS[cause.name]}: less by {_shown(cause, format_duration)}, {cause.share:.0%}"
-            for cause in result.removed
+            f"  with {_WORDS[cause.name]}: less by {_shown(cause)}, {cause.share:.0%}" for cause in result.removed
         )
     else:
         sizes = f"{format_size(after.size or 0)} as at {format_size(before.size or 0)}"
-        yield f"{setup.name}: the median takes {_shown(result.rise, '{:.3g}'.format)} times as long at {sizes}"
+        yield f"{setup.name}: the median takes {_shown(result.rise, is_factor=True)} times as long at {sizes}"
         for cause in result.removed:
             words = set(setup.pairs[cause.name][0].changed_axes) - set(before.changed_axes)
-            yield f"  with {' '.join(sorted(words))}: {_shown(cause, '{:.3g}'.format)} times less"
+            yield f"  with {' '.join(sorted(words))}: {_shown(cause, is_factor=True)} times less"
         yield f"  what moves it: {result.cause or ('not known' if result.rise.is_sure else 'no jump is shown here')}"
 
 
-def _shown(effect: Effect, shown: Callable[[float], str]) -> str:
-    ends = "" if effect.low is None or effect.high is None else f" ({shown(effect.low)} to {shown(effect.high)})"
-    return f"{shown(effect.value)}{ends}"
+def _shown(effect: Effect, *, is_factor: bool = False) -> str:
+    from dds_trace.reports.book.groups import times_words
+
+    values = effect.value, effect.low, effect.high
+    value, low, high = [f"{value or 0:.3g}" for value in values] if is_factor else times_words(values)
+    return value if effect.low is None or effect.high is None else f"{value} ({low} to {high})"

@@ -91,7 +91,7 @@ def parse_duration(text: str, what: str = "duration") -> int:
 
 
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
-    return format_quantity(value_ns, SHOWN_NS if unit is None else {unit.replace("us", "µs"): UNIT_NS[unit]})
+    return format_quantity(value_ns, SHOWN_NS if unit is None else {unit: SHOWN_NS[unit]})
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:

@@ -44,10 +44,8 @@ def test_duckdb_finds_the_slowest_messages_and_reads_the_metadata(run_example, a
     said = run_example("duckdb").splitlines()
     slowest = analyzed[1].load_roundtrips().sort("latency_ns", descending=True, nulls_last=True).row(0, named=True)
     sent = f"{slowest['publish_utc']:%Y-%m-%d %H:%M:%S.%f}"
-    assert (
-        said[1]
-        == f"{sent} {slowest['vendor']} {slowest['data_type']} {slowest['sequence']} {slowest['latency_ns'] / 1e6}"
-    )
+    row = f"{sent} {slowest['vendor']} {slowest['data_type']} {slowest['sequence']} {slowest['latency_ns'] / 1e6}"
+    assert said[1] == row
     assert sum(line.startswith("dds_trace.") for line in said) == 5
     assert any(line.startswith('dds_trace.sources {"folder": "losses", "count": ') for line in said)
 

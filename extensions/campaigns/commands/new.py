@@ -77,7 +77,7 @@ def new_command(
         schema = plan.with_name(SCHEMA_FILE_NAME)
         if not schema.exists():
             schema.write_text(schema_text(), encoding="utf-8")
-            print(f"Wrote {schema}")
+            print(f"Wrote {schema}, with which editors complete plans")
     except FileExistsError as err:
         raise _exists(plan) from err
     except OSError as err:

@@ -207,7 +207,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None
-        width_words = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
+        width_words = f"known to +-{width:.1f} %" if width < 1000 else "not known within a factor of ten"
         say(f"{name}: {until.statistic} is {width_words} after the last repeat")
     if outcome.missing:
         return INCOMPLETE_EXIT_CODE

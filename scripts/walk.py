@@ -202,7 +202,10 @@ def walk(page: Path, terminals: dict[str, Terminal]) -> None:
         elif part["indented"] or part["language"] == "sh":
             follow(text, terminals["relay" if text.startswith("# relay's device") else "ping"])
     read("## ", terminals)
-    if cells:
+    if cells and "jupyter" not in page.read_text(encoding="utf-8"):
+        ping.write("page.py", "\n".join(cells))
+        ping.run("python page.py")
+    elif cells:
         one = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": []}
         filled = [{**one, "source": cell} for cell in cells]
         ping.write("page.ipynb", json.dumps({"cells": filled, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}))

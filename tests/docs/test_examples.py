@@ -258,7 +258,9 @@ def test_a_tutorial_is_a_transcript(page, made, tmp_path, monkeypatch, domain_id
 
 
 CAMERA = DOCS / "tutorials" / "camera-late.md"
-BY_HAND = re.findall(r"^    (dds-trace record .*)", CAMERA.read_text(encoding="utf-8"), re.MULTILINE)
+BY_HAND = re.findall(
+    r"^    (dds-trace record .*)", CAMERA.read_text(encoding="utf-8").replace("\\\n", ""), re.MULTILINE
+)
 """What a person types in a terminal each, on both devices, until Ctrl-C."""
 
 

@@ -257,10 +257,7 @@ def test_a_tutorial_is_a_transcript(page, made, tmp_path, monkeypatch, domain_id
     assert [name for name in made if not Path(name).is_file()] == []
 
 
-CAMERA = DOCS / "tutorials" / "camera-late.md"
-BY_HAND = re.findall(
-    r"^    (dds-trace record .*)", CAMERA.read_text(encoding="utf-8").replace("\\\n", ""), re.MULTILINE
-)
+BY_HAND = [line for page, line in command_lines() if page.stem == "camera-late" and " record " in line]
 """What a person types in a terminal each, on both devices, until Ctrl-C."""
 
 

@@ -121,7 +121,7 @@ class _Bag1Walk:
         for record in self._records(source, at):
             if record.run is not None:
                 yield from self._batch(source.read(0, source.size), record.run)
-            elif record.opcode == _Op.BAG_HEADER and not 0 < _number(record, "index_pos") < source.size:
+            elif record.opcode == _Op.BAG_HEADER and not self._has_index(record):
                 why = "it was not closed, or is cut off"
                 self._condition.damages.append(f"{why}: it has no index (`rosbag reindex` makes one)")
             elif record.opcode == _Op.CONNECTION:
@@ -208,6 +208,10 @@ class _Bag1Walk:
             if is_whole:
                 yield record
             at = next_at
+
+    def _has_index(self, header: _Record) -> bool:
+        at, is_empty = _number(header, "index_pos"), not any(header.fields.get("conn_count", b"1"))
+        return 0 < at < self._file.size or (is_empty and at == self._file.size)
 
     def _record_at(self, source: Records, at: int) -> _Record | None:
         if source.size - at < 2 * _LENGTH.size:

@@ -33,7 +33,7 @@ from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, RecordingKind,
 from .recorded import LATEST_NS, NONE, Condition, Int64, MessageBatch, RawMessage, batched
 
 RECOVERED = "recovered by dds-trace"
-_NOTE = f"{RECOVERED}: what the damage took is counted nowhere"
+UNCOUNTED = "what the damage took is counted nowhere"
 
 
 @dataclass(slots=True)
@@ -152,7 +152,7 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
                 raise TraceFormatError(name, f"the recording cannot be read further: {err}") from err
             finally:
                 if re.search(r"[.-]recovered\b", f"{name.parent.name}/{name.name}") and file.suffix != ".mcap":
-                    about_file.notes.append(_NOTE)
+                    about_file.notes.append(f"recovered, by its name: {UNCOUNTED}")
                 where = f"{name.name}: " if len(recording.files) > 1 else ""
                 condition.damages += [f"{where}{damage}" for damage in about_file.damages]
                 condition.notes += [f"{where}{note}" for note in about_file.notes]
@@ -360,7 +360,7 @@ def mcap_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
             if items.header and RECOVERED in items.header.library:
-                condition.notes.append(_NOTE)
+                condition.notes.append(f"{RECOVERED}: {UNCOUNTED}")
             names = {topic.name for topic in items.topics}
             silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
             condition.topics |= {*items.topics} | {topic_of(channel, items.channels.schemas) for channel in silent}

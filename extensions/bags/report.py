@@ -45,7 +45,7 @@ from .card import STRIP_PARTS, WHOLE, RecordingHealth
 from .chains import chain_lines
 from .losses import quiet_ns
 from .observations import READ_BY
-from .read import RECOVERED
+from .read import UNCOUNTED
 
 if TYPE_CHECKING:
     from .limits import JudgedTopic
@@ -104,7 +104,7 @@ def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     steady = [row for row in rows if row["expected_rate_hz"]]
     ends = [(ends_ns(row, health), row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
-    words = " It is what was recovered of another." if any(RECOVERED in note for note in health.notes) else ""
+    words = " It is what was recovered of another." if any(note.endswith(UNCOUNTED) for note in health.notes) else ""
     for side, (verb, when, how) in enumerate((("begin", "after", "late"), ("end", "before", "early"))):
         silences = [(silent_ns[side], topic) for silent_ns, topic, usual_ns in ends if silent_ns[side] > usual_ns]
         if silences:

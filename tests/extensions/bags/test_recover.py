@@ -137,7 +137,7 @@ def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, p
     with AnyReader([tmp_path / "drive-recovered"]) as reader:
         assert reader.message_count == len(list(reader.messages())) == count
     (source,) = analyze_topics(tmp_path / "drive-recovered").sources
-    assert (source.status, "recovered by" in source.detail) == ("read", True)
+    assert (source.status, "recovered" in source.detail) == ("read", True)
     with pytest.raises(OutputExistsError, match="--out"):
         recover_recording(bag)
 

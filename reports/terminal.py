@@ -107,8 +107,8 @@ def _wrapped(block: blocks.Sentence) -> list[Text]:
 
 
 def _fitted(block: blocks.Fitted) -> Drawn:
-    lines, last = [], _lines(block.last)
-    remaining = 0
+    lines: list[RenderableType] = []
+    last, remaining = _lines(block.last), 0
     for drawn in map(_lines, block.parts):
         if remaining or len(lines) + len(drawn) + len(last) > block.most - 1:
             remaining += 1

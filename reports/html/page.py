@@ -187,7 +187,7 @@ def _unbroken(value: object) -> object:
 
 
 def _coded(text: str) -> Markup:
-    return Markup(_CODE.sub(r"<code>\1</code>", escape(_unbroken(text))))  # noqa: S704 - escaped
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(_unbroken(text)))))  # noqa: S704 - escaped
 
 
 def _framed(template: str, version: str | None = None, **values: object) -> str:

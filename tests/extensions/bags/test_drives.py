@@ -95,6 +95,7 @@ def test_of_a_damaged_side_no_limit_passes(tmp_path, drives):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(Path(drives[0]).read_bytes()[:-1000])
     assert compared(drives[0], cut, "--fail-if", "missing(/*) > 1%", "--allow-missing").exit_code == 20
+    assert "<code>dds-trace recover</code>" in compared(drives[0], cut, "--report", "html").stdout
 
 
 def test_without_a_common_topic_there_is_nothing_to_compare(tmp_path, drives):

@@ -60,7 +60,7 @@ def run_analysis(
         analysis = analyze(traces, out=target, progress=bar.reading, step=bar.step, **more, write_more=write_more)
     write_reports(analysis, [TERMINAL], target, shows_all=shows_all)
     written[:0] = analysis.outputs.values()
-    written += [print_figures(target / f"report.{HTML}", kind) for kind in figures or ()]
+    written += [path for kind in figures or () for path in print_figures(target / f"report.{HTML}", kind)]
     for path in written:
         print(f"Wrote {path}")
     stale = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import glob
+import html
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Collection, Sequence
@@ -41,8 +43,8 @@ FIGURE_WIDTHS_MM = {"pdf": 174, "pdf-column": 84}
 """Kind of `--figures` -> the width of a page or a column of a paper."""
 
 
-def print_figures(page: Path, kind: str) -> Path:
-    """Print each figure of a report as a page of a PDF next to it, by a browser without a window; returns the PDF.
+def print_figures(page: Path, kind: str) -> list[Path]:
+    """Print a report's figures as pages of a PDF next to it, with their LaTeX, by a browser without a window; returns both files.
 
     Raises:
         BackendUnavailableError: no browser is installed, or it wrote nothing within two minutes.
@@ -57,16 +59,16 @@ def print_figures(page: Path, kind: str) -> Path:
     address = f"{page.absolute().as_uri()}?figures={FIGURE_WIDTHS_MM[kind]}"
     options = ["--headless", "--disable-gpu", "--no-pdf-header-footer", "--virtual-time-budget=60000"]
     options += ["--no-sandbox"] * (os.geteuid() == 0)  # root has none
+    command = [program, *options, f"--print-to-pdf={pdf.absolute()}", "--dump-dom", address]
+    page_text = b""
     with suppress(subprocess.TimeoutExpired):
-        subprocess.run(
-            [program, *options, f"--print-to-pdf={pdf.absolute()}", address],
-            check=False,
-            capture_output=True,
-            timeout=120,
-        )
-    if not pdf.is_file():
+        page_text = subprocess.run(command, check=False, capture_output=True, timeout=120).stdout
+    latex = re.search(r'<pre id="latex" hidden="">(.*?)</pre>', page_text.decode("utf-8", "replace"), re.DOTALL)
+    if latex is None or not pdf.is_file():
         raise BackendUnavailableError(f"{program} printed no {pdf.name}; open {page} and use its button PDF")
-    return pdf
+    tex = pdf.with_suffix(".tex")
+    tex.write_text(html.unescape(latex[1]), encoding="utf-8")
+    return [pdf, tex]
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")

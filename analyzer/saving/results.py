@@ -22,7 +22,7 @@ RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
     *("openmetrics.txt", "latency.hlog", "timeline.pftrace", "otava.csv", "otava.yaml", "bencher.json"),
-    *("figures.pdf", "figures-column.pdf"),
+    *(f"figures{width}.{kind}" for width in ("", "-column") for kind in ("pdf", "tex")),
     *("github-benchmark-smaller.json", "github-benchmark-bigger.json"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",

@@ -12,11 +12,11 @@ PART_LABELS = {
     "waiting_ns": "Late send (T0 to T1)",
     "outbound_ns": "Way there (T1 to T3)",
     "outbound_transport_ns": "Transport there (T1 to arrival)",
-    "relay_delivery_ns": "Delivery in the relay (to T3)",
-    "relay_ns": "In the relay (T3 to T4)",
+    "relay_delivery_ns": "Delivery in relay (to T3)",
+    "relay_ns": "In relay (T3 to T4)",
     "return_ns": "Way back (T4 to T2)",
     "return_transport_ns": "Transport back (T4 to arrival)",
-    "ping_delivery_ns": "Delivery in the ping (to T2)",
+    "ping_delivery_ns": "Delivery in ping (to T2)",
 }
 """Part of `details.breakdown` -> label, in the order of time."""
 
@@ -44,8 +44,8 @@ FIGURE = FigureMaker(
     name="breakdown",
     title="Where the time goes, on average",
     how_to_read=(
-        "A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "
-        "they add up and percentiles do not."
+        "A whole bar is the mean response, from the planned send (T0) over sent (T1), at the relay (T3) and sent back (T4) to the reply (T2), "
+        "its parts upwards in that order; means add up, percentiles do not."
     ),
     nothing="no message has a schedule and all four time stamps (a relay's trace is missing).",
     kind="breakdown",

@@ -39,8 +39,8 @@ BRIDGE_COST = FigureMaker(
     title="What a bridge costs",
     how_to_read=(
         "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval and "
-        "the difference; an interval that reaches the line shows no difference that these samples can prove; where a bridge loses many "
-        "messages look at the share received first: a lost message counts as later than any deadline."
+        "the difference; an interval that reaches the line shows no difference that these samples can prove; a lost message counts as "
+        "later than any deadline."
     ),
     nothing="no message has a latency both in the same and in different domains with all else equal.",
     kind="bridge_cost",

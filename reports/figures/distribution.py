@@ -37,7 +37,7 @@ RUN_SPREAD = FigureMaker(
     name="run_spread",
     title="Spread from run to run",
     how_to_read=(
-        "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two setups "
+        "Each mark is how far the 95 % interval of a typical run's received messages reaches to either side; a difference between two setups "
         "that is smaller than this needs more runs to be proved."
     ),
     nothing="nothing was measured in three runs of its own.",
@@ -58,8 +58,8 @@ PERCENTILE_CURVE = FigureMaker(
     name="percentile_curve",
     title="Percentile curve",
     how_to_read=(
-        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the received ones was; a "
-        "curve ends where the sample does."
+        "Each step to the right is ten times rarer: the time that one received message in 10, 100 or 1,000 exceeds; a curve ends where "
+        "the sample does."
     ),
     nothing=_NO_CURVE,
     kind="percentile_curve",
@@ -70,8 +70,8 @@ ECDF = FigureMaker(
     name="ecdf",
     title="Share of messages in time (ECDF)",
     how_to_read=(
-        "Pick a deadline on the horizontal axis: the curve shows which share of the planned messages met it; a lost or unsent message never "
-        "does, so the curve ends at the share received; where that is less than all, a second curve is of the received messages."
+        "A curve is the share of the planned messages that met each deadline; a lost or unsent message never does, so it ends at the "
+        "share received."
     ),
     nothing=_NO_CURVE,
     kind="ecdf",

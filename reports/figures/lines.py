@@ -12,10 +12,6 @@ KEPT_UP = 0.99
 _TRANSFER_RATE = "Transfer rate"
 
 
-def _timed(book: Book) -> Callable[[int], bool]:
-    return book.values.timed
-
-
 def _has(column: str) -> Callable[[Book], Callable[[int], bool]]:
     return lambda book: lambda group: book.values.plain[column][group] is not None
 
@@ -28,14 +24,14 @@ LATENCY_BY_RATE = LineFigure(
     name="latency_by_rate",
     title="Latency against frequency",
     how_to_read=(
-        "A flat line does not depend on how often you send; a line that rises to the right is running out of capacity, one that falls "
+        "A flat line does not depend on the rate; a line that rises to the right is running out of capacity, one that falls "
         "is waking up from sleep."
     ),
     nothing="no message size was measured at two rates.",
     x="rate",
     panels="size",
     value="statistic",
-    drawn=_timed,
+    drawn=lambda book: book.values.timed,
     least=2,
     follows=True,
 )
@@ -51,7 +47,7 @@ LATENCY_BY_SIZE = LineFigure(
     x="size",
     panels="rate",
     value="statistic",
-    drawn=_timed,
+    drawn=lambda book: book.values.timed,
     least=2,
     follows=True,
 )
@@ -83,7 +79,7 @@ VENDOR_COMPARISON = LineFigure(
     x="plane",
     panels="way",
     value="statistic",
-    drawn=_timed,
+    drawn=lambda book: book.values.timed,
     follows=True,
 )
 
@@ -98,7 +94,7 @@ BY_DEVICE = LineFigure(
     x="place",
     panels="size",
     value="statistic",
-    drawn=_timed,
+    drawn=lambda book: book.values.timed,
     least=2,
     follows=True,
 )
@@ -156,7 +152,7 @@ TRANSFER_BY_SIZE = LineFigure(
     name="transfer_by_size",
     title="Transfer rate against size",
     how_to_read=(
-        "A line that rises in proportion carries whatever size you send; where it bends, the bytes per second that can be carried limit "
+        "A line that rises in proportion carries any size; where it bends, the bytes per second that can be carried limit "
         "the size."
     ),
     nothing="no data type has a transfer rate at two message sizes and one rate.",
@@ -172,7 +168,7 @@ TRANSFER_BY_RATE = LineFigure(
     name="transfer_by_rate",
     title="Transfer rate against frequency",
     how_to_read=(
-        "A line that rises in proportion carries as often as you send; where it bends, more messages per second bring no more bytes."
+        "A line that rises in proportion carries any rate; where it bends, more messages per second bring no more bytes."
     ),
     nothing="no message size has a transfer rate at two rates.",
     x="rate",

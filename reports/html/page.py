@@ -177,7 +177,8 @@ _BIBTEX = f"""@software{{dds_trace,
   title = {{dds-trace: MCAP trace recorder and offline analyzer for the latency of ROS 2 / DDS communication}},
   author = {{{{The dds-trace maintainers}}}},
   version = {{{__version__}}},
-  year = {{{YEAR}}}
+  year = {{{YEAR}}},
+  url = {{https://github.com/OWNER/dds-trace}}
 }}"""
 
 

@@ -42,7 +42,7 @@ const isNarrow = (width) => width < 600;
 const MOST_PANELS = 24; // of one figure, until the reader asks for all
 const PAGE_HEIGHT = 933; // px of the 247 mm that a page has room for
 const LEAST_COLUMN = 96; // px of a panel in a labelled grid
-const LEAST_ROW = 64;
+const [LEAST_ROW, LEAST_TITLED] = [64, 100]; // px of a plot, and of one by itself, whose axis has its title
 const [LETTER, BOLD] = [6.2, 7.5]; // px of a letter of 12 px
 const END_STEP = 13; // px between two labels at line ends
 
@@ -75,10 +75,8 @@ function gridOf(
   };
   const shared = (wide, place) =>
     place % wide > 0 && every[place].share !== undefined && every[place].share === every[place - 1].share;
-  // Close together if the panels of each row share their axis. How many are in a row must not follow from that where
-  // axes are
-  // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height
-  // with the scale.
+  // Close together if the panels of each row share their axis. How many are in a row must not follow from that: the
+  // figure would change its height with the scale (on a log axis all panels share it, on a linear one those of a row).
   const close = grid ? grid.columns.length : wideBy(16);
   const gapX = grid ? grid.gap : every.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
   const arranged = grid || every.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
@@ -110,7 +108,8 @@ function gridOf(
     const shares = column > 0 && (grid ? grid.shares[place] : shared(wide, place));
     shown.push({ panel, row, column, shares, title: titles[place] });
   });
-  const most = isPicture ? tallest / Math.max(1, Math.min(high, rowCount - page.row)) - between : Infinity;
+  const room = tallest / Math.max(1, Math.min(high, rowCount - page.row)) - between;
+  const most = high > 1 ? room : Math.max(room, LEAST_TITLED);
   // Of the plots in each row, px.
   const heights = Array(Math.max(0, Math.min(high, rowCount - page.row))).fill(0);
   for (const { panel, row } of shown) heights[row] = Math.floor(Math.min(most, Math.max(heights[row], own(panel))));

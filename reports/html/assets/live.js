@@ -1,6 +1,5 @@
 "use strict";
-// Of a watched folder: shows how far the sweep is, and puts the content of a newer page into this one once the server
-// has it.
+// Of a watched folder: shows how far the sweep is, and puts the content of a newer page into this one.
 const LOOK_EVERY_MS = 2000;
 
 async function lookForNewer() {

@@ -14,10 +14,7 @@ function refreshAll() {
 
 let redrawing = 0;
 
-/**
- * Draws what the reader sees now and does the rest in small steps, so that neither he nor the next change waits for
- * it.
- */
+/** Draws what the reader sees now and does the rest in small steps, for which neither he nor the next change waits. */
 function redraw(more = []) {
   for (const block of blocks) block.spoil();
   for (const block of blocks) if (isOnScreen(block.plot)) block.draw(isOnScreen);
@@ -278,4 +275,4 @@ showTheme();
 start();
 addEventListener("theme", () => redraw());
 const printed = new URLSearchParams(location.search).get("figures"); // mm: `analyze --figures` prints the page
-if (printed) saveAll("pdf", { mm: Number(printed), dialog: false });
+if (printed) for (const format of ["tex", "pdf"]) saveAll(format, { mm: Number(printed), dialog: false });

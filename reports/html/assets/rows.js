@@ -1,6 +1,5 @@
 "use strict";
-// A figure of several rows of panels is one plot a row: drawn when it is seen, and never cut by the end of a page on
-// paper.
+// A figure of several rows of panels is one plot a row: drawn when it is seen, and never cut by the end of a page.
 
 /** The rows {data, layout} of a drawn figure, from the top; each keeps the names of its axes. */
 function rowsOf({ data, layout }) {
@@ -51,10 +50,7 @@ function rowsOf({ data, layout }) {
   });
 }
 
-/**
- * Axis -> range, of those that share one with another (`matches`) and were left to plotly, which sees only one row at
- * a time.
- */
+/** Axis -> range, of those that share one with another (`matches`) and were left to plotly, which sees single rows. */
 function commonRanges(letter, data, layout) {
   const sets = new Map(); // leading axis -> axes
   for (const key of Object.keys(layout).filter((one) => one.startsWith(`${letter}axis`))) {

@@ -1,7 +1,6 @@
 "use strict";
 // Data, plotly.js and the page's own scripts are packed (gzip in base64). They are unpacked here and run under the
-// hashes of the
-// page's policy: an inserted script needs its hash there like any other.
+// hashes of the page's policy: an inserted script needs its hash there like any other.
 const UNPACKED = {};
 
 async function unpacked(text) {

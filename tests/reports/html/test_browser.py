@@ -220,14 +220,12 @@ def drawn(reader, name):
     )
 
 
-def test_the_ecdf_is_of_the_planned_messages_and_one_of_the_received_ones_follows(reader, lossy_page):
+def test_the_ecdf_is_of_the_planned_messages(reader, lossy_page):
     reader.open(lossy_page)
     reader.draw_all()
-    ends = {row["Setup"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
-    shares = {name: (row["Share of planned"], row["Share of received"]) for name, row in ends.items()}
-    assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
-    titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
-    assert [title.split(", ")[0] for title in titles[1:]] == ["Planned messages", "Received messages"]
+    last_shares = {row["Setup"]: (row["Share of planned"], row["Share of received"]) for row in drawn(reader, "ecdf")}
+    assert last_shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
+    assert reader.tab.locator("#figure-ecdf .annotation-text", has_text="messages, ").count() == 1
     medians = {row["Setup"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30}
     assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []

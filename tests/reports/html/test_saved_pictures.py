@@ -6,7 +6,7 @@ from waiting import wait_until
 
 pytestmark = pytest.mark.browser
 
-PAGE_PX = 933  # 247 mm
+PAGE_PX, COLUMN_PX = 933, 500  # 247 and 132 mm
 
 SVGS = """name => Promise.all(picturesOf(blocks.find(b => b.name === name)).map(svgOf))"""
 
@@ -130,7 +130,7 @@ def test_no_picture_is_higher_than_a_page_and_no_whisker_leaves_its_panel(reader
     tab.locator("#save-width").select_option(choice)
     pictures = tab.evaluate(WHISKERS)
     assert len({figure for figure, _, _ in pictures}) >= (4 if name == "demo" else 12)
-    assert [one for one in pictures if one[1] > PAGE_PX] == []
+    assert [one for one in pictures if one[1] > (COLUMN_PX if choice == "column" else PAGE_PX)] == []
     assert [one for one in pictures if one[2]] == []
 
 
@@ -174,7 +174,7 @@ def test_latex_has_a_caption_for_each_page_of_the_pdf_and_its_signs_escaped(read
     assert [*map(int, re.findall(r"page=(\d+)\]", text))] == [*range(1, 1 + tab.locator("[data-figure]").count())]
     captions = re.findall(r"\\caption\{(.*)\}\n", text)
     assert len(captions) == len(set(re.findall(r"\\label\{(.+)\}", text)))
-    assert not [caption for caption in captions if re.search(r"(?<!\\)[%_&#]", caption)]
+    assert not [one for one in captions if re.search(r"(?<!\\)[%_&#]", one) or " messages in " not in one]
     assert reader.complaints == []
 
 

@@ -1,10 +1,7 @@
 "use strict";
 // Bars of the planned messages, and what a bridge costs.
 
-/**
- * The chosen time of a group over the messages planned, in ns; Infinity where that message was lost, null where too
- * few were sent.
- */
+/** The chosen time of a group over the messages planned, in ns; Infinity where it is of a lost one, null if too few. */
 function plannedTime(plan, group) {
   const of = plan.planned[group];
   if (!of) return statisticOf(group);

@@ -247,10 +247,7 @@ function percentileMarks(group) {
   return [trace];
 }
 
-/**
- * Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned messages
- * in time.
- */
+/** Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned in time. */
 function distribution(width, byRarity, all) {
   const {
     values_ns: { [view.metric]: curves },
@@ -321,22 +318,19 @@ function distribution(width, byRarity, all) {
       ),
     };
   }
-  const byShare = (of, shareOf) => ({
-    title: `${of}, ${cellTitle()}`,
-    share: "share",
+  const panel = {
+    title: `Planned messages, ${cellTitle()}`,
     y: { type: "linear", range: [-2, 102], nticks: 6, ticksuffix: " %" },
     traces: lines(
       (point) => point.value * S,
-      (point, group) => 100 * point.level * shareOf(group),
+      (point, group) => 100 * point.level * shares[group],
       (point, group) =>
-        `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`,
+        `${formatRatio(point.level * shares[group])} of the planned messages within ${formatNs(point.value)}`,
     ),
     x: (width) => ({ ...timeAxis(values, Math.min(6, Math.floor(width / 60))), title: axisTitle(valueTitle) }),
-  });
-  const panels = [byShare("Planned messages", (group) => shares[group])];
-  if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));
+  };
   return {
-    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46, all }),
+    ...gridOf(groups.length ? [panel] : [], width, { yTitle: "Messages", height: 210, below: 46, all }),
     ...common,
     columns: [
       ...GROUP_COLUMNS,

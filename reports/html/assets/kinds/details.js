@@ -24,10 +24,7 @@ const PART_LOOKS = {
   ping_delivery_ns: [3, 0.3],
 };
 
-/**
- * Stacked bars over messages, a panel for each setup and device pair: {data, layout} and the points that they
- * represent.
- */
+/** Stacked bars over messages, a panel for each setup and device pair: {data, layout} and their points. */
 function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...grid }) {
   const colors = theme();
   const panels = found.panels.map((panel) => {

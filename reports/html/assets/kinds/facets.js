@@ -1,14 +1,11 @@
 "use strict";
-// What all kinds of figures share. A kind is a function of KINDS: (plan, width, all) -> what to draw and the same
-// numbers as a table.
-// {data, layout}   for plotly; no data where nothing passes the filters. A trace's `meta` is the line that it belongs
-// to
+// What all kinds of figures share. A kind is a function of KINDS: (plan, width, all) -> what to draw and its table.
+// {data, layout}   for plotly; no data where nothing passes the filters. A trace's `meta` is its line
 //   legend           {dimension, options} of what is drawn, or parts [{name, color, tint}]
 //   columns, rows    the table; a column is {label, unit?, format?}; numbers in rows are raw
 //   missing          groups that pass but have no such value
 //   foot             what a reader has to know besides
-// Groups are spread over panels and lines by the rule and tables of reports/figures/figure.py (a test compares the
-// two).
+// Groups are spread over panels and lines by the rule and tables of reports/figures/figure.py (a test compares them).
 const KINDS = {};
 
 const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
@@ -136,10 +133,7 @@ function spread(facet, points) {
     });
 }
 
-/**
- * The groups of a plan that pass the filters and have a value, spread over panels; lines that the reader hid are left
- * out.
- */
+/** The groups of a plan that pass the filters and have a value, over panels, without lines that the reader hid. */
 function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
   const found = { facet, panels: [], options: new Set(), points: [], missing: 0 };
   for (const group of plan.groups) {
@@ -190,10 +184,7 @@ function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, sy
   };
 }
 
-/**
- * What is written next to the hollow marks of some traces: the shares received, where there are few enough to be
- * read.
- */
+/** What is written next to the hollow marks of some traces: the shares received, where they are few enough to read. */
 function sharesBeside(lines, traces) {
   const beside = lines.flatMap((line, place) =>
     line.points.flatMap((point, at) =>
@@ -217,8 +208,7 @@ const pointsOf = (panel) => panel.lines.flatMap((line) => line.points);
 /** Error bars of plotly for values of points with ends in the same unit; a missing end has no bar. */
 function errorBars(points, valueOf, endsOf, factor, color) {
   const ends = points.map(endsOf);
-  // A value may lie outside of its interval, which is of the typical run: then nothing reaches from it to the nearer
-  // end.
+  // A value may lie outside of its interval, which is of the typical run: nothing reaches from it to the nearer end.
   const reach = (value, end, way) =>
     value === null || end === null || end === undefined ? 0 : Math.max(0, way * (end - value)) / factor;
   if (ends.every((one) => !one || (one[0] === null && one[1] === null))) return undefined;

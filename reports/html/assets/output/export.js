@@ -41,6 +41,8 @@ const EDGE = 8; // px around the plots, for labels that reach over their axis
 const SYMBOL = 44; // px of a name's symbol in the legend
 const LEGEND_SHARE = 0.19; // of a picture's height: plots grow where the legend has more, up to a page
 const PNG_SCALE = 600 / 96; // 600 dots an inch where the width is one of print
+const isColumn = (mm) => mm !== null && mm < 100;
+const tallest = (mm) => (isColumn(mm) ? 454 : PAGE_HEIGHT); // px; 120 mm in a column, where its legend is no longer
 
 /** What journals print: one column or two; `null` is the width on the screen. */
 const PICTURE_WIDTHS = [
@@ -54,10 +56,7 @@ function chosenWidth() {
   return PICTURE_WIDTHS.find((one) => one.key === select?.value) || PICTURE_WIDTHS[0];
 }
 
-/**
- * A figure as it is drawn for paper: on white, in the light colours, at the chosen width, one panel of it or all; what
- * is higher than a page is several pictures.
- */
+/** A figure, or one panel, for paper: on white, in light colours, of the chosen width; several if it is too high. */
 function picturesOf(block, panel = "", { mm = chosenWidth().mm, title = block.title(), below = 0 } = {}) {
   const root = document.documentElement;
   const before = root.dataset.theme;
@@ -67,7 +66,8 @@ function picturesOf(block, panel = "", { mm = chosenWidth().mm, title = block.ti
     const draw = (all) => KINDS[block.figure.kind](block.figure.plan, width, all);
     if (panel) return [onWhite(panelOf(draw(true), panel, width), title, width, mm)];
     const whole = draw(true);
-    const height = PAGE_HEIGHT - below - headOf(whole, title && `${title} (9 of 9)`, width, mm).above - EDGE;
+    const { above, legend } = headOf(whole, title && `${title} (9 of 9)`, width, mm);
+    const height = Math.max(tallest(mm), Math.min(PAGE_HEIGHT, legend / LEGEND_SHARE)) - below - above - EDGE;
     const first = draw({ page: 0, height });
     const drawn = [first, ...Array.from({ length: first.pages - 1 }, (_, at) => draw({ page: at + 1, height }))];
     const shown = drawn.filter(({ data }) => data.length);
@@ -124,17 +124,19 @@ function panelOf({ data, layout, titles }, axis, width) {
 
 /** What is above a picture's plots: its title in lines, and room for the legend. */
 function headOf({ data, layout }, title, width, mm) {
-  const size = mm !== null && mm < 100 ? 10 : 11;
-  const names = [...new Set(data.filter(({ name, type }) => name && type !== "heatmap").map(({ name }) => name))];
+  const size = isColumn(mm) ? 10 : 11;
+  const short = (name) => (isColumn(mm) ? name.replace(/ \((to )?T\d.*\)$/, "") : name);
+  const named = data.filter(({ name, type }) => name && type !== "heatmap");
+  const names = [...new Set(named.map(({ name }) => short(name)))];
   const longest = SYMBOL + Math.max(0, ...names.map(({ length }) => length)) * size * 0.56;
   const columns = Math.max(1, Math.floor((width - 4 * EDGE) / longest));
   const text = [title, layout.title?.text].filter(Boolean).join(": ");
   const head = text ? wrapped(text, (width - 20) / (size * 0.68)) : [];
   const titled = 14 + head.length * (size + 5);
   const entry = Math.floor((width - 4 * EDGE) / columns) - SYMBOL;
-  const fit = (name) => wrapped(name, entry / (size * 0.56)).map((line) => line.trim());
+  const fit = (name) => wrapped(short(name), entry / (size * 0.56)).map((line) => line.trim());
   const lines = names.reduce((sum, name) => sum + fit(name).length - 1, Math.ceil(names.length / columns));
-  const legend = names.length > 1 ? lines * (size + 11) + 6 : 0;
+  const legend = names.length > 1 ? lines * (size + 9) + 6 : 0;
   return { size, head, legend, fit, entry, above: titled + legend };
 }
 
@@ -295,24 +297,26 @@ function zipParts(files) {
 
 /** Every figure of the page in one zip; as PDF one page each, without a dialog where a program prints the page. */
 async function saveAll(format, options) {
+  const name = isColumn(options?.mm ?? chosenWidth().mm) ? "figures-column" : "figures";
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
   const figures = drawn.map((block) => [block.fileName(), picturesOf(block, "", options)]);
-  if (format !== "tex") return savePictures("figures", format, figures, options);
-  const pages = figures.flatMap(([name, pictures], at) =>
-    pictures.map((_, part) => ({ name: part ? `${name}-${part + 1}` : name, caption: captionOf(drawn[at]) })),
-  );
-  const lines = pages.map(
-    ({ name, caption }, at) => `
+  if (format !== "tex") return savePictures(name, format, figures, options);
+  let page = 0;
+  const latex = ([label, pictures], at) =>
+    pictures.map(
+      (_, part) => `
 \\begin{figure}
-  \\includegraphics[width=\\linewidth,page=${at + 1}]{figures.pdf}
-  \\caption{${latexOf(caption)}}
-  \\label{fig:${name}}
+  \\includegraphics[width=\\linewidth,page=${(page += 1)}]{${name}.pdf}
+  \\caption{${latexOf(captionOf(drawn[at]))}}
+  \\label{fig:${label}${part ? `-${part + 1}` : ""}}
 \\end{figure}
 `,
-  );
-  const head = `% Pages of the PDF that "Save all: PDF" makes. ${latexOf(measuredWith())}\n`;
-  saveBlob("figures.tex", new Blob([head, ...lines], { type: "application/x-tex" }));
+    );
+  const head = `% Needs graphicx, and ${name}.pdf of the same page. ${measuredWith()}\n`;
+  const text = [head, ...figures.flatMap(latex)].join("");
+  if (options) return document.body.append(element("pre", { id: "latex", hidden: "" }, text)); // for who prints it
+  saveBlob(`${name}.tex`, new Blob([text], { type: "application/x-tex" }));
 }
 
 /** What LaTeX would take for commands, escaped; signs that its fonts lack are in its mathematics. */
@@ -323,14 +327,27 @@ const latexOf = (text) =>
     .replace(/[\\~^%_&#${}]/g, (sign) => LATEX_SIGNS[sign] || `\\${sign}`)
     .replace(/[→≤≥≈]/g, (sign) => `$\\${LATEX_MATHS[sign]}$`);
 
-const captionOf = (block) => `${block.title()}. ${block.article.querySelector(".how").textContent}`;
-
-function measuredWith() {
-  const facts = [...document.querySelectorAll("dl > div")]
-    .map((fact) => [...fact.children].map((one) => one.textContent))
-    .filter(([label]) => ["When", "Versions"].includes(label));
-  return [DATA.title, ...facts.map(([, text]) => text), DATA.made_by].join("; ");
+/** What is shown, of how many messages and runs, with which intervals, and under which conditions. */
+function captionOf(block) {
+  const ofCell = block.article.closest("#cell");
+  const groups = ofCell ? seenInCell(cellGroups()) : passingGroups();
+  const sum = (column) => groups.reduce((total, group) => total + (DATA.values.plain[column][group] || 0), 0);
+  const hasBars = block.drawn.columns.some(({ label }) => label === LOW.label);
+  const parts = [
+    `${ofCell ? `${cellTitle()}: ` : ""}${counted(sum("planned"), "message")} in ${counted(sum("runs"), "run")}`,
+    ...(hasBars ? ["bars are 95 % intervals, between runs where there are three or more"] : []),
+    ...factsOf("Devices", "Link", "Middleware"),
+  ];
+  return `${block.title()}. ${block.article.querySelector(".how").textContent} ${parts.join("; ")}.`;
 }
+
+const factsOf = (...labels) =>
+  [...document.querySelectorAll("dl > div")]
+    .map((fact) => [...fact.children].map((one) => one.textContent))
+    .filter(([label]) => labels.includes(label))
+    .map(([, text]) => text);
+
+const measuredWith = () => [DATA.title, ...factsOf("When", "Versions"), DATA.made_by].join("; ");
 
 /** What a paper shows, and what is there instead where a campaign varies less. */
 // prettier-ignore

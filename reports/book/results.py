@@ -24,7 +24,7 @@ _NOTE = (
     f"one or two runs give it an upper bound from {messages_to_end(0.99)} messages on."
 )
 _INTERVAL_NOTE = (
-    "95 %: a typical run and its confidence interval where there are three or more, else the interval within one run; a dash is an "
+    "95 %: a typical run's received messages and their confidence interval where there are three or more, else the interval within one run; a dash is an "
     "end that the sample does not support."
 )
 OWN_SHARE_NOTE = (
@@ -69,7 +69,7 @@ def _columns() -> list[Column]:
     columns += [Column(name, right=True, media=MARKDOWN) for name in ("Unsent", "Own share")]
     for name in _TIMES:
         columns += [Column(name, right=True, media=MARKDOWN) if name == "p90" else shown(name, 7)]
-        columns += [Column("Typical run, 95 %", media=MARKDOWN)] if name in _WITH_INTERVALS else []
+        columns += [Column("Typical run, received, 95 %", media=MARKDOWN)] if name in _WITH_INTERVALS else []
         columns += [shown("Bur.", 4)] if name == "p99" else []
     return [*columns, Column("Distribution", width=SPARK_CELLS, is_cut=True, media=TERMINAL)]
 
@@ -117,7 +117,7 @@ def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
     "Latency of a typical run through the bridge less the one in the same domain, its 95 % interval, and the ratio of the two, with "
-    "the runs and the shares received of the same domain and of the bridge; a lost message is infinitely late. Without an interval the "
+    "the runs and the shares received of the same domain and of the bridge; a lost message counts as later than any other. Without an interval the "
     "samples show no more than the difference; with fewer than three runs a side all is within one run."
 )
 _MESSAGE_COLUMNS = ("Data", "Size", "Rate", "Setup")

@@ -261,6 +261,7 @@ function start() {
   buildPictureBar();
   document.getElementById("save-parquet").addEventListener("click", saveParquet);
   document.getElementById("groups-search").addEventListener("input", () => showGroups());
+  document.getElementById("all-columns").addEventListener("change", () => showGroups());
   document.getElementById("save-groups").addEventListener("click", () => {
     const { columns, rows } = showGroups();
     saveCsv("dds-trace-groups", columns, rows);

@@ -19,9 +19,7 @@ const FIRST_ROWS = 25,
 
 /**
  * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay`
- * columns
- * stay when the rest is scrolled sideways; a row with a `group` opens it; fewer rows than `MOST_ROWS` are there at
- * once.
+ * columns stay when the rest is scrolled sideways; a row with a `group` opens it.
  */
 function showTable(
   place,
@@ -32,7 +30,8 @@ function showTable(
 ) {
   // A column without any value is left to the CSV file.
   const seen = columns.map(
-    ({ stays }, at) => stays || at < stay || !rows.length || rows.some((row) => (row[at] ?? "") !== ""),
+    ({ stays, isLeft }, at) =>
+      !isLeft && (stays || at < stay || !rows.length || rows.some((row) => (row[at] ?? "") !== "")),
   );
   if (seen.includes(false)) {
     const kept = (list) => Object.assign(list.filter((_, at) => seen[at]), { size: list.size, group: list.group });
@@ -168,7 +167,7 @@ function foundRows(columns, rows, search) {
   });
 }
 
-/** The table of the groups that pass the filters and the search; returns what it shows. */
+/** The table of the groups that pass the filters and the search, of what one publishes or all columns; returns all. */
 function showGroups({ most = MOST_ROWS } = {}) {
   const { times_ns: times, plain: values } = DATA.values;
   const shown = [...DATA.percentiles.filter((one) => one.is_decade).map(({ key }) => key), "max"];
@@ -187,7 +186,7 @@ function showGroups({ most = MOST_ROWS } = {}) {
         { label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs, stays: rested(key) },
         ...(bounded(key)
           ? [
-              { label: `${label} of a typical run`, unit: "ns", format: formatNs },
+              { label: `${label}, received, typical run`, unit: "ns", format: formatNs },
               { ...LOW, label: `${label} 95 % low` },
               { ...HIGH, label: `${label} 95 % high` },
             ]
@@ -224,7 +223,14 @@ function showGroups({ most = MOST_ROWS } = {}) {
     ),
   );
   const found = foundRows(columns, rows, document.getElementById("groups-search").value);
-  showTable(document.getElementById("groups-table"), "All results that pass the filters", columns, found, {
+  const isTypical = passingGroups().some((group) => typicalOf(group, "p50") !== null);
+  const published = isTypical ? /^(Runs|Received)$|typical run|95 %/ : /^(Runs|Received)$|median$|p99$|95 %/;
+  const every = document.getElementById("all-columns").checked;
+  const shownOf = (column, at) => ({
+    ...column,
+    isLeft: !every && at >= GROUP_COLUMNS.length && !published.test(column.label),
+  });
+  showTable(document.getElementById("groups-table"), "All results that pass the filters", columns.map(shownOf), found, {
     sorting: groupsSorting,
     stay: GROUP_COLUMNS.length,
     most,

@@ -1,6 +1,5 @@
 "use strict";
-// What the reader chose to see. It lives in the page's address, so that a view can be linked and Back leads to the one
-// before.
+// What the reader chose to see. It lives in the page's address: a view can be linked, and Back leads to the last one.
 const SCALES = [
   { key: "log", label: "log" },
   { key: "linear", label: "linear" },
@@ -39,10 +38,7 @@ function dimensionChoices(keys) {
 }
 
 const PAPER_FIGURES = ["latency_by_rate", "domain_difference"];
-/**
- * The paper's figures: a panel for each middleware, bridge and device with a line per size; bars of both domains over
- * sizes.
- */
+/** The paper's figures: a panel for each middleware, bridge and device, a line per size; bars of both domains. */
 const PAPER = { panels: "vendor", lines: "size", bars: "size" };
 
 const view = {
@@ -162,14 +158,16 @@ function statisticOf(group, metric = view.metric) {
 
 /** Whose chosen statistic the marks show. */
 function ofWhom() {
-  const typical = new Set(passingGroups().map((group) => typicalOf(group) !== null));
-  if (typical.size > 1) return "a typical run or all messages";
-  return typical.has(true) ? "a typical run" : "all messages";
+  const groups = passingGroups();
+  const typical = new Set(groups.map((group) => typicalOf(group) !== null));
+  const isWhole = groups.every((group) => DATA.values.plain.received_ratio[group] === 1);
+  const [run, all] = isWhole
+    ? ["a typical run", "all messages"]
+    : ["a typical run's received messages", "all received messages"];
+  return typical.size > 1 ? `${run} or ${all}` : typical.has(true) ? run : all;
 }
 
-/**
- * [low, high] of the 95 % interval of a percentile (the chosen one), each null where the sample does not support it.
- */
+/** [low, high] of a percentile's 95 % interval (the chosen one's), each null where the sample does not support it. */
 function intervalOf(group, statistic = view.statistic) {
   const end = (side) => DATA.intervals[side][view.metric]?.[statistic]?.[group] ?? null;
   return [end("low_ns"), end("high_ns")];

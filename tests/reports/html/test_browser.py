@@ -234,6 +234,7 @@ def test_the_ecdf_is_of_the_planned_messages(reader, lossy_page):
 def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, lossy_page, sentences):
     tab = reader.open(lossy_page)
     reader.draw_all()
+    tab.locator("#all-columns").check()
     heads = tab.locator("#groups-table thead th").all_inner_texts()
     rows = {
         cells[3]: dict(zip(heads, cells, strict=True))
@@ -260,6 +261,7 @@ def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, los
 def test_tables_sort_by_number(reader, pages):
     tab = reader.open(pages("small campaign"))
     medians = EVERY_ANALYSIS["small campaign"]().summary["latency_p50_ns"]
+    tab.locator("#all-columns").check()
     heading = tab.locator("#groups-table th", has_text="Latency median")
     place = tab.locator("#groups-table th").all_inner_texts().index("Latency median")
     first = tab.locator("#groups-table tbody tr").first.locator("td").nth(place)

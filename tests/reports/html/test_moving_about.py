@@ -139,7 +139,7 @@ def test_a_narrower_window_draws_narrower_figures(reader, pages):
 @pytest.mark.parametrize(("name", "paper"), [("demo", "A4"), ("lossy machine", "Letter")])
 def test_paper_is_whole(reader, pages, name, paper):
     tab = reader.open(pages(name))
-    tab.evaluate("void (window.back = toPaper())")
+    tab.evaluate("document.getElementById('all-columns').click(); void (window.back = toPaper())")
     shown = "[...document.querySelectorAll('%s')].filter((one) => one.getClientRects().length).length"
     assert tab.evaluate(shown % ".figure:has(> .fold:not([open]))") == 0, "a closed heading says nothing on paper"
     assert tab.evaluate(shown % "#figures .figure") >= 2
@@ -166,6 +166,7 @@ def test_paper_is_whole(reader, pages, name, paper):
 
 def test_the_table_is_searched_and_its_first_columns_stay(reader, pages):
     tab = reader.open(pages("lossy machine"))
+    tab.locator("#all-columns").check()
     tab.locator("#groups-search").fill("ros2dds 4 MB")
     tab.locator("#groups-found").filter(has_text="3 of 126 results").wait_for()
     assert tab.locator("#groups-table tbody tr").count() == 3

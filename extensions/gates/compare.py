@@ -52,7 +52,6 @@ from .matching import (
     passes_of,
     replaced_devices,
     topics_in_blocks,
-    unmatched,
     with_devices,
     with_partners,
 )
@@ -324,7 +323,7 @@ def compare_groups(
                     "verdict": changes[-1].verdict(options.same_within).value,
                 }
                 rows.append(label | with_clock_bounds(row, base.bound_ns, new.bound_ns))
-    match_schema = {name: schema[name] for name in options.match}
+    match_schema, matched = {name: schema[name] for name in options.match}, {*pairs.values()}
     delivery_frame, row_frame = (
         with_adjusted_verdicts(pl.DataFrame(own, {**match_schema, **columns}), options.confidence)
         for own, columns in ((delivery, DELIVERY_SCHEMA), (rows, COMPARISON_SCHEMA))
@@ -333,8 +332,8 @@ def compare_groups(
         rows=row_frame,
         delivery=delivery_frame,
         distributions=pl.DataFrame(distributions, {**match_schema, **DISTRIBUTION_SCHEMA}),
-        only_base=pl.DataFrame(list(unmatched(before, pairs)), match_schema, orient="row"),
-        only_new=pl.DataFrame(list(unmatched(after, pairs.values())), match_schema, orient="row"),
+        only_base=pl.DataFrame([key for key in before if key not in pairs], match_schema, orient="row"),
+        only_new=pl.DataFrame([key for key in after if key not in matched], match_schema, orient="row"),
         options=options,
         changes=tuple(changes),
         deliveries=tuple(deliveries),

@@ -76,11 +76,8 @@ def columns_to_ignore(base: pl.DataFrame, new: pl.DataFrame) -> tuple[str, ...]:
             tuple(name for name, a, b in zip(names, row, other, strict=True) if a != b) for other in others
         )
     candidates = sorted(differing, key=lambda columns: (len(columns), -differing[columns]))[:_MOST_TRIED]
-    for columns in candidates:
-        is_allowed = set(columns) <= set(IGNORABLE_COLUMNS)
-        if is_allowed and _stay_apart(base, columns) and _stay_apart(new, columns):
-            return columns
-    return ()
+    allowed = (columns for columns in candidates if set(columns) <= set(IGNORABLE_COLUMNS))
+    return next((columns for columns in allowed if _stay_apart(base, columns) and _stay_apart(new, columns)), ())
 
 
 def _stay_apart(groups: pl.DataFrame, without: Sequence[str]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import polars as pl
 
@@ -47,11 +47,8 @@ def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
 
 def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
     """Return both sides' passes; None unless every run has one of its own on its side."""
-    sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
-    if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
-        return None
-    before, after = ([number for number in side if number is not None] for side in sides)
-    return before, after
+    before, after = ([passes[run.run_id] for run in side if run.run_id in passes] for side in (base, new))
+    return (before, after) if (len({*before}), len({*after})) == (len(base), len(new)) else None
 
 
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
@@ -130,11 +127,6 @@ def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
         else first == two or (name in RELAY_COLUMNS and None in (first, two))
         for name, first, two in zip(match, key, other, strict=True)
     )
-
-
-def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:
-    excluded = set(matched)
-    yield from (key for key in keys if key not in excluded)
 
 
 def interleaved_keys(

@@ -15,7 +15,7 @@ from dds_trace.analyzer.model.environment import lasting_parts
 from dds_trace.analyzer.model.finding import Finding, Severity
 from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.runs import pass_numbers
-from dds_trace.base.units import SECOND_NS, counted
+from dds_trace.base.units import SECOND_NS, first_of
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.json_fields import number_of
 
@@ -123,8 +123,7 @@ def _alike(differences: Differences, role: str, *where: ParameterValue) -> list[
 
 
 def _listed(values: frozenset[str]) -> str:
-    first, *others = sorted(values)
-    return first + (f" and {counted(len(others), 'other')}" if others else "")
+    return " ".join(first_of(sorted(values), 1))
 
 
 def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
@@ -229,6 +228,6 @@ def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> 
             is_whole = finding.code in WHOLE_RECORDING
             about = frozenset() if is_whole else frozenset(groups[number] for number in finding.groups)
             alike[finding.code, about].append(finding)
-    for (code, about), (first, *more) in alike.items():
-        where = f"{first.where} and {len(more)} more" if more else first.where
-        yield SideError(f"{side}: {code} ({where}): {first.what}", about)
+    for (code, about), errors in alike.items():
+        where = " ".join(first_of([error.where for error in errors], 1))
+        yield SideError(f"{side}: {code} ({where}): {errors[0].what}", about)

@@ -7,7 +7,7 @@ A quote follows a comment that says what it is: `<!-- quoted: analyze loopback -
 a bag, `advice lossy-link` what `dds-trace advise` proved, each in a block; `table loopback` the table of sizes, `further bridges` that of the other rates; `columns roundtrips` and `columns summary` those of the code, `security runs` that of its kept runs, `links presets` those of a plan; `ratios
 node` and `ratios throughput` those of `bench_node.py` and `bench_throughput.py --csv`, `speed rows` that of `just bench-speed DIR`, `claims study` and `needs study` those of a
 sweep of plans/paper-claims.toml; `learned results` that of `bench_learning.py --csv`, `evidence harmless` and `evidence losses` those of `bench_evidence.py --csv`; `explained PLAN` what `dds-trace explain` says of the traces of that plan; `compared FOLDER` what
-`dds-trace compare base new --paired` says of two sides.
+`dds-trace compare base new --paired` says of two sides, `failed FOLDER` its answer and gates with `--fail-if default`; `costs gates` the runs that gates take.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from stored_tables import (
     SECURITY,
     SPEED,
     column_table,
+    cost_table,
     evidence_table,
     learning_table,
     ratio_table,
@@ -106,6 +107,8 @@ def quote(kind: str, campaign: str) -> str:
     if kind == "links":
         presets = (str(link).rstrip(")").partition(" (")[::2] for link in PRESETS.values())
         return table_of(("preset", "what it is"), ([f"`{name}`", words] for name, words in presets))
+    if kind == "costs":
+        return cost_table()
     if kind in stored:
         rows, table = stored[kind]
         return table(read_rows(rows))
@@ -118,10 +121,12 @@ def quote(kind: str, campaign: str) -> str:
                 lines = render(BagReport(analyze_topics([Path(campaign)]))).splitlines()
             finally:
                 os.chdir(here)
-        elif kind == "compared":
+        elif kind in ("compared", "failed"):
             command = [Path(sys.executable).with_name("dds-trace"), "compare", "base", "new", "--paired"]
-            said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-            lines = said.stdout.splitlines()
+            command += ["--fail-if", "default"] if kind == "failed" else []
+            said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=kind == "compared")
+            answer, gates, *_ = said.stdout.split("\n\n")
+            lines = (f"{answer}\n\n{gates}" if kind == "failed" else said.stdout).splitlines()
         elif kind == "explained":
             lines = explained(campaign, folder)
         elif kind == "advice":

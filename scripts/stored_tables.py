@@ -9,6 +9,7 @@ from statistics import mean, stdev
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.statistics.distributions import student_quantile
+from dds_trace.analyzer.statistics.power import runs_to_decide
 from dds_trace.base.units import format_rate, format_size
 from dds_trace.recorder.choices import Security
 
@@ -41,6 +42,19 @@ def column_table(columns: Iterable[Column]) -> str:
     """Return the columns of a file that an analysis writes."""
     rows = ([f"`{each.name}`", f"`{each.dtype}`", each.unit, each.meaning] for each in columns)
     return markdown(("column", "type", "unit", "meaning"), rows)
+
+
+def cost_table() -> str:
+    """Return the runs a side that a gate takes, by the distance of a change from its limit and the spread of runs."""
+    spreads = (0.02, 0.05, 0.1, 0.2)
+    rows = [
+        [
+            f"{distance - 1:.0%}".replace("%", " %"),
+            *(str(runs_to_decide(math.log(distance), *(2 * [s]))) for s in spreads),
+        ]
+        for distance in (1.05, 1.1, 1.2, 1.5)
+    ]
+    return markdown(("from the limit", *(f"runs vary by {spread:.0%}".replace("%", " %") for spread in spreads)), rows)
 
 
 def ratio_table(rows: Sequence[Mapping[str, str]], *, is_throughput: bool = False) -> str:

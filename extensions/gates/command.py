@@ -47,7 +47,7 @@ FailIf = Annotated[
         "received < -0.5 points.",
     ),
 ]
-Strict = Annotated[bool, option("--strict", "Fail (21) where a gate is inconclusive, instead of warning (0).")]
+Strict = Annotated[bool, option("--strict", "Fail (21) where a gate is undecided, instead of warning (0).")]
 Looks = Annotated[
     int,
     option(
@@ -105,7 +105,7 @@ def compare_command(
 
     A verdict needs at least three runs per side. A gate fails only if the whole confidence interval is beyond its limit, or
     if a result of the base is missing or receives nothing on the new side; one that cannot be decided is a warning, or exit
-    code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive; 22 no result in common.
+    code 21 with --strict. Exit codes: 0 passed, or no gate given; 20 regressed; 21 undecided; 22 no result in common.
     Two bags are compared topic by topic; their limits are of topics: 'rate(/imu) < -10%', 'missing(/imu) > 1%'.
 
         dds-trace compare main/ branch/ --fail-if default --report md
@@ -189,7 +189,7 @@ class JudgedSides(NamedTuple):
         is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
         if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
             warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-            say(f"dds-trace: {self.outcome.value}{warning}")
+            say(f"dds-trace: {self.outcome.word}{warning}")
         return 0 if is_let_pass else self.outcome.exit_code
 
 

@@ -121,7 +121,7 @@ def render_junit(info: ComparisonInfo) -> str:
         if result.outcome is GateOutcome.REGRESSED:
             ET.SubElement(case, "failure", {"message": words, "type": "regression"})
         elif result.outcome is GateOutcome.INCONCLUSIVE:
-            ET.SubElement(case, "skipped", {"message": f"inconclusive: {words}"})
+            ET.SubElement(case, "skipped", {"message": f"{result.outcome.word}: {words}"})
     ET.SubElement(suite, "system-out").text = printable(f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
@@ -150,6 +150,6 @@ def _data(text: str) -> str:
 
 
 def render_badge(info: ComparisonInfo) -> str:
-    words = "no gate" if info.outcome is None else info.outcome.value
+    words = "no gate" if info.outcome is None else info.outcome.word
     color = "lightgrey" if info.outcome is None else _COLORS.get(info.outcome, "yellow")
     return json.dumps({"schemaVersion": 1, "label": "latency", "message": words, "color": color}) + "\n"

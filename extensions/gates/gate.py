@@ -54,6 +54,11 @@ class GateOutcome(Enum):
     NOTHING_TO_COMPARE = "nothing to compare"
 
     @property
+    def word(self) -> str:
+        """For people."""
+        return "undecided" if self is GateOutcome.INCONCLUSIVE else self.value
+
+    @property
     def exit_code(self) -> int:
         """Of a command with this outcome."""
         return {"passed": 0, "regressed": 20, "inconclusive": 21}.get(self.value, 22)

@@ -50,14 +50,12 @@ class GateResult(Judgement):
         smallest_drop: the same of a received ratio: the smallest loss of share.
         found_from: the change, in the unit of the limit, from which on the gate would have failed with a probability of 80 %
             if only this group had it.
-        runs_present: runs of the side that has fewer.
     """
 
     gate: Gate
     smallest_ratio: float | None = None
     smallest_drop: float | None = None
     found_from: float | None = None
-    runs_present: int = 0
 
     @property
     def outcome(self) -> GateOutcome:
@@ -278,7 +276,6 @@ def _measured(comparison: Comparison, family: Sequence[Gate], names: Sequence[st
             group=groups[key],
             smallest_ratio=change.smallest_ratio,
             smallest_drop=None if is_of_new else row.get("smallest_drop"),
-            runs_present=min(side.runs for side in sides),
         )
         advice = _advice(gate, change) if gate.statistic else _advice_on_received(gate.limit, value, low, high, sides)
         if gate.statistic and result.outcome is GateOutcome.INCONCLUSIVE:

@@ -16,14 +16,14 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.judgements import Judgement
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import counted, format_ratio
+from dds_trace.base.units import counted, format_ratio, joined
 from dds_trace.reports.book.groups import VENDORS, Cell, VendorLabels, group_labels, groups_of
 from dds_trace.reports.book.verdicts import received_words
 
 from .compare import FAMILY, Comparison
 from .comparison_rows import WORST_FIRST, shown_changes
-from .detectable import DetectableChange
-from .gate import METRIC_AND_STATISTIC, GateOutcome
+from .detectable import DetectableChange, among_tests
+from .gate import METRIC_AND_STATISTIC, Against, GateOutcome
 from .gates import FAMILY as GATE_FAMILY
 from .gates import GateResult, overall_outcome
 from .ignoring import columns_to_ignore, unlike_columns
@@ -141,7 +141,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
-    is_whole = not only_base and all(result.outcome is GateOutcome.PASSED for result in results)
+    outcome = overall_outcome(result.outcome for result in results) if results else None
     unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     if ignore:  # with those that are ignored already
@@ -151,9 +151,11 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     if comparison.same_recordings:
         answer = ("Both sides are the same recordings: nothing can have changed.",)
     elif groups:
-        answer = _answer(groups, is_whole=is_whole)
+        is_whole = not only_base and outcome in (None, GateOutcome.PASSED)
+        answer = _answer(groups, is_whole=is_whole, fails=outcome is GateOutcome.REGRESSED)
+    first, *others = with_undecided(answer, gates)
     return ComparisonInfo(
-        answer=with_undecided(answer, gates),
+        answer=(first, *_decided_words(comparison, gates), *others),
         seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
         if groups
         else _unlike_words(unlike, ignore),
@@ -161,7 +163,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
         metric=metric_words(comparison.options.metrics[0]),
         only_base=only_base,
         only_new=only_new,
-        outcome=overall_outcome(result.outcome for result in results) if results else None,
+        outcome=outcome,
         gates=gates,
         sights=sights,
         unlike=unlike,
@@ -169,6 +171,25 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
         notes=comparison_notes(comparison),
         rules=_rules(comparison, gated=bool(results)),
     )
+
+
+def _decided_words(comparison: Comparison, gates: Sequence[Gated]) -> list[str]:
+    """Return limits that such runs decide: of the statistics of undecided gates, and of the median."""
+    undecided = [gated.result.gate for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
+    judged = [(gate.metric, gate.statistic) for gate in undecided if gate.against is Against.RATIO]
+    limits: dict[str, float] = {}
+    for metric, statistic in dict.fromkeys(pair for pair in judged for pair in ((pair[0], "p50"), pair)):
+        ratios = [
+            change.smallest_ratio ** among_tests(change.degrees, 1, comparison.options.confidence)
+            for _, change in comparison.changes_of(metric, statistic)
+            if change.smallest_ratio is not None and change.degrees is not None
+        ]
+        limits |= {f"{metric}_{statistic}": max(ratios)} if ratios else {}
+    parts = [
+        f"no limit of {name}" if ratio > MOST_RATIO else f"{name} > +{math.ceil(100 * (ratio - 1))}%"
+        for name, ratio in limits.items()
+    ]
+    return [f"Such runs decide {joined(parts)} (equal sides pass in 8 of 10 comparisons)."] if parts else []
 
 
 def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
@@ -220,8 +241,8 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
     return WORST_FIRST.index(group.verdict), -most
 
 
-def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> tuple[str, ...]:
-    """Return the headline, and where the largest changes are."""
+def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool, fails: bool) -> tuple[str, ...]:
+    """Return the headline, and where the largest changes are; none where only a gate proves a change."""
     losing, worst = ([group for group in groups if group.verdict in WORST_FIRST[:most]] for most in (2, 3))
     keeping = [group for group in groups if group.delivery["verdict"] == "better"]
     keeping.sort(key=lambda group: -(group.delivery["difference"] or 0.0))
@@ -237,7 +258,7 @@ def _answer(groups: Sequence[ComparedGroup], *, is_whole: bool) -> tuple[str, ..
         if all(group.verdict == "too few runs" for group in groups):
             return (f"No verdict is possible: it needs {MIN_RUNS} runs a side.",)
         several = f"No result is proven to be slower or faster, of {len(groups)}."
-        return (several if len(groups) > 1 else "No change is proven.",)
+        return ("" if fails else several if len(groups) > 1 else "No change is proven.",)
     several = f" of {counted(len(groups), 'result')}"
     words = ", ".join(
         f"{word} in {count}{'' if number else several}" if len(groups) > 1 else f"{word} ({most})"

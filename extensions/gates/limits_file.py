@@ -6,6 +6,7 @@ import glob
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.limits import CONDITION, check, nearest, shown
 from dds_trace.base.streams import say
 from dds_trace.base.toml_table import TomlTable
-from dds_trace.base.units import format_duration, three_digits
+from dds_trace.base.units import counted, format_duration, three_digits
 
 if TYPE_CHECKING:
     import polars as pl
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 LEAST_ROOM, MOST_ROOM = 0.1, 9.0
 LEAST_LOSS = 0.005
+_NO_LIMIT = "# no limit of "
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,7 @@ def limits_text(comparison: Comparison) -> str:
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if (row["metric"], row["statistic"]) in {("latency", "p50"), ("latency", "p99"), ("age", "p99")}:
             key = _section(group_words(_quoted(row), names))
-            sections.setdefault(key, []).extend(_limits_of_time(f"{row['metric']}_{row['statistic']}", change.new))
+            sections.setdefault(key, []).append(_limit_of_time(f"{row['metric']}_{row['statistic']}", change.new))
     for row, delivery in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
         share = delivery.new
         if share.value is not None and share.lower is not None:
@@ -175,15 +177,15 @@ def _section(words: str) -> str:
     return f"[thresholds.{key}]"
 
 
-def _limits_of_time(metric: str, new: Interval) -> Iterator[str]:
+def _limit_of_time(metric: str, new: Interval) -> str:
     if not new.value or not new.upper or math.isinf(new.upper):
-        return
+        why = "too much was lost" if new.upper == math.inf else "too few messages or runs; record more"
+        return f"{_NO_LIMIT}{metric}: {why}"
     # Of n runs the reach of the mean, times sqrt(n + 1), is that of a single further run.
     room = max(LEAST_ROOM, (new.upper / new.value) ** math.sqrt(new.units + 1) - 1)
     if room > MOST_ROOM:
-        yield f"# {metric}: the runs differ too much for a limit"
-        return
-    yield f'{metric} = ["< {_time_above(new.value * (1 + room))}", "< +{5 * math.ceil(20 * room):g} %"]'
+        return f"{_NO_LIMIT}{metric}: the runs differ too much"
+    return f'{metric} = ["< {_time_above(new.value * (1 + room))}", "< +{5 * math.ceil(20 * room):g} %"]'
 
 
 def _time_above(limit_ns: float) -> str:
@@ -197,6 +199,9 @@ def write_limits(text: str, path: Path) -> None:
     if path.exists():
         raise OutputError(f"{path} exists already; give another --write-limits")
     say(f"Wrote {write_text_file(path, text)}")
+    missing = Counter(line for line in text.splitlines() if line.startswith(_NO_LIMIT))
+    for line, count in missing.items():
+        say(f"{line.removeprefix('# ')} (in {counted(count, 'result')})")
 
 
 def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:

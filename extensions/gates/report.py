@@ -13,7 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_ratio, joined
+from dds_trace.base.units import counted, first_of, format_duration, format_ratio, joined
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
     MARKDOWN,
@@ -89,14 +89,14 @@ class ComparisonReport(blocks.Report):
         yield Heading("The answer", media=PAGE)
         headline, *others = info.answer
         yield Sentence(headline, "headline", media=TERMINAL | PAGE)
-        word = "" if outcome is GateOutcome.INCONCLUSIVE else f"{outcome.value.capitalize()}: " if outcome else ""
+        word = "" if outcome is GateOutcome.INCONCLUSIVE else f"{outcome.word.capitalize()}: " if outcome else ""
         sign = f"{_SIGNS.get(outcome, '❔')} {word}" if outcome else ""
         yield Sentence([Span(sign, "raw"), Span(headline, "")], "headline", media=MARKDOWN)
         yield from (Sentence(sentence) for sentence in others)
         if info.seen:
             yield Sentence(info.seen, "seen", media=PAGE if info.gates else PAGE | TERMINAL | MARKDOWN)
         if outcome:
-            yield Sentence(outcome.value.capitalize(), f"outcome {outcome.value}", media=PAGE)
+            yield Sentence(outcome.word.capitalize(), f"outcome {outcome.value}", media=PAGE)
 
     def _results(self) -> Iterator[Block]:
         info, most = self.info, self.most
@@ -122,9 +122,8 @@ class ComparisonReport(blocks.Report):
         yield Heading(title, media=PAGE)
         yield Sentence(f"{title}:", media=TERMINAL | MARKDOWN)
         yield Points(names, media=PAGE)
-        yield Points(names[: self.most], bullet=" ", media=TERMINAL | MARKDOWN)
-        hidden = len(names[self.most :]) if self.most else 0
-        yield from _more(f"  and {hidden} more", hidden)
+        shown = names if self.most is None else first_of(names, self.most, "more: --all")
+        yield Points(shown, bullet=" ", media=TERMINAL | MARKDOWN)
 
     def _notes(self) -> Iterator[Block]:
         info, most = self.info, self.most
@@ -137,13 +136,9 @@ class ComparisonReport(blocks.Report):
         if info.groups:
             yield Sentence(" ".join(info.rules), "soft", media=TERMINAL)
         if most:
-            only = len(info.only_base[most:]) + len(info.only_new[most:])
-            hidden = {
-                "gate": len(words.gate_rows(info.gates)[most:]),
-                "result": len(info.groups) - self._in_markdown + only,
-            }
+            hidden = {"gate": len(words.gate_rows(info.gates)[most:]), "result": len(info.groups) - self._in_markdown}
             if counts := [counted(count, noun) for noun, count in hidden.items() if count]:
-                more = f"And {joined(counts)} more: `dds-trace compare` with `--all` or `--report html`."
+                more = f"Not in a table here: {joined(counts)}; `dds-trace compare` with `--all` or `--report html` has all."
                 yield Sentence([Span(more, "raw")], media=MARKDOWN)
 
 

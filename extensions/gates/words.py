@@ -18,7 +18,7 @@ from dds_trace.base.units import (
     joined,
     three_digits,
 )
-from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, some_of, time_words
+from dds_trace.reports.book.groups import ALL_METRIC_LABELS, LOST, STATISTIC_LABELS, some_of, time_words, times_words
 from dds_trace.reports.book.verdicts import episodes_words
 
 from .gate import Against, GateOutcome
@@ -88,10 +88,17 @@ def change_words(ratio: float | None) -> str:
 
 def interval_words(row: Mapping[str, Any]) -> str:
     ends = row["ratio_low"], row["ratio_high"]
-    low, high = map(change_words, ends)
-    if MISSING in (low, high) or low == high == LOST:
+    if None in ends or ends == (math.inf, math.inf):
         return MISSING
-    return WIDE if _is_wide(*ends) else ends_words(low, high)
+    return _ratios_words(*ends)
+
+
+def _ratios_words(low: float, high: float) -> str:
+    """Return an interval of changes, in percent or in times."""
+    if _is_wide(low, high):
+        return WIDE
+    last = change_words(high)
+    return ends_words(f"{format_number(low)} times" if last.endswith("times") else change_words(low), last)
 
 
 def _is_wide(low: float, high: float) -> bool:
@@ -104,7 +111,8 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
     return change if interval in (MISSING, change) else f"{change} ({interval})"
 
 
-def measured_words(result: GateResult, value: float | None) -> str:
+def measured_words(result: GateResult, value: float | None, *ends: float | None) -> str:
+    """Return a value, a time in the unit of the largest of it and the ends."""
     if value is None:
         return "unknown"
     if result.gate.against is Against.RATIO:
@@ -112,7 +120,7 @@ def measured_words(result: GateResult, value: float | None) -> str:
     if result.gate.metric == "rate":
         return format_rate(value)
     if result.gate.statistic or result.gate.metric in ("jitter", "hole"):
-        return time_words(value)
+        return times_words([value, *ends])[0]
     if result.gate.against is Against.DIFFERENCE:
         return f"{'+' if value > 0 else ''}{three_digits(100 * value)} points"
     return format_ratio(value)
@@ -120,10 +128,12 @@ def measured_words(result: GateResult, value: float | None) -> str:
 
 def gate_interval_words(result: GateResult) -> str:
     low, high = result.low, result.high
-    is_ratio = result.gate.against is Against.RATIO or (result.gate.statistic and result.gate.against is Against.NEW)
-    if is_ratio and low is not None and high is not None and _is_wide(low, high):
-        return WIDE
-    return ends_words(measured_words(result, low), measured_words(result, high))
+    if low is not None and high is not None:
+        if result.gate.against is Against.RATIO:
+            return _ratios_words(low, high)
+        if result.gate.statistic and result.gate.against is Against.NEW and _is_wide(low, high):
+            return WIDE
+    return ends_words(measured_words(result, low, high), measured_words(result, high, low))
 
 
 def ends_words(low: str, high: str) -> str:
@@ -146,8 +156,8 @@ def why_words(result: GateResult) -> str:
 def seen_words(result: GateResult) -> str:
     if result.found_from is None:
         return ""
-    if result.gate.against is Against.RATIO and result.found_from > MOST_RATIO:
-        return WIDE
+    if result.gate.against is Against.RATIO:
+        return found_from_words(result.found_from)
     return measured_words(result, result.found_from)
 
 
@@ -178,7 +188,7 @@ def _gate_cells(alike: Sequence[Gated]) -> GateCells:
     worst = max(measured, key=lambda gated: (gated.result.value or 0.0) * (1 if is_above else -1))
     by_size = sorted((gated.result for gated in alike), key=lambda result: result.found_from or 0.0)
     limit_words = [words for result in by_size if (words := seen_words(result))]
-    words = measured_words(worst.result, worst.result.value)
+    words = measured_words(worst.result, worst.result.value, worst.result.low, worst.result.high)
     interval = gate_interval_words(worst.result)
     more = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
     return (
@@ -210,7 +220,7 @@ def gate_notes(gates: Sequence[Gated]) -> list[str]:
 
 
 def undecided_words(gates: Sequence[Gated]) -> str:
-    """Return which gates are open, and for each what would decide the result that takes most."""
+    """Return which gates are undecided, and for each what would decide the result that takes most."""
     unsure: dict[str, list[GateResult]] = {}
     for gated in gates:
         if gated.result.outcome is GateOutcome.INCONCLUSIVE:

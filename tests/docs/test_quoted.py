@@ -34,7 +34,7 @@ def test_pages_quote_what_their_traces_give(quoted):
         assert quoted.with_quotes(text) == text, f"{page}: run `just readme`"
 
 
-@pytest.mark.parametrize("page", ["reference/columns", "results/security", "how-to/choose"])
+@pytest.mark.parametrize("page", ["reference/columns", "results/security", "how-to/choose", "how-to/ci"])
 def test_a_table_of_the_code_or_of_kept_rows_is_up_to_date(quoted, page):
     text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
     assert quoted.with_quotes(text) == text, "run `just readme`"

@@ -285,5 +285,4 @@ def test_a_comparison_is_in_the_words_of_a_report():
         visible_text(comparison_as("html", info, title="main → branch")),
         document.render_junit(info),
     ]
-    found = [set(OLD_WORDS.findall(html.unescape(text).lower())) for text in texts]
-    assert all(words <= {"inconclusive"} for words in found), "the outcome of a gate is a code"
+    assert not any(OLD_WORDS.search(html.unescape(text)) for text in texts)

@@ -165,7 +165,8 @@ def run_sides(
         if gates and is_recorded:
             judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
             if other.looks > 1:
-                say(f"look {look} of {other.looks}: {judged.outcome.value}. {judged.info.answer[0]}")
+                outcome = "" if judged.outcome.value == "inconclusive" else f"{judged.outcome.value}. "
+                say(f"look {look} of {other.looks}: {outcome}{judged.info.answer[0]}")
         if judged is None or judged.outcome.value != "inconclusive":
             break
     missing = {side: outcome.missing for side, outcome in sides.items()}

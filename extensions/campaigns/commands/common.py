@@ -91,9 +91,6 @@ def run_until_interrupted(
     raise typer.Exit(code)
 
 
-_OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecided"}
-
-
 def thresholds_json(gates: Sequence[Gated]) -> object:
     from dds_trace.base.records import to_json
 
@@ -101,7 +98,7 @@ def thresholds_json(gates: Sequence[Gated]) -> object:
         {
             "threshold": result.gate.text,
             "result": result.subject,
-            "outcome": _OUTCOMES[result.verdict],
+            "outcome": {"regressed": "failed"}.get(result.verdict, result.outcome.word),
             "measured": result.value,
             **{name: getattr(result, name) for name in ("low", "high", "reason")},
         }

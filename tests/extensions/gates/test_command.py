@@ -53,8 +53,8 @@ def folders(tmp_path_factory):
     [
         ("same", "latency_p90 > +10%", 0, "passed"),
         ("slow", "latency_p90 > +10%", 20, "regressed"),
-        ("one", "latency_p90 > +10%", 21, "inconclusive"),
-        ("few", "latency_p99 > +10%", 21, "inconclusive"),
+        ("one", "latency_p90 > +10%", 21, "undecided"),
+        ("few", "latency_p99 > +10%", 21, "undecided"),
         ("other", "latency_p90 > +10%", 22, "nothing to compare"),
     ],
 )

@@ -1,5 +1,6 @@
 import html
 import json
+import math
 import re
 from dataclasses import replace
 from functools import cache
@@ -16,8 +17,8 @@ from wording import comparison_as, numbers
 from dds_trace.extensions.gates import document, words
 from dds_trace.extensions.gates.compare import CompareOptions, compare_roundtrips
 from dds_trace.extensions.gates.comparison_rows import DISTRIBUTION_LEVELS
-from dds_trace.extensions.gates.gate import parse_gate
-from dds_trace.extensions.gates.gates import judge_gates
+from dds_trace.extensions.gates.gate import GateOutcome, parse_gate
+from dds_trace.extensions.gates.gates import judge_gates, result_of
 from dds_trace.extensions.gates.ignoring import match_without
 from dds_trace.extensions.gates.info import comparison_info, mean_change
 from dds_trace.extensions.gates.report import SIGNATURE
@@ -29,16 +30,16 @@ GATES = [
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "said"),
+    ("gate", "low", "high", "said"),
     [
-        ("-5 %", "+3 %", "-5 to +3 %"),
-        ("-100 %", "lost", "-100 % to lost"),
-        ("lost", "lost", "lost"),
-        ("1 ms", "2 s", "1 ms to 2 s"),
+        ("latency_p50 > +10%", 0.95, 1.03, "-5 to +3 %"),
+        ("latency_p50 > +10%", 0.5, 12, "0.5 to 12 times"),
+        ("latency_p50 > +10%", 0, math.inf, "-100 % to lost"),
+        ("latency_p50 > 1ms", 0.98 * MS, 1.02 * MS, "0.98 to 1.02 ms"),
     ],
 )
-def test_ends_share_a_unit_and_a_word_is_none(low, high, said):
-    assert words.ends_words(low, high) == said
+def test_ends_share_a_unit_and_a_word_is_none(gate, low, high, said):
+    assert words.gate_interval_words(result_of(parse_gate(gate), "", GateOutcome.PASSED, low, low, high)) == said
 
 
 def compared(**parameters):
@@ -177,7 +178,7 @@ def test_junit_counts_and_names(sentences):
     assert message.endswith(words.gate_rows(info.gates)[0][1][3])  # the same smallest change as in the table
     sentences(message)
     assert [len(cases[gate.text]) for gate in GATES] == [1, 0, 1, 0]
-    assert "inconclusive" in cases[GATES[2].text].find("skipped").get("message")
+    assert "undecided" in cases[GATES[2].text].find("skipped").get("message")
     assert root.find("testsuite/system-out").text.startswith("Slower (median of")
     assert "Undecided: latency_p99" in root.find("testsuite/system-out").text
     assert ET.fromstring(document.render_junit(comparison_info(compared()[0]))).get("tests") == "0"

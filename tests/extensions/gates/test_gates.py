@@ -28,6 +28,7 @@ from dds_trace.extensions.gates.gates import (
     overall_outcome,
     result_of,
 )
+from dds_trace.extensions.gates.info import comparison_info
 from dds_trace.extensions.gates.sides import SideError, errors_of
 
 
@@ -170,7 +171,10 @@ def test_one_run_decides_no_gate_and_says_what_it_takes(sentences):
 
 
 def test_an_inconclusive_gate_says_how_many_runs_would_decide(sentences):
-    (result,) = results_of(["latency_p50 > +10%"], in_runs([10 * MS] * 40), in_runs([int(11.5 * MS)] * 40))
+    sides = in_runs([10 * MS] * 40), in_runs([int(11.5 * MS)] * 40)
+    (result,) = results_of(["latency_p50 > +10%"], *sides)
+    said = comparison_info(compare_roundtrips(*sides), [result]).said
+    assert 100 * (result.smallest_ratio - 1) < numbers(said.partition("Such runs decide")[2])[0]
     assert result.outcome is GateOutcome.INCONCLUSIVE
     # Spread 3 % a side, 4.4 % from the limit: smallest_shift(sqrt(2 / n) * 0.0296, 2 (n - 1)) <= 0.0445 from n = 9 on.
     assert numbers(result.reason) == [9, 3, 3]

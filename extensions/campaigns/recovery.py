@@ -40,12 +40,8 @@ def read_outages(traces: Iterable[Trace]) -> dict[int, OutageTimes]:
                 continue
             times = int(began_ns or 0), int(ended_ns or 0), round((limit_s or 0) * 1e9)
             if all(STORED_TIME_NS.fault(time_ns) is None for time_ns in times):
-                outages[run_id] = {
-                    "by": str(outage.get("by")),
-                    "began_ns": times[0],
-                    "ended_ns": times[1],
-                    "limit_ns": times[2],
-                }
+                by = str(outage.get("by"))
+                outages[run_id] = OutageTimes(by=by, began_ns=times[0], ended_ns=times[1], limit_ns=times[2])
     return outages
 
 

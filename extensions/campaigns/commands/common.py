@@ -58,11 +58,8 @@ def plan_of(path: Path, out: Path, *, by_hand: bool = False) -> Plan:
     return plan
 
 
-CONTINUES = "Interrupted; the same command continues here"
-
-
 def run_until_interrupted(
-    run: Callable[[], int], out: Path, *, analyzes: bool = False, words: Callable[[], str] = lambda: CONTINUES
+    run: Callable[[], int], out: Path, *, analyzes: bool = False, next_step: str = "the same command continues here"
 ) -> NoReturn:
     """Exit with the code of `run`, or by a stop signal, which is raised again where a destructor or a callback lost it."""
     from dds_trace.recorder.host.process import unignored_stop_signals
@@ -84,7 +81,7 @@ def run_until_interrupted(
         with given_to_caller(out):
             code = run()
     except KeyboardInterrupt:
-        print(words(), file=sys.stderr)
+        print(f"Interrupted; {next_step}", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     finally:
         sys.unraisablehook = hook

@@ -46,4 +46,4 @@ def studio_command(
             print(f"Open http://127.0.0.1:{server.server_address[1]}/?key={key}", flush=True)
             return desk.work()
 
-    run_until_interrupted(run, out, words=desk.last_words)
+    run_until_interrupted(run, out, next_step="what was measured is kept")

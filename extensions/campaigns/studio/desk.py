@@ -115,10 +115,6 @@ class Desk:
                 self._show(running=False, note="", error=str(err))
             self._earlier = self._read_earlier()
 
-    def last_words(self) -> str:
-        is_searching = self._shown["running"]
-        return f"Interrupted{'; the same question goes on from what was measured' if is_searching else ''}"
-
     def _tell(self, event: Event) -> None:
         with self._lock:
             if event.candidate is not None and event.state and event.stage != "fit":  # of other sizes and rates

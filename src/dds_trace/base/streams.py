@@ -117,7 +117,7 @@ def say(text: object) -> None:
 
 
 def wrapped(text: str, stream: Any = None) -> str:
-    """Return lines as a terminal shows them, words whole; a log has no width, what goes to a `stream` that of a screen."""
+    """Return lines as a terminal shows them, words whole; in a pipe a `stream` is as wide as a screen, a log has no width."""
     is_terminal = (stream or sys.stderr).isatty()
     if not is_terminal and stream is None:
         return text

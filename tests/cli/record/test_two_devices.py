@@ -1,18 +1,17 @@
 """The commands of `docs/tutorials/two-devices.md`, as they stand there, between two namespaces joined by a veth."""
 
-import os
 import re
 import shlex
 import shutil
 import signal
-import subprocess
 import sys
 from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 
 import pytest
-from two_devices import SUBNET, command_blocks, needs_devices, two_devices
+from processes import executed
+from two_devices import command_blocks, needs_devices, two_devices
 
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -29,16 +28,13 @@ LEAST_RECEIVED = 0.9
 def test_the_page_names_the_addresses_and_every_section_has_its_commands():
     assert f"the ping's device is {PING} and the relay's is {RELAY}" in PAGE.read_text()
     blocks = command_blocks(PAGE)
-    assert [(block.section, block.device) for block in blocks] == [
-        ("Same domain", "relay"),
-        ("Same domain", "ping"),
-        ("Different domains", "relay"),
-        ("Different domains", "relay"),
-        ("Different domains", "ping"),
-        ("The floor of the link", "relay"),
-        ("The floor of the link", "ping"),
-        ("Bring the traces together", "ping"),
-    ]
+    sections = groupby(blocks, lambda block: block.section)
+    assert {section: " ".join(block.device for block in part) for section, part in sections} == {
+        "Same domain": "relay ping",
+        "Different domains": "relay relay ping",
+        "The floor of the link": "relay ping",
+        "Bring the traces together": "ping",
+    }
     assert PAGE.read_text().count("```sh") == len(blocks)
 
 
@@ -47,25 +43,14 @@ def test_the_page_names_the_addresses_and_every_section_has_its_commands():
 @needs_devices
 def test_one_machine_is_two_devices_by_the_lines_of_the_page(tmp_path):
     section = PAGE.read_text().partition("### Or try it")[2].partition("## Same")[0]
-    setup, relay = (
-        re.sub("^    ", "", part, flags=re.MULTILINE) for part in re.findall(r"(?:^    .*\n)+", section, re.MULTILINE)
+    setup, enter = re.findall(r"(?:^    .*\n)+", section, re.MULTILINE)
+    zenoh = "--backend zenoh --discovery subnet --out"
+    relay = f"echo dds-trace record relay {zenoh} relay.mcap --duration 10s | {enter.strip()}"
+    ping = (
+        f"echo dds-trace record ping {zenoh} ping.mcap --peer {RELAY} --messages 20 | {enter.replace('relay', 'ping')}"
     )
-    ping = relay.strip().replace("relay", "ping")
-    script = f"""mount -t tmpfs tmpfs /run
-sudo() {{ "$@"; }}
-{setup}
-echo "dds-trace record relay --backend zenoh --discovery subnet --duration 10s --out relay.mcap" | {relay.strip()} &
-echo "dds-trace record ping --backend zenoh --peer {RELAY} --messages 20 --out ping.mcap" | {ping}
-wait"""
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["unshare", "--mount", "--net", "bash", "-ec", script],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **SUBNET, "PATH": path, "USER": "root"},
-    )
+    script = f'mount -t tmpfs tmpfs /run; sudo() {{ "$@"; }}; USER=root PATH={Path(sys.executable).parent}:$PATH\n{setup}{relay} &\n{ping}wait'
+    done = executed(["unshare", "--mount", "--net", "bash", "-ec", script], cwd=tmp_path)
     assert "received 20" in done.stdout + done.stderr, done
 
 
@@ -95,7 +80,9 @@ def _follow(blocks, devices):
             for line in block.lines:
                 program, *arguments = shlex.split(line)
                 if program == "scp":
-                    _copy(arguments, devices)
+                    assert arguments == ["-r", f"pi@{RELAY}:runs", "."]
+                    here, there = (devices[name].folder / "runs" for name in ("ping", "relay"))
+                    shutil.copytree(there, here, dirs_exist_ok=True)
                     continue
                 command = devices[block.device].start(program, *arguments)
                 stack.callback(command.clean_up)
@@ -111,11 +98,6 @@ def _follow(blocks, devices):
         for command in waiting:
             done = command.stop(signal.SIGINT)
             assert done.status == 0, done.stderr
-
-
-def _copy(arguments, devices):
-    assert arguments == ["-r", f"pi@{RELAY}:runs", "."]
-    shutil.copytree(devices["relay"].folder / "runs", devices["ping"].folder / "runs", dirs_exist_ok=True)
 
 
 def _check(runs):

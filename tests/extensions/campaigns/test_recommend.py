@@ -9,6 +9,7 @@ from wording import numbers
 
 from dds_trace.analyzer.verdicts.job import Guess, Job
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
+from dds_trace.extensions.campaigns.learning.model import Estimator
 from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.tracefile.format.descriptions import Run
 
@@ -127,6 +128,13 @@ def test_an_unmeasured_cell_is_a_guess_that_says_so_and_proves_nothing(size, dea
     assert (candidate.measured, candidate.messages, candidate.held_out) == (False, 0, 34)
     assert (candidate.value_ns, candidate.lower_ns, candidate.upper_ns) == (3 * MS, 2 * MS, 6 * MS)
     assert (candidate.fit, candidate.reason) == (fit, "learned")
+
+
+def test_what_the_link_cannot_carry_misses_without_a_recording():
+    frame, job = steady(noisy(10 * MS), setting="link=slow(rate_mbit_s=1)"), replace(JOB, payload_bytes=66_000)
+    (candidate,) = recommend_settings(frame, job, estimate=Estimator(frame, job)).candidates
+    assert (candidate.fit, candidate.measured, candidate.value_ns) == (Fit.MISSES, False, None)
+    assert "need 5.28 Mbit/s each way, the link carries 1" in candidate.reason
 
 
 @pytest.mark.parametrize("sizes", [(10_000, 80_000), (5_000, 10_000, 80_000)])

@@ -182,15 +182,17 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
     ]
     if not judged:
         return None
-    of_results = "" if len(judged) == 1 else f" of {len(judged)} results"
+    all_results = "" if len(judged) == 1 else f" of {len(judged)} results"
     missing = [(case, late_share(*counts)) for case, counts in judged if counts[0]]
     if missing:
         worst, share = max(missing, key=lambda pair: pair[1])
         lateness = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}: {format_ratio(share)} late"
-        return Threshold("fail", f"{len(missing)}{of_results}, worst {lateness}" if of_results else lateness)
+        return Threshold("fail", f"{len(missing)}{all_results}, worst {lateness}" if all_results else lateness)
     unknown = sum(bool(unsure) or not count for _, (_, count, unsure) in judged)
     return (
-        Threshold("not known", f"for {unknown}{of_results}" if of_results else "") if unknown else Threshold("pass", "")
+        Threshold("not known", f"for {unknown}{all_results}" if all_results else "")
+        if unknown
+        else Threshold("pass", "")
     )
 
 

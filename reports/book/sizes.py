@@ -189,11 +189,9 @@ def _threshold(cases: Sequence[CaseAnswer], column: tuple[str, str], late: Late)
         lateness = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}: {format_ratio(share)} late"
         return Threshold("fail", f"{len(missing)}{all_results}, worst {lateness}" if all_results else lateness)
     unknown = sum(bool(unsure) or not count for _, (_, count, unsure) in judged)
-    return (
-        Threshold("not known", f"for {unknown}{all_results}" if all_results else "")
-        if unknown
-        else Threshold("pass", "")
-    )
+    if not unknown:
+        return Threshold("pass", "")
+    return Threshold("not known", f"for {unknown}{all_results}" if all_results else "")
 
 
 def _order(answer: CaseAnswer) -> tuple[object, ...]:

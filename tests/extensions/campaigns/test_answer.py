@@ -247,8 +247,6 @@ def test_a_device_that_vanishes_is_not_a_load_that_does_not_fit(tmp_path):
 
 @pytest.mark.parametrize("most_bit_s", [2e6, 4e6, 9e6])
 def test_where_nothing_fits_the_highest_rate_and_the_largest_size_are_searched(tmp_path, sentences, most_bit_s):
-    """A setup that carries so many bits a second: the answers are within the resolution of it."""
-
     def response(candidate):
         (cell,) = candidate.cells
         return 20 if cell.size * 8 * cell.rate <= most_bit_s else 500

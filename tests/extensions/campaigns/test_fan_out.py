@@ -28,7 +28,6 @@ DISCOVERY = {"matched_ns": [S // 10, S // 5, 3 * S], "missed": [1, 2, 30], "byte
 
 
 def message(sequence, relay):
-    """Relay 1 gets it after 100 us, each further one 50 us later; every tenth message relay 3 gets first."""
     sent = sequence * S // 100
     out = 100 * US + 50 * US * (relay - 1)
     if relay == RELAYS and sequence % 10 == 0:
@@ -80,7 +79,6 @@ def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
 
 
 def test_relays_of_repeats_are_no_positions(tmp_path):
-    """A relay without a number of its own has another one in each run."""
     campaign(tmp_path / "three")
     campaign(tmp_path / "one", relays=1, run_id=RUN_ID + 1000)
     campaign(tmp_path / "again", relays=1, run_id=RUN_ID + 2000, first=7)

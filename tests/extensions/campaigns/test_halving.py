@@ -134,8 +134,6 @@ def test_losses_precede_latency_and_a_failure_is_out_at_once():
     ],
 )
 def test_a_deadline_is_a_limit(limits, best):
-    """One in twenty messages of the faster one takes 100 ms."""
-
     class Uneven(Made):
         def look(self, candidate, number, seconds):
             (values,) = super().look(candidate, number, seconds).response_ms

@@ -107,7 +107,6 @@ RawStampPlace.reply = stalled
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["socket", "cyclonedds"])
 def test_a_stall_of_the_large_flow_is_found_in_the_small_one(tmp_path, domain_id, monkeypatch, backend):
-    """A real relay that stands still for 100 ms at each image; the queues hold the odometry of a second."""
     skip_without(backend)
     text = FLOWS.replace("seconds = 2\n", "seconds = 6\nrepeats = 3\n").replace("rate = 20", "rate = 2")
     text = text.replace('"socket"', f'"{backend}"\ndepth = 100').format(domain=domain_id)

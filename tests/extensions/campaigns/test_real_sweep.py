@@ -70,7 +70,6 @@ def sweep(tmp_path, domains):
 
 
 def check_pairs(sweep, cells):
-    """Each cell once: one run in its ping's trace, and exactly that run in its relay's."""
     pings, relays = sweep.traces("ping"), sweep.traces("relay")
     assert set(pings) == set(relays) == set(cells)
     for name, ping in pings.items():

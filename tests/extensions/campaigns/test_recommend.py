@@ -140,7 +140,6 @@ def test_what_the_link_cannot_carry_misses_without_a_recording():
 @pytest.mark.parametrize("sizes", [(10_000, 80_000), (5_000, 10_000, 80_000)])
 @pytest.mark.parametrize(("slow", "fit"), [(1, Fit.LIKELY), (8, Fit.INCONCLUSIVE), (100, Fit.INCONCLUSIVE)])
 def test_a_size_between_two_that_work_comes_first_where_no_error_can_be_given(sizes, slow, fit):
-    """Zenoh misses its deadline at every size; Fast DDS meets it at the next smaller size, and at the larger one as given."""
     other = {"vendor": "zenoh", "relay_vendor": "zenoh"}
     frame = pl.concat(
         in_runs(
@@ -182,7 +181,6 @@ def test_a_candidate_names_the_metric_of_its_value(metric, median_ns):
 
 
 def blocked(seconds=50, rate_hz=100):
-    """A sender that stands still for 300 ms in every 2 s and then sends what was due; one way takes 1 ms."""
     rows = []
     for number in range(seconds * rate_hz):
         planned = number * S // rate_hz

@@ -39,7 +39,6 @@ class Started:
 
 
 def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path, sentences):
-    """The plans ask for unlike sizes, so no group of one side has the parameters of one of the other."""
     done = run("dds-trace", "sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
     assert done.status == 0, done.stderr
     folder = tmp_path / "runs/p-against-q"

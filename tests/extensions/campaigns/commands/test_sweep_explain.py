@@ -38,7 +38,6 @@ def write_cell(folder, number, cell, repeat, latency_us, extra, lost=0):
 
 
 def write_campaign(folder, explanation, latencies_us, extra=EXTRA):
-    """Three repeats of every pair of cells; each repeat is 5 us slower than the one before."""
     numbers = itertools.count(1)
     (setup,) = explanation.setups
     cells = {}

@@ -192,7 +192,6 @@ def test_the_wire_is_captured_on_both_sides():
 
 
 def test_own_cost_is_measured_in_the_first_passes_alone():
-    """It is no setting: it splits no group, and a folder goes on without it."""
     for passes, measured in ((0, [True] * 3), (1, [True, False, False]), (2, [True, True, False])):
         plan = parse(f"{RUN}repeats = 3\nown_cost_passes = {passes}\n")
         assert plan.digest == parse(RUN).digest

@@ -238,7 +238,6 @@ def test_a_real_recording_that_stands_still_is_killed_and_the_sweep_goes_on(tmp_
 
 
 def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
-    """The stand-in's runs reach 1000 a second whatever was asked, with none lost and a response p99 of 0.5 ms."""
     plan = parse_plan(
         "[run]\nmessages = 4\nsettle_seconds = 0\n"
         "[search]\nmin_rate = 100\nmax_rate = 900\nloss_percent = 30\nresolution = 2\nknee_repeats = 1\n",

@@ -25,7 +25,6 @@ def messages(start_ns):
 
 @pytest.fixture
 def segment(tmp_path):
-    """Two runs, the first in second 0, the other in second 10; a host sample in every second from 0 to 13."""
     first, second = (
         relay_events(messages(0), run_id=FIRST_RUN),
         relay_events(messages(10 * SECOND_NS), run_id=SECOND_RUN),

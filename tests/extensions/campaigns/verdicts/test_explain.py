@@ -79,7 +79,6 @@ def test_what_was_not_measured_is_not_told_apart():
 
 
 def jump(segment, buffer, repeats=5, seed=3, spread=0.1):
-    """A jump of eight times, of which larger segments and buffers leave some; each median spreads by a factor."""
     chance = np.random.default_rng(seed)
     truth = {"small": 1e6, "large": 8e6, "small s": 1e6, "large s": segment, "small b": 1e6, "large b": buffer}
     values = {

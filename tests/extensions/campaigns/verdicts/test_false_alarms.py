@@ -17,7 +17,6 @@ P50 = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=True)
 
 
 def side(first_run, rtts_ms):
-    """Runs of ten messages each that all take the run's time; None is lost."""
     return roundtrips(
         {
             "run_id": first_run + place,

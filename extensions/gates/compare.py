@@ -197,7 +197,7 @@ def compare(base: Analysis, new: Analysis, options: CompareOptions | None = None
     Raises:
         OptionError: without the columns that are not matched, two groups of one side would be one.
     """
-    if not all(isinstance(side, Analysis) for side in (base, new)):
+    if not all(hasattr(side, "topic_messages") for side in (base, new)):
         drives: Comparison = load("parts", "side_by_side")(base, new)
         return drives
     options = options or CompareOptions()

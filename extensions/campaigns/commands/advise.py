@@ -15,7 +15,7 @@ import typer
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.streams import command_lines, wrapped
+from dds_trace.base.streams import SCREEN_WIDTH, command_lines, wrapped
 from dds_trace.base.units import counted, first_of
 from dds_trace.cli.program import argument, command, make_app, option
 
@@ -152,11 +152,13 @@ def _say(event: Event) -> None:
 
     if event.state != "running" and event.stage != "answer" and not event.text.endswith(NO_TIME):
         text = f"{event.left_s / 60:4.1f} min left, {event.stage}: {event.text}"
-        print(wrapped(printable(text, MAX_FINDING_CHARACTERS), sys.stdout), file=sys.stderr, flush=True)
+        words = printable(text, MAX_FINDING_CHARACTERS)
+        print(wrapped(words, in_pipe=SCREEN_WIDTH), file=sys.stderr, flush=True)
 
 
 def _line(text: str) -> str:
-    return text if text.startswith(("  export ", "    dds-trace ")) else wrapped(text, sys.stdout)  # a shell reads it
+    is_for_a_shell = text.startswith(("  export ", "    dds-trace "))
+    return text if is_for_a_shell else wrapped(text, sys.stdout, in_pipe=SCREEN_WIDTH)
 
 
 def shown(answer: Answer) -> list[str]:

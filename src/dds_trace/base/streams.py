@@ -8,6 +8,7 @@ segment. `printable` makes one line of what comes from outside.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator
@@ -116,12 +117,12 @@ def say(text: object) -> None:
     print(wrapped(printable(text, MAX_FINDING_CHARACTERS)), file=sys.stderr, flush=True)
 
 
-def wrapped(text: str, stream: Any = None) -> str:
-    """Return lines as a terminal shows them, words whole; in a pipe a `stream` is as wide as a screen, a log has no width."""
+def wrapped(text: str, stream: Any = None, *, in_pipe: int | None = None) -> str:
+    """Return lines as a terminal shows them, words whole; a log has no width, or `in_pipe` columns."""
     is_terminal = (stream or sys.stderr).isatty()
-    if not is_terminal and stream is None:
+    width = min(get_terminal_size().columns, WIDEST_SCREEN) if is_terminal else in_pipe
+    if width is None:
         return text
-    width = min(get_terminal_size().columns, WIDEST_SCREEN) if is_terminal else SCREEN_WIDTH
     lines = text.splitlines()
     whole = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
     for number, line in enumerate(lines):
@@ -130,11 +131,20 @@ def wrapped(text: str, stream: Any = None) -> str:
     return "\n".join(lines)
 
 
+_ARGUMENT = re.compile(r"""(?:[^\s'"]|'[^']*'|"[^"]*")+""")
+
+
 def command_lines(command: str) -> str:
-    """Return a command for a shell in lines that a screen has room for."""
+    """Return a command for a shell in lines that a screen has room for, broken between its arguments."""
     width = SCREEN_WIDTH - len("      ") - len(" \\")
-    lines = textwrap.wrap(command, width, break_on_hyphens=False, break_long_words=False)
-    return " \\\n      ".join(["    " + lines[0], *lines[1:]])
+    first, *arguments = _ARGUMENT.findall(command)
+    lines = [first]
+    for argument in arguments:
+        if len(lines[-1]) + len(argument) < width:
+            lines[-1] += f" {argument}"
+        else:
+            lines.append(argument)
+    return "    " + " \\\n      ".join(lines)
 
 
 def plain_console(**options: Any) -> Console:

@@ -97,7 +97,7 @@ def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():
 
 
 def test_presets_are_those_that_are_documented():
-    page = (Path(__file__).parents[4] / "docs/how-to/sweep.md").read_text()
+    page = (Path(__file__).parents[4] / "docs/how-to/choose.md").read_text()
     assert {*re.findall(r"`([a-z0-9]+(?:-\w+)?)`", page)} >= {*PRESETS}
 
 

@@ -30,8 +30,8 @@ Late = Mapping[int, tuple[int, int, int]]
 
 HOW_TO_READ = (
     "Of a typical run where there are three or more, each with enough messages for the percentile, else of all messages; lost "
-    "messages count as later than any other. Bold: proven to be the lowest of its row and domain, by a test of the runs. A dash: too "
-    "few messages for this percentile."
+    "messages count as later than any other. To lost: of all messages this percentile is lost, in the middle run it is the time. "
+    "Bold: proven to be the lowest of its row and domain, by a test of the runs. A dash: too few messages for this percentile."
 )
 
 
@@ -139,10 +139,15 @@ def _place_rows(
     return PlaceRows(name, thresholds, tuple(rows), tuple(further), devices, name.removeprefix(f"{devices}, "))
 
 
+def _to_lost(time_ns: float | None, lost: float, quantile: float) -> str:
+    is_range = time_ns is not None and math.isfinite(time_ns) and lost > 1 - quantile
+    return f"{time_words(time_ns)} to {LOST}" if is_range else time_words(time_ns)
+
+
 def _cell(case: CaseAnswer, setup: Contender) -> SizeCell:
     return SizeCell(
-        p50=time_words(setup.p50_ns),
-        p99=time_words(setup.p99_ns),
+        p50=_to_lost(setup.p50_ns, setup.lost, 0.5),
+        p99=_to_lost(setup.p99_ns, setup.lost, 0.99),
         leads_p50=case.leader_p50 == setup.name,
         leads_p99=case.leader_p99 == setup.name,
         lost=f"{format_ratio(setup.lost)} lost" if setup.received.value is not None and setup.lost > 0 else "",

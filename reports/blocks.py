@@ -179,10 +179,10 @@ class Bars(Block):
 
 @dataclass(frozen=True, slots=True)
 class Fitted(Block):
-    """What fits into `most` lines of a terminal: the first of `parts`, and always `last`."""
+    """What fits into `most` lines of a terminal: the first of `parts`, and always the one numbered `kept`."""
 
     parts: Sequence[Sequence[Block]]
-    last: Sequence[Block]
+    kept: int
     most: int
     more: str
 

@@ -108,14 +108,15 @@ def _wrapped(block: blocks.Sentence) -> list[Text]:
 
 def _fitted(block: blocks.Fitted) -> Drawn:
     lines: list[RenderableType] = []
-    last, remaining = _lines(block.last), 0
-    for drawn in map(_lines, block.parts):
-        if remaining or len(lines) + len(drawn) + len(last) > block.most - 1:
+    parts, remaining = list(map(_lines, block.parts)), 0
+    for number, drawn in enumerate(parts):
+        reserved = len(parts[block.kept]) if number < block.kept else 0
+        if number != block.kept and (remaining or len(lines) + len(drawn) + reserved > block.most - 1):
             remaining += 1
         else:
             lines += drawn
     remainder = f"{counted(remaining, 'more fact')}, {block.more}" if remaining else block.more
-    return [*lines, *last, *([Text(f"--all shows {remainder}", style="dim")] if block.more else [])]
+    return [*lines, *([Text(f"--all shows {remainder}", style="dim")] if block.more else [])]
 
 
 def _bars(block: blocks.Bars) -> Drawn:

@@ -13,7 +13,7 @@ import polars as pl
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.judgements import PROVEN, Claim, Judgement, Reason
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
 from dds_trace.base.units import counted, format_duration, format_ratio, joined
 
 from .fastest import ALIKE, Fastest, lowest_sentence, tail_sentence, winner_sentences
@@ -133,6 +133,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
     if any(answer.clarity is Clarity.CLEAR and answer.fewest_runs == MIN_RUNS for answer in answers):
         rule += FEW_PASSES
     first, *others = _who_is_fastest(fastest, usable, medians, answers) if usable.groups else [(PointKind.NOTHING, "")]
+    own_nodes = own_nodes_sentence(judged, contender_labels(answers, groups.vendors))
+    doubts = ((PointKind.DOUBT, limits_words(analysis)), (PointKind.CLIENT_FLOOR, own_nodes))
     sentences = [
         *((PointKind.TOPIC, text) for text in topics),
         (PointKind.FORGED, found_sentence(analysis, groups)),
@@ -142,21 +144,23 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, fastest: Seq
         (PointKind.CAUSE, cause_sentence(analysis, usable) if losses else ""),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures, busy)),
         (PointKind.CURE, cure_sentence(usable, cures)),
+        *(doubts if losses else ()),
         (PointKind.THROUGHPUT, throughput_sentence(usable, values)),
         first,
-        (PointKind.CLIENT_FLOOR, own_nodes_sentence(judged, contender_labels(answers, groups.vendors))),
+        *(() if losses else doubts),
         (PointKind.PLACE, place_sentence(judged)),
         *others,
         (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
         (PointKind.WHERE, where_sentence(analysis, groups, values)),
-        (PointKind.DOUBT, limits_words(analysis)),
         (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         (PointKind.FEW_LOST, unreached),
     ]
     kinds, (headline, *points) = zip(*[(kind, text) for kind, text in sentences if text], strict=True)
     is_decided = any(kind.is_decided for kind in fastest)
-    is_lossy, loses = not {PointKind.AVOID, PointKind.FORGED}.isdisjoint(kinds), PointKind.LOSS in kinds
-    outcome = "lossy" if is_lossy else "" if loses else "decided" if is_decided else "open"
+    is_lossy = PointKind.FORGED in kinds or any(
+        row.verdict == DO_NOT_USE for answer in answers for row in answer.of_claim(Claim.LOSSY)
+    )
+    outcome = "lossy" if is_lossy else "" if PointKind.LOSS in kinds else "decided" if is_decided else "open"
     return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome, kinds)
 
 
@@ -165,11 +169,27 @@ def _who_is_fastest(
 ) -> list[tuple[PointKind, str]]:
     floors = [group for group in groups.groups if groups.series_of(group).backend == "socket"]
     is_timed = len(floors) < len(groups.groups) and any(group.index in medians for group in floors)
-    floor = (PointKind.FLOOR, f"Plain sockets, the floor: {_span(floors, medians)}." if is_timed else "")
+    floor = (
+        PointKind.FLOOR,
+        f"Plain sockets, {_floor_words(floors, groups, medians)}: {_span(floors, medians)}." if is_timed else "",
+    )
     if any(kind.is_decided for kind in fastest):
         winners = [(PointKind.FASTEST, text) for text in winner_sentences(fastest)]
         return [*winners, (PointKind.TAIL, tail_sentence(answers, contender_labels(answers, groups.vendors))), floor]
     return [*((PointKind.UNDECIDED, text) for text in _why_undecided(fastest, groups, medians, answers)), floor]
+
+
+def _floor_words(floors: Sequence[Group], groups: Groups, medians: Mapping[int, Median]) -> str:
+    def message(group: Group) -> tuple[int, str]:
+        return group.cell, domain_label(groups.series_of(group))
+
+    floor_ns = {message(group): medians[group.index].ns for group in floors if group.index in medians}
+    faster = {
+        groups.series_of(group).vendor_label
+        for group in groups.groups
+        if group not in floors and group.index in medians and medians[group.index].ns < floor_ns.get(message(group), 0)
+    }
+    return f"the floor but where {joined(sorted(faster))} took less" if faster else "the floor"
 
 
 def own_nodes_sentence(judged: pl.DataFrame, labels: Mapping[str, str]) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, PROVEN, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_rate, format_size, joined
+from dds_trace.base.units import counted, first_of, format_rate, format_size, joined
 
 from .groups import MOST_NAMED, VendorLabels, data_type_label, factor_words, in_domain, size_span, some_of, time_words
 from .verdicts import MODES, contender_labels, place_of
@@ -233,7 +233,8 @@ def lowest_sentence(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapp
         who, times = _lowest([case], labels)
         if who:
             parts.append(f"{_where(case, cases)} {who} ({times}){decides}")
-    return f"{parts[0][0].upper()}{some_of(parts, 'more in the table')[1:]}." if parts else ""
+    shown = "; ".join(first_of(parts, MOST_NAMED + (len(parts) == MOST_NAMED + 1), "more in the table"))
+    return f"{shown[:1].upper()}{shown[1:]}." if parts else ""
 
 
 def _where(case: CaseAnswer, cases: Sequence[CaseAnswer]) -> str:

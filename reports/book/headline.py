@@ -153,7 +153,10 @@ def _cost_words(rows: pl.DataFrame) -> str:
         }
         if factors := " and ".join(factor_words(values) for values in ratios.values() if values):
             counts = {words: len(values) for words, values in ratios.items()} if all(ratios.values()) else {}
-            counts |= {"lost": len(costs) - len(timed), "no proven difference": len(timed.filter(~is_proven))}
+            counts |= {
+                "lost": len(costs) - len(timed),
+                "proven": 0 if counts or timed.filter(~is_proven).is_empty() else len(timed.filter(is_proven)),
+            }
             noted = [f"{words} in {count}" for words, count in counts.items() if count]
             of_all = f" ({', '.join(noted)} of {counted(costs.height, 'comparison')})" if noted else ""
             parts.append(f"{factors} as long {label}{of_all}")
@@ -202,9 +205,7 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         for is_ros in (True, False)
     )
     if ros and own:
-        ros = (
-            f"{ros.replace('; ', f'; {joined(through_ros)} through ')}, {joined(own)} through Python without ROS 2"
-        )
+        ros = f"{ros.replace('; ', f'; {joined(through_ros)} through ')}, {joined(own)} through Python without ROS 2"
     return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{ros}."
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 from dds_trace.analyzer.analysis import Analysis
@@ -55,6 +56,12 @@ def loss_sentence(groups: Groups, values: Values) -> str:
     lossy = [group for group in counted_groups if _planned_and_lost([group], values)[1]]
     scope, unsent = _scope(lossy, groups), sum(round(values.plain["unsent"][group.index] or 0) for group in lossy)
     where = f", all of them {scope}" if scope else ""
+    ways: Counter[str] = Counter()
+    for group in lossy:
+        ways[in_domain(domain_label(groups.series_of(group)))] += _planned_and_lost([group], values)[1]
+    ((way, most),) = ways.most_common(1)
+    if lost * 2 <= most * 3 < lost * 3 and way not in scope:
+        where += f", most of them {way}"
     never = f", {format_count(unsent)} of them never sent" if unsent else ""
     return f"{format_ratio(lost / planned)} of the messages were lost ({format_count(lost)} of {format_count(planned)}{never}){where}."
 

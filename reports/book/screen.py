@@ -48,10 +48,12 @@ def _brief(book: Contents) -> Fitted:
     ]
     vendors = book.groups.vendors
     parts += [
-        [Sentence(sentence, mark=FAIL if kind in LOSSES else OPEN)]
+        [Sentence(sentence, mark=FAIL if kind in LOSSES and answer.outcome == "lossy" else OPEN)]
         for kind, sentence in answer.sentences
         if kind in FIRST
     ]
+    doubts = len(parts)
+    parts += [[Sentence(sentence, mark=OPEN) for kind, sentence in answer.sentences if kind in DOUBTS]]
     parts += _thresholds(book.sizes)
     if PointKind.FASTEST in answer.kinds:
         parts += _winners(book.fastest, contender_labels(book.analysis.details.answers, vendors))
@@ -68,7 +70,6 @@ def _brief(book: Contents) -> Fitted:
     findings = [words for severity, words in severity_counts(book.findings) if severity != Severity.ERROR.value]
     results = len(book.groups.groups)
     more = ", ".join([*findings, *([f"tables of {counted(results, 'result')}"] if results else [])])
-    doubts = [Sentence(sentence, mark=OPEN) for kind, sentence in answer.sentences if kind in DOUBTS]
     return Fitted(parts, doubts, MOST_LINES, "" if book.shows_all else more)
 
 

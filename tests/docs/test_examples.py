@@ -51,6 +51,7 @@ OTHER_PROGRAMS = {
     "cp": "brings samples",
     "docker": "Docker is not here",
     "jupyter": "just walk notebook runs the cells",
+    "ln": "tests/support/secured_cyclone.py builds it",
     "mkdir": "belongs to Docker's commands",
     "PATH": "sets up the environment that runs this test",
     "git": "the clone is here",

@@ -246,7 +246,7 @@ def costs(*rows):
         pytest.param(costs(("b", "v", "v", "p50", "better", 0.15)), [0.15], id="a gain"),
         pytest.param(
             costs(*(("b", "v", "v", "p50", *each) for each in (("worse", 2.0), ("better", 0.5), ("same", 1.0)))),
-            [2, 0.5, 1, 1, 1, 3],
+            [2, 0.5, 1, 1, 3],
             id="a cost, a gain and neither",
         ),
     ],
@@ -330,7 +330,7 @@ def test_a_machine_busy_in_a_quarter_of_processes_is_named_on_every_first_screen
     details = replace(analysis.details, host_samples=pl.concat(samples))
     book = Book(replace(analysis, details=details, findings=(full, *others)))
     lines = render(book).splitlines()
-    assert (len(lines) <= MOST_LINES, "busy during 1 of 4" in " ".join(lines[-4:])) == (True, is_said)
+    assert (len(lines) <= MOST_LINES, "busy during 1 of 4" in " ".join(lines)) == (True, is_said)
     sentences(*(text for kind, text in book.answer.sentences if kind in (PointKind.WHERE, PointKind.DOUBT)))
 
 

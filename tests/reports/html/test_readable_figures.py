@@ -142,7 +142,7 @@ def test_axes_and_titles_say_what_they_show(reader, pages):
     tab.locator("#choose-statistic").select_option("max")
     tab.evaluate("for (const block of blocks) block.plan()")
     block = "blocks.find(b => b.name === 'latency_by_rate')"
-    assert tab.evaluate(f"{block}.title()").endswith("frequency, maximum of all messages")
+    assert tab.evaluate(f"{block}.title()").endswith("frequency, maximum of all received messages")
     assert tab.evaluate(f"{block}.fileName()") == "dds-trace-by-rate-rtt-max"
     ticks = tab.evaluate(f"{block}.drawn.layout.yaxis.ticktext")
     assert ticks

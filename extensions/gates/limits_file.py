@@ -7,62 +7,35 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import polars as pl
+
+from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.model.names import group_words, varying_parameters
+from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
+from dds_trace.analyzer.statistics.intervals import Interval
 from dds_trace.base.errors import OptionError, OutputError
-from dds_trace.base.limits import CONDITION, check, nearest, shown
+from dds_trace.base.files import read_settings
+from dds_trace.base.limits import nearest, shown
 from dds_trace.base.streams import say
 from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import counted, format_duration, three_digits
+from dds_trace.extensions.bags.card import OTHER_CLOCK_NS
 
-if TYPE_CHECKING:
-    import polars as pl
-
-    from dds_trace.analyzer.statistics.intervals import Interval
-
-    from .compare import Comparison
-    from .gate import Gate
-    from .sections import Patterns
+from .compare import RECEIVED_RATIO, Comparison
+from .gate import VALUES_OF_TOPICS, Against, Gate, parse_threshold
+from .sections import TOPIC, Patterns, Sections, Threshold, read_thresholds
 
 LEAST_ROOM, MOST_ROOM = 0.1, 9.0
 LEAST_LOSS = 0.005
 _NO_LIMIT = "# no limit of "
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """Conditions such as `< 20 ms` on a metric of the results that fit a pattern, all if it is empty."""
-
-    metric: str
-    conditions: tuple[str, ...]
-    result: str = ""
-    accepted: str = ""
-
-
-def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
-    """Yield the conditions of a table for all results, then of its tables, which have the name of a result."""
-    for metric, value in table.values.items():
-        if not isinstance(value, dict):
-            listed = value if isinstance(value, list) else [value]
-            for text in listed:
-                check(CONDITION, text, f"{table.where}: {shown(metric)} =")
-            yield Threshold(metric, tuple(map(str, listed)), result)
-    for name, value in table.values.items():
-        if isinstance(value, dict):
-            if result:
-                raise OptionError(f"{table.where}: {shown(name)} is a table within that of a result")
-            yield from read_thresholds(table.table(name), name)
-
-
 def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
-    from dds_trace.base.files import read_settings
-
-    from .compare import RECEIVED_RATIO
-    from .gate import VALUES_OF_TOPICS
-
     root = TomlTable.parse(read_settings(path, "a file of limits", "give --limits a file of limits"), str(path))
     root.allow("thresholds", "accepted")
     thresholds = list(read_thresholds(root.table("thresholds")))
@@ -84,9 +57,6 @@ def read_limits(path: Path, *, of_recording: bool = False) -> list[Gate]:
 
 
 def gates_of(thresholds: Iterable[Threshold], where: str) -> list[Gate]:
-    from .gate import parse_threshold
-    from .sections import Sections
-
     gates: list[Gate] = []
     sections = Sections()
     for threshold in thresholds:
@@ -104,10 +74,6 @@ def _is_topic(result: str) -> bool:
 
 
 def _patterns(result: str, where: str) -> Patterns:
-    from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
-
-    from .sections import TOPIC
-
     if _is_topic(result):
         return ((TOPIC, result.removeprefix(f"{TOPIC}=")),)
     words = [word.partition("=") for word in re.split(r"(?<! ) +(?=\w+=)", result.strip(" ")) if word]
@@ -121,8 +87,6 @@ def _patterns(result: str, where: str) -> Patterns:
 
 
 def limits_text(comparison: Comparison) -> str:
-    from dds_trace.analyzer.model.names import group_words, varying_parameters
-
     names = varying_parameters(comparison.delivery, comparison.options.match)
     sections: dict[str, list[str]] = {}
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
@@ -139,10 +103,6 @@ def limits_text(comparison: Comparison) -> str:
 
 
 def topic_limits_text(topics: pl.DataFrame) -> str:
-    import polars as pl  # not of a sweep
-
-    from dds_trace.extensions.bags.card import OTHER_CLOCK_NS
-
     sections: dict[str, list[str]] = {}
     high = pl.col("missing_high")
     worst = topics.group_by("topic", maintain_order=True).agg(
@@ -194,8 +154,6 @@ def _time_above(limit_ns: float) -> str:
 
 
 def write_limits(text: str, path: Path) -> None:
-    from dds_trace.analyzer.exports.kinds import write_text_file
-
     if path.exists():
         raise OutputError(f"{path} exists already; give another --write-limits")
     say(f"Wrote {write_text_file(path, text)}")
@@ -205,6 +163,4 @@ def write_limits(text: str, path: Path) -> None:
 
 
 def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:
-    from .gate import Against
-
     return [gate for gate in gates if gate.against is Against.NEW]

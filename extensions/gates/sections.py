@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import CONDITION, check, shown
+from dds_trace.base.toml_table import TomlTable
 
 Patterns = tuple[tuple[str, str], ...]
 """Columns of a result, each with a pattern of its value."""
@@ -13,6 +17,31 @@ Patterns = tuple[tuple[str, str], ...]
 TOPIC = "topic"
 """Column of a section about a topic, whatever its name begins with."""
 _ESCAPED, _WILD = re.compile(r"\[([*?[ ])\]"), re.compile(r"[*?[]")
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """Conditions such as `< 20 ms` on a metric of the results that fit a pattern, all if it is empty."""
+
+    metric: str
+    conditions: tuple[str, ...]
+    result: str = ""
+    accepted: str = ""
+
+
+def read_thresholds(table: TomlTable, result: str = "") -> Iterator[Threshold]:
+    """Yield the conditions of a table for all results, then of its tables, which have the name of a result."""
+    for metric, value in table.values.items():
+        if not isinstance(value, dict):
+            listed = value if isinstance(value, list) else [value]
+            for text in listed:
+                check(CONDITION, text, f"{table.where}: {shown(metric)} =")
+            yield Threshold(metric, tuple(map(str, listed)), result)
+    for name, value in table.values.items():
+        if isinstance(value, dict):
+            if result:
+                raise OptionError(f"{table.where}: {shown(name)} is a table within that of a result")
+            yield from read_thresholds(table.table(name), name)
 
 
 def _literal(pattern: str) -> str | None:

@@ -108,7 +108,6 @@ def sweep_command(
 
         dds-trace sweep new mine.toml
     """
-    from dds_trace.extensions.gates.limits_file import gates_of
     from dds_trace.recorder.backends import installed_middlewares
 
     from ..plan.plan_file import check_runs
@@ -132,6 +131,8 @@ def sweep_command(
         check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
         gates = []
         if other.plan.thresholds or fail_if or limits_file:
+            from dds_trace.extensions.gates.limits_file import gates_of  # polars
+
             gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
         other = replace(other, looks=looks)
         if looks > 1 and not gates:

@@ -11,7 +11,7 @@ from enum import Enum
 
 from dds_trace.base import limits
 from dds_trace.extensions.bridges.base import Halves, load_bridge
-from dds_trace.extensions.gates.limits_file import Threshold
+from dds_trace.extensions.gates.sections import Threshold
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.base import Meeting
 from dds_trace.recorder.backends.qos import warn_of_depth

@@ -16,7 +16,7 @@ from dds_trace.base.files import expand_home, read_settings
 from dds_trace.base.printable import printable
 from dds_trace.base.toml_table import TomlTable
 from dds_trace.base.units import parse_size
-from dds_trace.extensions.gates.limits_file import read_thresholds
+from dds_trace.extensions.gates.sections import read_thresholds
 from dds_trace.recorder.choices import Security
 from dds_trace.recorder.domains import default_domain
 from dds_trace.recorder.options import DEFAULT_MESSAGES

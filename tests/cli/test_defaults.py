@@ -263,7 +263,7 @@ def test_a_sweep_has_defaults_and_its_recordings_have_none(home, run, monkeypatc
     assert run(sweep.app, str(home / "plan.toml"), "--dry-run")[0] == 0
     assert folders == ["there"]
     assert VARIABLE not in os.environ
-    monkeypatch.setattr("dds_trace.recorder.recording.check_options", checked.append)
+    monkeypatch.setattr("dds_trace.extensions.campaigns.commands.dry_run.check_options", checked.append)
     argument_check()(["--role", "relay", "--out", "x.mcap"])
     assert checked[0].node.qos.reliability == "reliable"
     program = Program(["env"], home / "env.log")

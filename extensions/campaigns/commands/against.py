@@ -19,15 +19,19 @@ from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted, first_of
 from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
+from ..against import BASE, NEW, AgainstOutcome, against_seconds, interleave, run_against
+from ..folder import replace_text
+from ..plan.cells import Cell, environment_name
+from ..plan.plan import Plan
+from ..plan.plan_file import read_plan
+from ..run.progress import make_progress
+from ..station.programs import environment_program
+from ..sweep import SweepOutcome
 from .common import INCOMPLETE_EXIT_CODE
 
 if TYPE_CHECKING:
     from dds_trace.extensions.gates.gate import Gate
 
-    from ..against import AgainstOutcome
-    from ..plan.cells import Cell
-    from ..plan.plan import Plan
-    from ..sweep import SweepOutcome
     from ..verdicts.false_alarms import FalseAlarms
 
 SAME = "SAME"
@@ -46,10 +50,6 @@ class NewSide:
 def new_side(
     text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
 ) -> NewSide:
-    from ..plan.cells import environment_name
-    from ..plan.plan_file import read_plan
-    from ..station.programs import environment_program
-
     limits.check(limits.FOLDER, text, "--against")
     path = expand_home(text)
     if text == SAME or (path.is_file() and path.samefile(base_path)):
@@ -70,8 +70,6 @@ def new_side(
 
 def keep_to_environment(folder: Path, side: NewSide) -> None:
     """Refuse the folder of a new side that was recorded with another environment, or before a module of it changed."""
-    from ..folder import replace_text
-
     mark, identity, recorded = folder / ".environment", "", ""
     if side.environment is not None:
         modules = (path for path in side.environment.rglob("*") if path.suffix in (".py", ".so"))
@@ -94,8 +92,6 @@ def startable_words(cells: Iterable[Cell], refused: Container[str]) -> str:
 
 
 def shown_sides(base: Plan, other: NewSide, refused: Container[str] = ()) -> tuple[dict[str, object], list[str]]:
-    from ..against import against_seconds, interleave
-
     cells = [(turn.side, turn.group.cells[0]) for turn in interleave(base, other.plan)]
     turns = [(side, cell.name) for side, cell in cells]
     base_here, new_here = startable(base, refused), startable(other.plan, refused)
@@ -119,8 +115,6 @@ def shown_sides(base: Plan, other: NewSide, refused: Container[str] = ()) -> tup
 
 
 def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
-    from ..against import BASE, NEW
-
     folder = out / _name(base, other)
     sides = [(BASE, base, None), *([] if other.is_same else [(NEW, other.plan, other.command)])]
     return [(plan, folder / side, command) for side, plan, command in sides]
@@ -143,9 +137,6 @@ def busier(base: Path, new: Path) -> list[tuple[str, int]]:
 def run_sides(
     base: Plan, other: NewSide, out: Path, gates: Sequence[Gate] = (), *, as_json: bool, strict: bool = False
 ) -> int:
-    from ..against import NEW, run_against
-    from ..run.progress import make_progress
-
     if gates:
         say(shown_sides(base, other)[1][-1])
     keep_to_environment(out / _name(base, other) / NEW, other)

@@ -8,23 +8,29 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted
+from dds_trace.cli.record.command import role_app
+from dds_trace.cli.table_options import settings_as_options
 from dds_trace.recorder.choices import Role
+from dds_trace.recorder.option_table import OPTIONS
+from dds_trace.recorder.recording import check_options
 
+from .. import rehearsal
+from ..plan.cells import Cell
+from ..plan.commands import half_arguments, relay_arguments
+from ..plan.plan import Plan, depth_warnings
+from ..plan.schedule import Remaining, group_by_relay, plan_seconds, schedule
+from ..search import search_estimates
+from ..station.devices import printed_command
+from ..sweep import Until
 from .against import NewSide, say_missing, shown_sides, side_folders, startable, startable_words
 from .common import INCOMPLETE_EXIT_CODE
-
-if TYPE_CHECKING:
-    from ..plan.cells import Cell
-    from ..plan.plan import Plan
-    from ..sweep import Until
-
 
 LOOPBACK_MBIT_S = 10_000
 """Rate that few machines reach through a middleware in one direction."""
@@ -44,8 +50,6 @@ def dry_run(
     rehearses: bool = False,
     searches: bool = False,
 ) -> int:
-    from ..rehearsal import check_plan, rehearse_plan
-
     runs = len(plan.cells) * plan.run.repeats
     if runs > MOST_CHECKED and not rehearses:
         raise OptionError(
@@ -55,9 +59,9 @@ def dry_run(
     refused: dict[str, str] = {}
     for side, folder, command in sides:
         if rehearses:
-            refused |= rehearse_plan(side, folder, argument_check(), note=say, command=command)
+            refused |= rehearsal.rehearse_plan(side, folder, argument_check(), note=say, command=command)
         else:
-            refused |= check_plan(side, folder, argument_check())
+            refused |= rehearsal.check_plan(side, folder, argument_check())
     if other is not None:
         described, lines = shown_sides(plan, other, refused)
     else:
@@ -71,11 +75,6 @@ def dry_run(
 
 def argument_check() -> Callable[[Sequence[str]], None]:
     """Return a check that declares options as they are named: all take twice as long."""
-    from dds_trace.cli.record.command import role_app
-    from dds_trace.cli.table_options import settings_as_options
-    from dds_trace.recorder.option_table import OPTIONS
-    from dds_trace.recorder.recording import check_options
-
     flags = {row.name: name for name, row in OPTIONS.items()}
     fields: set[str] = set()
     commands: dict[tuple[Role, int], Any] = {}
@@ -99,8 +98,6 @@ def argument_check() -> Callable[[Sequence[str]], None]:
 
 
 def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:
-    from ..plan.schedule import plan_seconds, schedule
-
     groups = schedule(plan)
     cells = [cell for group in groups for cell in group.cells]
     plan_here = startable(plan, refused)
@@ -135,9 +132,6 @@ def _shown(plan: Plan, until: Until | None, refused: Mapping[str, str]) -> tuple
 
 
 def _shown_search(plan: Plan, refused: Mapping[str, str]) -> tuple[dict[str, object], list[str]]:
-    from ..plan.schedule import Remaining, group_by_relay
-    from ..search import search_estimates
-
     plan_here = startable(plan, refused)
     least, expected, most = search_estimates(plan_here)
     described = {
@@ -164,8 +158,6 @@ def _left_out(plan: Plan, refused: Mapping[str, str]) -> int:
 
 
 def _remarks(plan: Plan) -> list[str]:
-    from ..plan.plan import depth_warnings
-
     left_out = Counter(reason for _, reason in plan.excluded).items()
     return [
         *(
@@ -191,10 +183,6 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 
 def relay_commands(plan: Plan) -> list[str]:
-    from ..plan.commands import half_arguments, relay_arguments
-    from ..plan.schedule import schedule
-    from ..station.devices import printed_command
-
     lines = []
     for group in schedule(plan):
         lines.append(

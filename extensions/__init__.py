@@ -68,8 +68,8 @@ EXTENSIONS = (
         details={"costs": "costs:cost_frames"},
         parts={
             "read_limits": "limits_file:read_limits",
-            "topic_limits": "command:topic_limits",
-            "judge_topics": "command:judge_topics",
+            "topic_limits": "limits_file:topic_limits",
+            "judge_topics": "report:judge_topics",
         },
     ),
     Extension(

@@ -1,27 +1,15 @@
 """`dds-trace compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
 
-import sys
-from collections.abc import Sequence
-from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated
 
 import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import load
-from dds_trace.base.streams import say
 from dds_trace.cli.program import argument, command, make_app, option
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.reports.blocks import Report
-
-    from .compare import Comparison
-    from .gate import Gate, GateOutcome
-    from .info import ComparisonInfo
 
 
 class ReportKind(str, Enum):
@@ -112,11 +100,12 @@ def compare_command(
     """
     from .gate import GateOutcome
     from .ignoring import match_without
-    from .limits_file import limits_text
+    from .limits_file import limits_text, read_gates
     from .limits_file import write_limits as write_limits_file
+    from .report import judge_sides, write_report
 
     limits.check(limits.LOOKS, looks, "--looks")
-    reports = report or [ReportKind.TERMINAL]
+    reports = [kind.value for kind in report or [ReportKind.TERMINAL]]
     files: list[Path | None] = [*out] if out else [None for _ in reports]
     if len(files) != len(reports):
         raise OptionError(f"{len(reports)} --report and {len(files)} --out: give one file for each report, or none")
@@ -128,13 +117,13 @@ def compare_command(
         for name, path in paths:
             limits.check(bound, None if path is None else str(path), name)
     if new is not None and load("parts", "are_drives")(base, new):
-        if write_limits or paired or ignore or looks > 1 or not {kind.value for kind in reports} <= {*_OF_DRIVES}:
+        if write_limits or paired or ignore or looks > 1 or not {*reports} <= {*_OF_DRIVES}:
             raise OptionError(
                 f"two bags take --fail-if, --limits, --allow-missing, --strict and --report {', '.join(_OF_DRIVES)}"
             )
         drives = load("parts", "compare_drives")(base, new, fail_if or [], limits_file, allow_missing=allow_missing)
         for kind, file in zip(reports, files, strict=True):
-            _write(drives, kind, file)
+            write_report(drives, kind, file)
         raise typer.Exit(0 if drives.outcome is GateOutcome.INCONCLUSIVE and not strict else drives.outcome.exit_code)
     gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
@@ -145,126 +134,3 @@ def compare_command(
     for kind, file in zip(reports, files, strict=True):
         judged.write(kind, file, title, shows_all=shows_all)
     raise typer.Exit(judged.end(strict=strict))
-
-
-def _write(contents: "Report", kind: ReportKind, file: Path | None, text: str = "") -> None:
-    from dds_trace.analyzer.exports.kinds import write_text_file
-    from dds_trace.reports.reporters import load_reporter
-    from dds_trace.reports.terminal import print_report
-
-    if kind is ReportKind.TERMINAL and file is None:
-        print_report(contents)
-        return
-    text = text or load_reporter(kind.value).render(contents)
-    if file is not None:
-        is_folder = file.is_dir() or not (file.suffix or file.exists())
-        file = file / f"{contents.name}.{kind.value}" if is_folder else file
-        print(f"Wrote {write_text_file(file, text)}")
-    else:
-        method = "write_commands" if kind is ReportKind.GITHUB else "write"
-        getattr(sys.stdout, method, sys.stdout.write)(text)
-
-
-class JudgedSides(NamedTuple):
-    comparison: "Comparison"
-    info: "ComparisonInfo"
-    outcome: "GateOutcome"
-
-    def write(self, report: ReportKind, file: Path | None, title: str, *, shows_all: bool) -> None:
-        from . import document
-        from .report import ComparisonReport
-
-        contents = ComparisonReport(self.info, self.comparison, title, shows_all=shows_all)
-        for_ci = {
-            ReportKind.JUNIT: document.render_junit,
-            ReportKind.GITHUB: document.render_annotations,
-            ReportKind.BADGE: document.render_badge,
-        }
-        render = for_ci.get(report)
-        _write(contents, report, file, render(self.info) if render else "")
-
-    def end(self, *, strict: bool) -> int:
-        from .gate import GateOutcome
-
-        is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
-        if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
-            warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-            say(f"dds-trace: {self.outcome.word}{warning}")
-        return 0 if is_let_pass else self.outcome.exit_code
-
-
-def judge_sides(
-    base: "Path | Analysis",
-    new: Path | None,
-    gates: "Sequence[Gate]",
-    *,
-    looks: int = 1,
-    allow_missing: bool = False,
-    **options: Any,
-) -> JudgedSides:
-    from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.statistics.power import confidence_at_each
-    from dds_trace.base.units import counted
-
-    from .compare import CompareOptions, compare
-    from .gate import GateOutcome
-    from .gates import judge_gates, options_for, overall_outcome
-    from .info import comparison_info
-    from .words import with_undecided
-
-    before = analyze(base, details=False) if isinstance(base, Path) else base
-    after = before if new is None else analyze(new, details=False)
-    at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
-    comparison = compare(before, after, options_for(gates, at_each))
-    results = judge_gates(comparison, gates, allow_missing=allow_missing)
-    for folder, side in ((base, before), (new, after)):
-        for finding in side.findings if isinstance(folder, Path) else ():
-            if finding.code == "not_applied":
-                say(f"{folder}: {finding.where}: {finding.what}")
-    if comparison.delivery.is_empty():
-        outcome = GateOutcome.NOTHING_TO_COMPARE
-    else:
-        outcome = overall_outcome(result.outcome for result in results) if results else GateOutcome.PASSED
-    info = comparison_info(comparison, results)
-    if new is None:
-        said = f"{counted(len(info.groups), 'result')} against limits."
-        info = replace(info, answer=with_undecided((said,), info.gates), seen="", groups=(), rules=())
-    return JudgedSides(comparison, info, outcome)
-
-
-def read_gates(
-    texts: list[str], limits_file: Path | None, *, one_side: bool = False, needed: bool = False
-) -> "list[Gate]":
-    from .gate import parse_gates
-    from .limits_file import limits_of_one_side, read_limits
-
-    gates = parse_gates(texts)
-    if one_side and (limits_of_one_side(gates) != gates or (needed and not gates and limits_file is None)):
-        raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
-    more = [] if limits_file is None else read_limits(limits_file)
-    more = limits_of_one_side(more) if one_side else more
-    if limits_file is not None and not more:
-        of_one = " of one side" if one_side else ""
-        raise OptionError(f"{limits_file}: has no limit{of_one} for results; write one, or leave out --limits")
-    return [*gates, *more]
-
-
-def topic_limits(texts: list[str]) -> "list[Gate]":
-    """Return the limits of `analyze`, of topics only; an `OptionError` for others."""
-    from dds_trace.analyzer.model.metrics import METRICS
-
-    from .gate import Against, parse_gates
-
-    gates = parse_gates(texts)
-    if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
-        raise OptionError(
-            "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
-            "dds-trace compare RUNS --fail-if 'latency_p99 > 20ms'"
-        )
-    return gates
-
-
-def judge_topics(analysis: "Analysis", gates: "Sequence[Gate]") -> int:
-    judged = judge_sides(analysis, None, gates)
-    judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
-    return judged.end(strict=True)

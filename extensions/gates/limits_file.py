@@ -15,6 +15,7 @@ from typing import Any
 import polars as pl
 
 from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.names import group_words, varying_parameters
 from dds_trace.analyzer.model.parameters import MATCH_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Interval
@@ -27,7 +28,7 @@ from dds_trace.base.units import counted, format_duration, three_digits
 from dds_trace.extensions.bags.card import OTHER_CLOCK_NS
 
 from .compare import RECEIVED_RATIO, Comparison
-from .gate import VALUES_OF_TOPICS, Against, Gate, parse_threshold
+from .gate import VALUES_OF_TOPICS, Against, Gate, parse_gates, parse_threshold
 from .sections import TOPIC, Patterns, Sections, Threshold, read_thresholds
 
 LEAST_ROOM, MOST_ROOM = 0.1, 9.0
@@ -164,3 +165,28 @@ def write_limits(text: str, path: Path) -> None:
 
 def limits_of_one_side(gates: Sequence[Gate]) -> list[Gate]:
     return [gate for gate in gates if gate.against is Against.NEW]
+
+
+def read_gates(
+    texts: list[str], limits_file: Path | None, *, one_side: bool = False, needed: bool = False
+) -> list[Gate]:
+    gates = parse_gates(texts)
+    if one_side and (limits_of_one_side(gates) != gates or (needed and not gates and limits_file is None)):
+        raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
+    more = [] if limits_file is None else read_limits(limits_file)
+    more = limits_of_one_side(more) if one_side else more
+    if limits_file is not None and not more:
+        of_one = " of one side" if one_side else ""
+        raise OptionError(f"{limits_file}: has no limit{of_one} for results; write one, or leave out --limits")
+    return [*gates, *more]
+
+
+def topic_limits(texts: list[str]) -> list[Gate]:
+    """Return the limits of `analyze`, of topics only; an `OptionError` for others."""
+    gates = parse_gates(texts)
+    if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
+        raise OptionError(
+            "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
+            "dds-trace compare RUNS --fail-if 'latency_p99 > 20ms'"
+        )
+    return gates

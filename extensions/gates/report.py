@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import or_
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.exports.kinds import write_text_file
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.statistics.power import confidence_at_each
 from dds_trace.base.printable import printable
+from dds_trace.base.streams import say
 from dds_trace.base.units import counted, first_of, format_duration, format_ratio, joined
 from dds_trace.reports import blocks
 from dds_trace.reports.blocks import (
@@ -31,13 +38,16 @@ from dds_trace.reports.blocks import (
 )
 from dds_trace.reports.book.groups import time_words
 from dds_trace.reports.book.verdicts import VERDICTS, received_words, runs_words
+from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.terminal import print_report
 
 from . import words
-from .compare import Comparison
+from .compare import CompareOptions, Comparison, compare
 from .comparison_rows import DISTRIBUTION_LEVELS
-from .document import comparison_document
-from .gate import GateOutcome
-from .info import ComparedGroup, ComparisonInfo, mean_change
+from .document import comparison_document, render_annotations, render_badge, render_junit
+from .gate import Gate, GateOutcome
+from .gates import judge_gates, options_for, overall_outcome
+from .info import ComparedGroup, ComparisonInfo, comparison_info, mean_change
 
 SIGNATURE = "<!-- dds-trace compare -->"
 """By which CI finds the comment that it updates."""
@@ -312,3 +322,72 @@ def _svg(name: str, width: int, height: int, parts: Sequence[Markup], label: str
     return Markup(
         '<svg class="{}" width="{}" height="{}" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>'
     ).format(name, width, height, width, height, label, Markup().join(parts))
+
+
+def write_report(contents: blocks.Report, kind: str, file: Path | None, text: str = "") -> None:
+    if kind == "terminal" and file is None:
+        print_report(contents)
+        return
+    text = text or load_reporter(kind).render(contents)
+    if file is not None:
+        is_folder = file.is_dir() or not (file.suffix or file.exists())
+        file = file / f"{contents.name}.{kind}" if is_folder else file
+        print(f"Wrote {write_text_file(file, text)}")
+    else:
+        method = "write_commands" if kind == "github" else "write"
+        getattr(sys.stdout, method, sys.stdout.write)(text)
+
+
+class JudgedSides(NamedTuple):
+    comparison: Comparison
+    info: ComparisonInfo
+    outcome: GateOutcome
+
+    def write(
+        self, kind: str = "terminal", file: Path | None = None, title: str = "", *, shows_all: bool = False
+    ) -> None:
+        contents = ComparisonReport(self.info, self.comparison, title, shows_all=shows_all)
+        render = {"junit": render_junit, "github": render_annotations, "badge": render_badge}.get(kind)
+        write_report(contents, kind, file, render(self.info) if render else "")
+
+    def end(self, *, strict: bool) -> int:
+        is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
+        if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
+            warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
+            say(f"dds-trace: {self.outcome.word}{warning}")
+        return 0 if is_let_pass else self.outcome.exit_code
+
+
+def judge_sides(
+    base: Path | Analysis,
+    new: Path | None,
+    gates: Sequence[Gate],
+    *,
+    looks: int = 1,
+    allow_missing: bool = False,
+    **options: Any,
+) -> JudgedSides:
+    before = analyze(base, details=False) if isinstance(base, Path) else base
+    after = before if new is None else analyze(new, details=False)
+    at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
+    comparison = compare(before, after, options_for(gates, at_each))
+    results = judge_gates(comparison, gates, allow_missing=allow_missing)
+    for folder, side in ((base, before), (new, after)):
+        for finding in side.findings if isinstance(folder, Path) else ():
+            if finding.code == "not_applied":
+                say(f"{folder}: {finding.where}: {finding.what}")
+    if comparison.delivery.is_empty():
+        outcome = GateOutcome.NOTHING_TO_COMPARE
+    else:
+        outcome = overall_outcome(result.outcome for result in results) if results else GateOutcome.PASSED
+    info = comparison_info(comparison, results)
+    if new is None:
+        said = f"{counted(len(info.groups), 'result')} against limits."
+        info = replace(info, answer=words.with_undecided((said,), info.gates), seen="", groups=(), rules=())
+    return JudgedSides(comparison, info, outcome)
+
+
+def judge_topics(analysis: Analysis, gates: Sequence[Gate]) -> int:
+    judged = judge_sides(analysis, None, gates)
+    judged.write()
+    return judged.end(strict=True)

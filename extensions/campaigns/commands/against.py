@@ -17,7 +17,6 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.files import expand_home, open_regular
 from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted, first_of
-from dds_trace.extensions.gates.command import JudgedSides, ReportKind, judge_sides
 
 from ..against import BASE, NEW, AgainstOutcome, against_seconds, interleave, run_against
 from ..folder import replace_text
@@ -31,6 +30,7 @@ from .common import INCOMPLETE_EXIT_CODE
 
 if TYPE_CHECKING:
     from dds_trace.extensions.gates.gate import Gate
+    from dds_trace.extensions.gates.report import JudgedSides
 
     from ..verdicts.false_alarms import FalseAlarms
 
@@ -154,6 +154,8 @@ def run_sides(
         is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
         judged = None
         if gates and is_recorded:
+            from dds_trace.extensions.gates.report import judge_sides
+
             judged = judge_sides(sides_outcome.base.folder, sides_outcome.new.folder, gates, looks=other.looks)
             if other.looks > 1:
                 outcome = "" if judged.outcome.value == "inconclusive" else f"{judged.outcome.value}. "
@@ -190,7 +192,7 @@ def _print_sides(sides: AgainstOutcome, alarms: FalseAlarms | None, judged: Judg
     if alarms is not None:
         print(wrapped(_in_words(alarms), sys.stdout))
     if judged is not None:
-        judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
+        judged.write()
 
 
 def print_complete(outcome: SweepOutcome, side: str = "") -> None:

@@ -17,7 +17,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.cli.program import command, make_app, option
-from dds_trace.extensions.gates.command import FailIf, Looks, ReportKind, Strict, judge_sides, read_gates
+from dds_trace.extensions.gates.command import FailIf, Looks, Strict
 
 from .common import (
     INCOMPLETE_EXIT_CODE,
@@ -131,7 +131,7 @@ def sweep_command(
         check_runs("--looks", len(requested.cells), looks * requested.run.repeats)
         gates = []
         if other.plan.thresholds or fail_if or limits_file:
-            from dds_trace.extensions.gates.limits_file import gates_of  # polars
+            from dds_trace.extensions.gates.limits_file import gates_of, read_gates  # polars
 
             gates = [*gates_of(other.plan.thresholds, "[thresholds]"), *read_gates(fail_if or [], limits_file)]
         other = replace(other, looks=looks)
@@ -191,7 +191,11 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
             progress.note(line)
     outcome = run_sweep(plan, out, progress, until=until)
     complete = outcome.cells - len(outcome.missing)
-    judged = judge_sides(outcome.folder, None, gates) if gates and complete else None
+    judged = None
+    if gates and complete:
+        from dds_trace.extensions.gates.report import judge_sides
+
+        judged = judge_sides(outcome.folder, None, gates)
     if as_json:
         result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         if until is not None:  # JSON has no infinity
@@ -204,7 +208,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     else:
         print_complete(outcome)
         if judged is not None:
-            judged.write(ReportKind.TERMINAL, None, "", shows_all=False)
+            judged.write()
     say_missing(outcome.missing)
     for name, width in outcome.too_wide.items():
         assert until is not None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 from dds_trace.base.errors import TraceError
 from dds_trace.base.extension import load
@@ -36,12 +36,10 @@ from .host.sampling import HostSampler
 from .kernel.counters import LOOPBACK, read_interfaces
 from .options import RecordOptions, side_settings
 from .roles.floor import measured_cost, measured_floor
+from .roles.ping import PingThread
+from .roles.progress import Progress, Role, Watch
 from .roles.read_back import ReadBack
 from .security.keys import public_hash
-
-if TYPE_CHECKING:
-    from .roles.ping import PingThread
-    from .roles.progress import Progress, Role, Watch
 
 ResultT = TypeVar("ResultT")
 

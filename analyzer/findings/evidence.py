@@ -7,27 +7,23 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.base.units import first_of
 from dds_trace.tracefile.format.descriptions import Session
 
+from ..analysis import Details
 from ..clocks.boots import ping_boots
+from ..groups.batch import AnalysisOptions, Grouping
+from ..groups.summary import Summary
 from ..loading.campaign import Campaign
+from ..model.detail_frames import Topics
 from ..model.finding import Finding, Severity, Subject
 from ..model.names import name_groups
 from ..pairing.exchanges import Exchange, Exchanges
 from ..pairing.one_way import DevicePair, pair_devices
-
-if TYPE_CHECKING:
-    import polars as pl
-
-    from ..analysis import Details
-    from ..groups.batch import AnalysisOptions, Grouping
-    from ..groups.summary import Summary
-    from ..model.detail_frames import Topics
-    from ..pairing.rows import RowStore
-
+from ..pairing.rows import RowStore
 
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"
 

@@ -7,7 +7,6 @@ also on the number of exchanges).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -20,8 +19,7 @@ from .sending import sending_frame
 from .shapes import shape_frame
 from .timeline import run_frame, timeline_frame
 
-if TYPE_CHECKING:
-    Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
+Maker = Callable[[Batch, RoundTrips], pl.DataFrame]
 
 Frames = dict[str, pl.DataFrame]
 """Name in `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""

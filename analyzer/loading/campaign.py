@@ -8,7 +8,6 @@ import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
@@ -21,9 +20,7 @@ from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 from ..model.finding import Source
 from .event_index import Copies, EventIndex, index_events
 from .place import Place, is_remote
-
-if TYPE_CHECKING:
-    from .traces import LoadAll, LoadedTrace
+from .traces import LoadAll, LoadedTrace
 
 Progress = Callable[[int, int, Path], None]
 """Called before each trace is read with the number done, the number of all, and its path."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, pairwise
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,9 +30,8 @@ from .bursts import (
 )
 from .runs import Runs, SendTimes, Values
 
-if TYPE_CHECKING:
-    Streaks = tuple[Float64, Float64, Indices]
-    """Positions of the first and of the last message of each streak, and its messages."""
+Streaks = tuple[Float64, Float64, Indices]
+"""Positions of the first and of the last message of each streak, and its messages."""
 
 TAIL_GAP_SHARE = 0.5
 """As `EPISODE_GAP_SHARE`, wide enough that an excursion of correlated neighbours that comes back twice is one episode;

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
 from ..model.metrics import frame_schema
+from ..run_statistics.received import LossExcess
 from ..statistics.intervals import Basis
-
-if TYPE_CHECKING:
-    from ..run_statistics.received import LossExcess
 
 LOSSY_SHARE = 0.01
 """Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from statistics import median
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from dds_trace.analyzer.clocks.boots import machine_of
+from dds_trace.analyzer.groups.batch import Grouping
 from dds_trace.analyzer.groups.host_samples import node_percent
 from dds_trace.analyzer.model.detail_frames import FAN_OUT_FRAMES, FAN_OUT_TIMES
+from dds_trace.analyzer.pairing.exchanges import Exchange
+from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.statistics.percentiles import summarize_values
 from dds_trace.tracefile.format.json_fields import number_of, object_of, objects_of
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.groups.batch import Grouping
-    from dds_trace.analyzer.pairing.exchanges import Exchange
-    from dds_trace.analyzer.pairing.rows import RowStore
 
 _COLUMNS = ("run_id", "relay_id", "sequence", "publish_ns", "receive_ns", "outbound_ns", "clock_bound_ns")
 _MESSAGE = ("run_id", "sequence")

@@ -9,16 +9,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import DEVNULL, PIPE
-from typing import TYPE_CHECKING
 
 import psutil
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.host.child import Child
 from dds_trace.recorder.host.process import pin_cpus
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 DMA_LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = Path(__file__).with_name("load_program.py")

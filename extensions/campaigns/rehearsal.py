@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.extensions.bridges.base import load_bridge
@@ -24,9 +23,8 @@ from .run.state import SweepState
 from .station.programs import missing_environment, rehearse_program
 from .station.station import Station, open_station
 
-if TYPE_CHECKING:
-    CheckArguments = Callable[[Sequence[str]], None]
-    """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
+CheckArguments = Callable[[Sequence[str]], None]
+"""Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 
 _TOO_OLD = "No such option: --check"
 

@@ -7,8 +7,10 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree as ET
+
+import polars as pl
 
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -16,13 +18,8 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from .compare import Comparison
 from .comparison_rows import DISTRIBUTION_LEVELS
 from .gate import GateOutcome
+from .info import ComparedGroup, ComparisonInfo
 from .words import gate_interval_words, measured_words, why_words
-
-if TYPE_CHECKING:
-    import polars as pl
-
-    from .info import ComparedGroup, ComparisonInfo
-
 
 FORMAT_VERSION = 1
 

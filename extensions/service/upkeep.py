@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 from dds_trace.recorder.option import Rotation
+from dds_trace.recorder.options import RecordOptions
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import Json, JsonObject
 from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
@@ -22,10 +22,6 @@ from dds_trace.tracefile.writing.sink import TraceSink
 
 from .rotation import RotatedFiles, find_shortage
 from .running import RunningRecording
-
-if TYPE_CHECKING:
-    from dds_trace.recorder.options import RecordOptions
-
 
 STATUS_PERIOD_S = 5.0
 """Time between two statuses: each wakes the manager."""

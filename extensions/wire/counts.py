@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.records import to_json
@@ -27,10 +27,8 @@ from dds_trace.recorder.kernel.sockets import (
 
 from .classes import WireClass
 from .format import AGAIN_CLASSES, DISCOVERY_CLASSES, Direction
+from .frames import Frame
 from .messages import RepeatCount
-
-if TYPE_CHECKING:
-    from .frames import Frame
 
 
 @dataclass(slots=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, OptionError
@@ -17,9 +16,7 @@ from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFu
 from ..domains import check_domain_id, domain_port_range, first_port
 from ..host.environment import MiddlewareEnvironment, watched_configuration
 from ..security.keys import LAST_SECURED_DOMAIN
-
-if TYPE_CHECKING:
-    from .node import Node, NodeOptions
+from .node import Node, NodeOptions
 
 
 class Meeting(Enum):

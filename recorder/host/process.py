@@ -19,13 +19,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import Json
+from dds_trace.tracefile.format.json_fields import Json
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

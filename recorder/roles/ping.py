@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import replace
 from statistics import median
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..applied.applied import Traffic
 from ..backends.node import Node
@@ -26,13 +27,9 @@ from ..host.process import start_thread_use, tuned_gc
 from ..payloads.base import Feed
 from ..payloads.stamp import NO_RELAYS, NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import Clients, Lane, open_lane
+from .plan import RunPlan
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.writing.sink import TraceSink
-
-    from .plan import RunPlan
 
 ReceivedT = TypeVar("ReceivedT")
 

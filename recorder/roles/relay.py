@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.writing.packing import ExpectedPair
+from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..applied.applied import Traffic
 from ..backends.node import Node, Publisher, RawMessage, Receive
@@ -16,11 +18,6 @@ from ..payloads.base import DataType, Form
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, RawStampPlace, SentT
 from .lanes import Lane, open_lane
 from .progress import RelayProgress
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.writing.packing import ExpectedPair
-    from dds_trace.tracefile.writing.sink import TraceSink
-
 
 ReceivedT = TypeVar("ReceivedT")
 

@@ -9,22 +9,19 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from dds_trace.analyzer.model.parameters import CELL_COLUMNS, SETTING_COLUMNS
 from dds_trace.analyzer.run_statistics.runs import Statistic
 from dds_trace.analyzer.verdicts.cases import partition_groups
+from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.errors import UNREADABLE, OptionError
 from dds_trace.base.files import output_errors, read_regular, write_whole
 from dds_trace.base.records import RecordReader, to_json
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
-
-if TYPE_CHECKING:
-    import polars as pl
-
-    from dds_trace.analyzer.verdicts.job import Job
 
 MOST_CAMPAIGNS = 100
 """The newest are read."""

@@ -6,16 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.recorder.choices import Load
 
 from .cells import AXES, DEFAULTS, RELAY_AXES, Cell, environment_name
 from .flows import ONLY_RELAY, RelayPlace, sender_cells
 from .plan import DeviceSettings, Plan, connects_to_relay
-
-if TYPE_CHECKING:
-    from .schedule import CellGroup
+from .schedule import CellGroup
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label with the number of the pass, for comparisons pass by pass."""

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -28,10 +28,9 @@ from .link import PRESETS, Link, read_drive
 from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search, connects_to_relay
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 
-if TYPE_CHECKING:
-    FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
-    AxisValue: TypeAlias = str | int | float | bool | None
-    AxisValues: TypeAlias = dict[str, list[AxisValue]]
+FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
+AxisValue: TypeAlias = str | int | float | bool | None
+AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
 MAX_RUNS = 200_000
 """Most runs of a sweep, nine days of four seconds each."""

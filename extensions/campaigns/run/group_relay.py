@@ -6,16 +6,13 @@ import time
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.options import DEFAULT_WAIT_S
 from dds_trace.recorder.roles.ping import MAX_RELAYS
 
 from ..folder import segment_of
-
-if TYPE_CHECKING:
-    from ..station.devices import RelayDevice, StartedProgram
+from ..station.devices import RelayDevice, StartedProgram
 
 START_POLL_S = 0.05
 

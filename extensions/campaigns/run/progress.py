@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -13,9 +12,7 @@ from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import SCREEN_WIDTH, plain_console, wrapped
 from dds_trace.base.units import counted
 
-if TYPE_CHECKING:
-    from ..plan.schedule import Remaining
-
+from ..plan.schedule import Remaining
 
 CELL_WIDTH = 25
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
@@ -30,17 +30,15 @@ from ..plan.flows import is_crowded, recorded_together, relay_places
 from ..plan.link import LinkReport
 from ..plan.plan import Plan
 from ..plan.schedule import CellGroup, Estimate, start_lead_s
+from ..station.devices import RelayDevice
 from ..station.programs import Program, missing_environment
+from ..station.station import Station
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
 from .outage import Outage, OutageReport
+from .progress import SweepProgress
 from .result import CellResult, read_result
 from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
-
-if TYPE_CHECKING:
-    from ..station.devices import RelayDevice
-    from ..station.station import Station
-    from .progress import SweepProgress
 
 START_ALLOWANCE_S = 40.0
 

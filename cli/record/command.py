@@ -11,9 +11,11 @@ import typer
 from dds_trace.base.errors import OptionError
 from dds_trace.base.extension import load
 from dds_trace.base.streams import say
+from dds_trace.recorder.backends import load_backend
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
-from dds_trace.recorder.options import RecordOptions
+from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions, chosen_qos
 
 from ..program import Version, ask_about_folder, command, make_app
 from ..table_options import (
@@ -76,7 +78,6 @@ ping, relay, tap, beacon = (
 
 
 def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
-    from dds_trace.recorder.backends import load_backend
     from dds_trace.recorder.backends.base import Meeting
     from dds_trace.recorder.recording import rehearse
 
@@ -109,9 +110,7 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:
-    from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.domains import default_domain
-    from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions, chosen_qos
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None

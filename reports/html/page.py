@@ -17,7 +17,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
-from dds_trace.analyzer.exports.kinds import summary_parquet
+from dds_trace.analyzer.pairing.parquet import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.judgements import LOST_MUCH
 from dds_trace.base.files import asset
@@ -289,7 +289,7 @@ def _island(book: Book, plans: Sequence[tuple[Figure, Plan]]) -> dict[str, objec
         ],
         "values": values,
         "curves": book.curves,
-        "parquet": base64.b64encode(summary_parquet(book.analysis)).decode("ascii"),
+        "parquet": base64.b64encode(summary_parquet(book.analysis.summary)).decode("ascii"),
         "runs": [
             {
                 "group": run.group,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
@@ -17,6 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.files import expand_home, open_regular
 from dds_trace.base.streams import say, wrapped
 from dds_trace.base.units import counted, first_of
+from dds_trace.recorder.backends import installed_middlewares
 
 from ..against import BASE, NEW, AgainstOutcome, against_seconds, interleave, run_against
 from ..folder import replace_text
@@ -47,15 +48,13 @@ class NewSide:
     looks: int = 1
 
 
-def new_side(
-    text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
-) -> NewSide:
+def new_side(text: str, base_path: Path, base: Plan) -> NewSide:
     limits.check(limits.FOLDER, text, "--against")
     path = expand_home(text)
     if text == SAME or (path.is_file() and path.samefile(base_path)):
         return NewSide("same", base, is_same=True)
     if path.suffix == ".toml":
-        plan = read_plan(path, installed)
+        plan = read_plan(path, installed_middlewares)
         return NewSide(plan.name, plan)
     if not path.is_dir():
         raise OptionError(f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}")

@@ -55,7 +55,7 @@ def choose_command(
     from dds_trace.analyzer.verdicts.job import make_job
     from dds_trace.cli.analysis import run_analysis
 
-    from ..learning.results import keep_results
+    from ..learning.results import campaign_of, keep
 
     job = make_job(
         size=size, rate=rate, deadline=deadline, reliability=reliability, data=data, domain=domain, metric=metric
@@ -72,4 +72,4 @@ def choose_command(
             "pip install 'dds-trace[learn]' (in a clone '.[learn]'): then what nobody measured is estimated from what was"
         )
     if analysis.summary["published"].sum() <= MOST_COMPARED_ROWS:  # in memory once more
-        say(keep_results(analysis.load_messages(), job))
+        say(keep(campaign_of(analysis.load_messages(), job)))

@@ -108,8 +108,6 @@ def sweep_command(
 
         dds-trace sweep new mine.toml
     """
-    from dds_trace.recorder.backends import installed_middlewares
-
     from ..plan.plan_file import check_runs
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
@@ -121,7 +119,7 @@ def sweep_command(
     limits.check(limits.LOOKS, looks, "--looks")
     requested = plan_of(plan, out, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
-    other = None if against is None else new_side(against, plan, requested, installed_middlewares)
+    other = None if against is None else new_side(against, plan, requested)
     if other is None:
         if fail_if or looks > 1 or strict:
             raise OptionError("--fail-if, --looks and --strict judge two sides; add --against")

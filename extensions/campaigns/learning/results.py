@@ -75,10 +75,6 @@ def campaign_of(messages: pl.DataFrame, job: Job | None = None) -> Campaign:
     return Campaign(tuple(f"{run:016x}" for run in messages["run_id"].unique().sort()), tuple(results))
 
 
-def keep_results(messages: pl.DataFrame, job: Job) -> str:
-    return keep(campaign_of(messages, job))
-
-
 def keep(campaign: Campaign) -> str:
     """Keep a campaign in place of an earlier analysis of some of its runs; return a line that names the folder."""
     folder, text = results_folder(), json.dumps(to_json(campaign), separators=(",", ":"))

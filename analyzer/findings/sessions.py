@@ -14,15 +14,7 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import number_of, object_of, objects_of
 
 from ..loading.campaign import part_of
-from ..model.applied import (
-    interface_bytes,
-    is_tuned,
-    kernel_counts,
-    kernel_limits,
-    may_be_cut,
-    socket_drops,
-    words_not_applied,
-)
+from ..model import applied
 from ..model.environment import FLEETING, flat_fields, versions_of
 from ..model.finding import Subject
 from .evidence import Evidence, Observation, error, note, some, warning
@@ -44,9 +36,9 @@ def _sessions(evidence: Evidence) -> pl.DataFrame:
             "error": None if _failed_bridge(session) else _reason(session, "error"),
             "stopped": _reason(session, "stopped"),
             "longest_unsaved_ns": number_of(session.extra.get("longest_unsaved_ns")),
-            "dropped_datagrams": socket_drops(session),
+            "dropped_datagrams": applied.socket_drops(session),
             "strangers": _strangers(session),
-            "cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED,
+            "cure": _TUNED_ALREADY if applied.is_tuned(session) else _UNTUNED,
         }
         for session in evidence.campaign.sessions.values()
     )
@@ -246,7 +238,7 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
     roles: dict[int, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
     for exchange, group in evidence.exchanges_by_group():
         for role, session in (("ping", exchange.ping), ("relay", exchange.relay)):
-            for words in words_not_applied(session) if session else ():
+            for words in applied.words_not_applied(session) if session else ():
                 roles[group][words].add(role)
     for group, by_words in sorted(roles.items()):
         listed = "; ".join(f"{' and '.join(sorted(sides))}: {words}" for words, sides in by_words.items())
@@ -255,10 +247,11 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
 
 def _fragments(evidence: Evidence) -> pl.DataFrame:
     """The kernel counts for a whole network namespace: of recordings with messages that are cut."""
-    captured, cut = set(evidence.details.wire["group"]), evidence.groups_by_session(may_be_cut)
+    captured, cut = set(evidence.details.wire["group"]), evidence.groups_by_session(applied.may_be_cut)
     rows = []
     for session in evidence.campaign.sessions.values():
-        groups, rises, limits = cut.get(session.session_id, ()), kernel_counts(session), kernel_limits(session)
+        groups = cut.get(session.session_id, ())
+        rises, limits = applied.kernel_counts(session), applied.kernel_limits(session)
         time_s, most_bytes = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
         row = {"where": evidence.session_name(session), "late": rises.get("ReasmTimeout", 0), "limits": ""}
         if time_s is not None and most_bytes is not None:
@@ -295,7 +288,7 @@ def several_networks(evidence: Evidence) -> Iterator[Observation]:
             payload_bytes[exchange.relay.session_id][run.run_id] = counts["reached"] * run.payload_bytes
     for session_id, by_run in payload_bytes.items():
         session, payload = evidence.campaign.sessions[session_id], sum(by_run.values())
-        sent_bytes = interface_bytes(session).items()
+        sent_bytes = applied.interface_bytes(session).items()
         names = [name for name, sent in sent_bytes if name != "lo" and sent >= _SENT_SHARE * payload]
         if len(names) > 1 and payload >= _LEAST_PAYLOAD_BYTES:
             yield evidence.recording(

@@ -8,15 +8,7 @@ from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
-from dds_trace.extensions.bags.header_stamps import (
-    MOST_STEPS,
-    StampPlace,
-    known_definition,
-    parse_definition,
-    plain_name,
-    stamp_place,
-    stamp_reader,
-)
+from dds_trace.extensions.bags import header_stamps
 from dds_trace.tracefile.format.bag_metadata import RecordedTopic
 
 from .recorded import LATEST_NS
@@ -29,7 +21,7 @@ class StampReader(NamedTuple):
     """How the stamp of a topic's messages is read: from each one, or from all at `place`; `has_header` where a header comes first."""
 
     read: Callable[[bytes], int | None]
-    place: StampPlace | None = None
+    place: header_stamps.StampPlace | None = None
     has_header: bool = False
 
 
@@ -48,13 +40,13 @@ def stamps_of(topic: RecordedTopic) -> StampReader | None:
 
 @lru_cache(maxsize=1000)
 def _header_reader(name: str, definition: str, encoding: str) -> StampReader | None:
-    definition = definition or known_definition(name, encoding)
-    read = stamp_reader(name, definition, encoding)
+    definition = definition or header_stamps.known_definition(name, encoding)
+    read = header_stamps.stamp_reader(name, definition, encoding)
     if read is None:
         return None
-    first = next(iter(parse_definition(name, definition)[plain_name(name)]), None)
+    first = next(iter(header_stamps.parse_definition(name, definition)[header_stamps.plain_name(name)]), None)
     has_header = first is not None and first.type == "std_msgs/Header" and first.length is None
-    return StampReader(read, stamp_place(name, definition, encoding), has_header)
+    return StampReader(read, header_stamps.stamp_place(name, definition, encoding), has_header)
 
 
 _JSON_TIME = re.compile(rb'(?<!\\)"(?:time)?stamp"\s*:\s*\{([^{}]*)\}')
@@ -128,7 +120,7 @@ def _protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes], int | N
 
 class _Message:
     def __init__(self, data: bytes, types: _Types) -> None:
-        self._data, self._types, self._steps = data, types, MOST_STEPS
+        self._data, self._types, self._steps = data, types, header_stamps.MOST_STEPS
 
     def stamp_of(self, kind: str, start: int, stop: int) -> int | None:
         if kind == _TIMESTAMP:

@@ -22,15 +22,7 @@ from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, RecordedTopic
 from dds_trace.tracefile.format.events import EVENT_CDR_BYTES, STAGE_OF_TOPIC, TOPIC_PREFIX, Stage, event_fault
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.mcapfile.records import crc32
-from dds_trace.tracefile.reading.source import (
-    Batch,
-    Budget,
-    Text,
-    UnreadableError,
-    event_batch,
-    in_parts,
-    unpack_message,
-)
+from dds_trace.tracefile.reading import source
 
 from .kinds import MOST_TEXT_BYTES, SQLITE_MAGIC
 from .recorded import Condition, MessageBatch, RawMessage, batched, full_type
@@ -73,7 +65,7 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
 def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`."""
     before = path.stat()
-    budget, seen, rows = Budget(before.st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
+    budget, seen, rows = source.Budget(before.st_size), dict[int, int](), list[tuple[int, int, int, bytes]]()
     topics: dict[int, RecordedTopic] = {}
     fault, read_bytes = "", 0
     with open_database(path, condition) as (joined, files):
@@ -99,7 +91,7 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     if fault:
         topics = {row_id: topic for row_id, topic in topics.items() if topic.name.startswith("/")}
         if not topics:
-            raise UnreadableError(f"it is no rosbag2 database that can be read: {fault}")
+            raise source.UnreadableError(f"it is no rosbag2 database that can be read: {fault}")
         more = f"; {counted(len(rows), 'message')} from single pages" if rows else ""
         condition.damages.append(f"{fault}{more}")
     condition.topics |= set(topics.values())
@@ -110,12 +102,12 @@ def sqlite_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
 def _messages(
     rows: Iterator[Sequence[Any]],
     topics: dict[int, RecordedTopic],
-    budget: Budget,
+    budget: source.Budget,
     seen: dict[int, int],
     condition: Condition,
 ) -> Generator[MessageBatch, None, int]:
     read_bytes = 0
-    for part in in_parts(rows):
+    for part in source.in_parts(rows):
         count = budget.take(len(part))
         rows_of_topics = [row for row in part[:count] if row[1] in topics]
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
@@ -147,20 +139,20 @@ def _rows_by_sqlite(path: Path, topics: dict[int, RecordedTopic]) -> Iterator[Se
 def _rows_by_page(joined: Image, topics: dict[int, RecordedTopic]) -> Iterator[Sequence[Any]]:
     tables = Tables(joined)
     if "topics" not in tables or "messages" not in tables:
-        raise UnreadableError(_NO_TABLES)
+        raise source.UnreadableError(_NO_TABLES)
     definitions = dict[str, tuple[str, str]]()
     for name in ("topics", "message_definitions"):
         for row_id, values in tables.rows(name) if name in tables else ():
             _take_description(row_id, values, topics, definitions)
             if len(topics) > MOST_TOPICS:
-                raise UnreadableError(_MANY_TOPICS)
+                raise source.UnreadableError(_MANY_TOPICS)
     _add_definitions(topics, definitions)
     for row_id, values in tables.rows("messages"):
         yield row_id, *values[1:4]
 
 
 def _unreached_rows(
-    files: list[Image], budget: Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
+    files: list[Image], budget: source.Budget, seen: dict[int, int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
     stored = {*seen.items()} if files else set()
@@ -198,12 +190,12 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
     ((tables,),) = database.execute(_TABLES)
     ((computed,),) = database.execute(_COMPUTED)
     if tables != 2 or computed:
-        raise UnreadableError(_NO_TABLES)
+        raise source.UnreadableError(_NO_TABLES)
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
     later = [name if name in columns else "''" for name in ("offered_qos_profiles", "type_description_hash")]
     rows = database.execute(_TOPICS.format(*later, MOST_TOPICS + 1)).fetchall()
     if len(rows) > MOST_TOPICS:
-        raise UnreadableError(_MANY_TOPICS)
+        raise source.UnreadableError(_MANY_TOPICS)
     definitions: dict[str, tuple[str, str]] = {}
     with suppress(sqlite3.Error):  # before ROS 2 Iron there is no such table
         definitions = {
@@ -266,22 +258,22 @@ class SqliteSource:
     def expected_events(self) -> dict[Stage, int]:
         return dict.fromkeys(Stage, self._path.stat().st_size // EVENT_CDR_BYTES)
 
-    def batches(self) -> Iterator[Batch]:
-        last, faulty = Batch(), dict[str, str]()
+    def batches(self) -> Iterator[source.Batch]:
+        last, faulty = source.Batch(), dict[str, str]()
         try:
             for messages in sqlite_batches(self._path, self._condition):
-                events, texts = list[tuple[Stage, bytes]](), list[Text]()
+                events, texts = list[tuple[Stage, bytes]](), list[source.Text]()
                 for topic, log_ns, _, _, data in messages.messages():
                     stage = STAGE_OF_TOPIC.get(topic.name)
                     if stage and (fault := event_fault(stage, topic.encoding, topic.message_type)):
                         faulty[topic.name] = fault
                         last.unreadable += 1
                     elif stage:
-                        events.append((stage, unpack_message(data)))
+                        events.append((stage, source.unpack_message(data)))
                     elif topic.name.startswith(TOPIC_PREFIX):
-                        texts.append(Text(topic.name, log_ns, unpack_message(data), self._shown_as, None))
-                yield replace(event_batch(events), texts=texts)
-        except UnreadableError as err:
+                        texts.append(source.Text(topic.name, log_ns, source.unpack_message(data), self._shown_as, None))
+                yield replace(source.event_batch(events), texts=texts)
+        except source.UnreadableError as err:
             if not self._condition.topics:
                 raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err})") from err
             self._condition.damages.append(str(err))

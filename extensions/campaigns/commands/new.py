@@ -44,18 +44,10 @@ def new_command(
 
     Asks three questions on a terminal: what is sent, what is compared, where the relay is. Each option answers one.
     """
+    from ..plan import template
     from ..plan.link import PRESETS
     from ..plan.plan_file import parse_plan
     from ..plan.schema import SCHEMA_FILE_NAME, schema_text
-    from ..plan.template import (
-        COMPARISONS,
-        DATA_EXAMPLE,
-        HERE,
-        check_location,
-        parse_comparisons,
-        parse_messages,
-        plan_text,
-    )
 
     limits.check(limits.PATH, str(plan), "PLAN.toml")
     if plan.suffix != ".toml":
@@ -63,12 +55,14 @@ def new_command(
     limits.check(limits.FILE_NAME, plan.stem, "PLAN.toml")
     if plan.exists():  # before anything is asked
         raise _exists(plan)
-    messages = _answer(send, "--send", "What is sent, and how often a second?", DATA_EXAMPLE, parse_messages)
-    words = f"Of {', '.join(COMPARISONS)}; or nothing"
-    comparisons = _answer(compare, "--compare", f"What is compared? {words}", "middleware", parse_comparisons)
-    locations = f"{HERE}, USER@HOST, or over a link emulated here: {', '.join(PRESETS)}"
-    location = _answer(relay, "--relay", f"Where is the relay? {locations}", HERE, check_location)
-    text = plan_text(plan.stem, messages, comparisons, location)
+    messages = _answer(
+        send, "--send", "What is sent, and how often a second?", template.DATA_EXAMPLE, template.parse_messages
+    )
+    words = f"Of {', '.join(template.COMPARISONS)}; or nothing"
+    comparisons = _answer(compare, "--compare", f"What is compared? {words}", "middleware", template.parse_comparisons)
+    locations = f"{template.HERE}, USER@HOST, or over a link emulated here: {', '.join(PRESETS)}"
+    location = _answer(relay, "--relay", f"Where is the relay? {locations}", template.HERE, template.check_location)
+    text = template.plan_text(plan.stem, messages, comparisons, location)
     parse_plan(text, plan.stem, "these answers", lambda: [("ros2", None)])
     try:
         with plan.open("x", encoding="utf-8") as file:

@@ -13,24 +13,9 @@ from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import Backend, Meeting, dds_meeting
 from ..node import Node, NodeOptions
+from . import installation
 from .calls import Ros2CallNode
 from .fastdds_profile import applied_transport
-from .installation import (
-    INSTALL,
-    WHEELS_RMW,
-    check_installed,
-    check_settings,
-    check_vendor,
-    describe_installed,
-    fast_dds,
-    find_rmws,
-    missing_rmw,
-    open_router,
-    own_causes,
-    profile_of,
-    set_discovery_range,
-    set_security,
-)
 from .node import Ros2Node, running_rmw
 
 _ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
@@ -40,13 +25,13 @@ def _make_node(options: NodeOptions) -> Node:
     """Open a node with its own context: several domains fit in one process."""
     if options.rmw is not None:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
-    check_installed()
-    set_discovery_range(options.discovery)
-    set_security(options)
+    installation.check_installed()
+    installation.set_discovery_range(options.discovery)
+    installation.set_security(options)
     rmw = running_rmw()
-    check_vendor(options, rmw)
+    installation.check_vendor(options, rmw)
     with applied_transport(options, rmw) as settings, ExitStack() as undo:
-        router = open_router(rmw, options.discovery)
+        router = installation.open_router(rmw, options.discovery)
         undo.callback(router.close)
         kind = Ros2Node if options.call is Call.NONE else Ros2CallNode
         node = kind(options, {**settings, **router.settings}, on_closed=router.close)
@@ -55,7 +40,7 @@ def _make_node(options: NodeOptions) -> Node:
 
 
 def middleware_of(rmw: str | None) -> RosMiddleware:
-    return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or WHEELS_RMW)
+    return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or installation.WHEELS_RMW)
 
 
 def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
@@ -66,7 +51,7 @@ def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
     # By default the RMW publishes in a way that no flow controller takes.
     is_paced = b"flow_controller_name" in read_regular(path)
     return {
-        fast_dds().profile_variables[0]: str(path),
+        installation.fast_dds().profile_variables[0]: str(path),
         **({"RMW_FASTRTPS_PUBLICATION_MODE": "ASYNCHRONOUS"} if is_paced else {}),
     }
 
@@ -75,12 +60,12 @@ BACKEND = Backend(
     name="ros2",
     label="ROS 2",
     make_node=_make_node,
-    find_installed=find_rmws,
-    describe_installed=describe_installed,
-    install=INSTALL,
+    find_installed=installation.find_rmws,
+    describe_installed=installation.describe_installed,
+    install=installation.INSTALL,
     meeting=Meeting.DISCOVERY,
     meeting_needs=dds_meeting("else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read"),
-    own_causes=own_causes,
+    own_causes=installation.own_causes,
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
     has_ros=True,
@@ -94,13 +79,13 @@ BACKEND = Backend(
     environment=MiddlewareEnvironment(
         settings=(*_ROS_VARIABLES, *(name for facts in VENDORS.values() for name in facts.variables)),
         configuration=(
-            *(ConfigurationVariable(name) for name in fast_dds().profile_variables),
+            *(ConfigurationVariable(name) for name in installation.fast_dds().profile_variables),
             ConfigurationVariable("CYCLONEDDS_URI", ","),
         ),
-        files=(fast_dds().profile_file,),
+        files=(installation.fast_dds().profile_file,),
     ),
     variables_of=_variables_of,
-    profile_of=profile_of,
-    check_settings=check_settings,
-    missing_rmw=missing_rmw,
+    profile_of=installation.profile_of,
+    check_settings=installation.check_settings,
+    missing_rmw=installation.missing_rmw,
 )

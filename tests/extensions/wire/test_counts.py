@@ -2,16 +2,9 @@ import json
 from dataclasses import astuple
 
 from dds_trace.base.records import from_json
+from dds_trace.extensions.wire import messages
 from dds_trace.extensions.wire.counts import ClassCount, InterfaceCount, TcpConnection, WireCounts, ip_counts
 from dds_trace.extensions.wire.format import Direction
-from dds_trace.extensions.wire.messages import (
-    RepeatCount,
-    SentSample,
-    count_repeats,
-    message_row,
-    message_rows,
-    pack_rows,
-)
 from dds_trace.recorder.payloads.stamp import Stamp
 
 COUNTS = WireCounts(
@@ -25,7 +18,7 @@ COUNTS = WireCounts(
         ClassCount("spdp", "sent", 3, 700, 3),
         ClassCount("sedp", "received", 1, 100, 1),
     ),
-    repeats=(RepeatCount(0, 8), RepeatCount(1, 2, 1.0, 2.0, 3.0, 4.0)),
+    repeats=(messages.RepeatCount(0, 8), messages.RepeatCount(1, 2, 1.0, 2.0, 3.0, 4.0)),
     messages=10,
     sample_bytes=4000,
     first_spdp_ns=5,
@@ -74,18 +67,18 @@ def test_nothing_is_divided_by_nothing():
 
 
 def rows_of(rows):
-    return message_rows([pack_rows(list(rows))])
+    return messages.message_rows([messages.pack_rows(list(rows))])
 
 
 def sample(sequence, repeats=(), resent_after_ns=None, heartbeats=0):
-    return SentSample(
+    return messages.SentSample(
         0, 9, 100, Stamp(1, sequence, 0), {(0, 1): 0}, dict(enumerate(repeats)), resent_after_ns, 0, heartbeats
     )
 
 
 def test_messages_by_their_repeats_those_received_left_out():
     rows = rows_of(
-        message_row(*pair)
+        messages.message_row(*pair)
         for pair in [
             (sample(1), Direction.SENT),
             (sample(2, [1], 100, 2), Direction.SENT),
@@ -94,16 +87,16 @@ def test_messages_by_their_repeats_those_received_left_out():
             (sample(5, [1], 999), Direction.RECEIVED),
         ]
     )
-    assert count_repeats(rows) == (
-        RepeatCount(0, 1),
-        RepeatCount(1, 2, 200.0, 280.0, 298.0, 300.0, 3.0),
-        RepeatCount(3, 1, 50.0, 50.0, 50.0, 50.0, 0.0),
+    assert messages.count_repeats(rows) == (
+        messages.RepeatCount(0, 1),
+        messages.RepeatCount(1, 2, 200.0, 280.0, 298.0, 300.0, 3.0),
+        messages.RepeatCount(3, 1, 50.0, 50.0, 50.0, 50.0, 0.0),
     )
     assert rows["fragments_again"].tolist() == [0, 1, 4, 1, 1]
 
 
 def test_without_messages_there_is_nothing_to_count():
-    assert count_repeats(rows_of([])) == ()
+    assert messages.count_repeats(rows_of([])) == ()
 
 
 def test_the_kernels_counters():

@@ -8,14 +8,7 @@ from collections import Counter
 import pytest
 
 from dds_trace.extensions.campaigns.plan.link import Link
-from dds_trace.extensions.campaigns.station.tap_forwarder import (
-    MOST_FRAMES,
-    Line,
-    Replay,
-    Wire,
-    burst_chances,
-    quantile,
-)
+from dds_trace.extensions.campaigns.station import tap_forwarder
 
 FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
 ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"
@@ -45,7 +38,7 @@ def clock(monkeypatch):
 
 
 def wire(ends, clock, **link):
-    made = Wire(ends[1].fileno(), ends[2].fileno(), Link(**link).to_dict(), clock.now_ns)
+    made = tap_forwarder.Wire(ends[1].fileno(), ends[2].fileno(), Link(**link).to_dict(), clock.now_ns)
     made._chance = random.Random(1)
     return made
 
@@ -120,14 +113,14 @@ def test_losses_in_bursts_have_their_share_and_their_length(ends, clock):
     lengths = [len([*run]) for fate, run in itertools.groupby(fates) if fate == "lost"]
     assert sum(lengths) / 20_000 == pytest.approx(0.2, rel=0.15)
     assert sum(lengths) / len(lengths) == pytest.approx(5, rel=0.15)
-    assert burst_chances(1, 5) == (1, 0.2)
+    assert tap_forwarder.burst_chances(1, 5) == (1, 0.2)
 
 
 def test_two_directions_that_share_a_line_wait_for_each_other(ends, clock):
     link = {**Link(rate_mbit_s=8, shared=True).to_dict(), "has_rate": True}
-    air = Line(8)
+    air = tap_forwarder.Line(8)
     for number in (1, 2):
-        line = Wire(ends[1].fileno(), ends[2].fileno(), link, clock.now_ns, None, air)
+        line = tap_forwarder.Wire(ends[1].fileno(), ends[2].fileno(), link, clock.now_ns, None, air)
         ends[0].send(FRAME)
         line.take()
         assert line.due_ns == clock.now_ns + number * len(FRAME) * 1000
@@ -148,7 +141,7 @@ def test_outage_is_at_the_end_of_each_period(ends, clock):
 
 def test_frames_on_a_full_wire_are_dropped_and_counted(ends, clock):
     line = wire(ends, clock, delay_ms=1000)
-    line._in_flight.extend((clock.now_ns + 1, FRAME) for _ in range(MOST_FRAMES))
+    line._in_flight.extend((clock.now_ns + 1, FRAME) for _ in range(tap_forwarder.MOST_FRAMES))
     ends[0].send(FRAME)
     line.take()
     assert line.report()["overflow"] == 1
@@ -164,9 +157,9 @@ def test_frames_for_a_side_that_is_down_are_counted_as_refused(ends, clock):
 
 
 def test_quantile_of_counted_values():
-    assert quantile(Counter(), 0.5) is None
-    assert quantile(Counter({1: 99, 7: 1}), 0.99) == 1
-    assert quantile(Counter({1: 98, 7: 2}), 0.99) == 7
+    assert tap_forwarder.quantile(Counter(), 0.5) is None
+    assert tap_forwarder.quantile(Counter({1: 99, 7: 1}), 0.99) == 1
+    assert tap_forwarder.quantile(Counter({1: 98, 7: 2}), 0.99) == 7
 
 
 DRIVE = [[0, 8, 20, 0, 0], [1, 4, 50, 0, 0], [2, 0, 50, 0, 0], [3, 8, 30, 100, 0], [4, 8, 20, 0, 0]]
@@ -176,9 +169,9 @@ SECOND = 1_000_000_000
 
 
 def replaying(ends, clock, **link):
-    replay = Replay(DRIVE)
+    replay = tap_forwarder.Replay(DRIVE)
     values = {**Link(**link).to_dict(), "has_rate": True}
-    made = Wire(ends[1].fileno(), ends[2].fileno(), values, clock.now_ns, replay)
+    made = tap_forwarder.Wire(ends[1].fileno(), ends[2].fileno(), values, clock.now_ns, replay)
     return made, replay
 
 

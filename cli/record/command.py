@@ -17,17 +17,8 @@ from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OFTEN, OPTIONS, CommandOptions, flag_of, is_setting, key_of, settings_of
 from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions, chosen_qos
 
+from .. import table_options
 from ..program import Version, ask_about_folder, command, make_app
-from ..table_options import (
-    SettingsOption,
-    default_discovery,
-    given_values,
-    overridden,
-    read_record,
-    refuse_other_role,
-    settings_as_options,
-    with_options,
-)
 
 BRIDGED_PING_DOMAIN = 5
 
@@ -37,16 +28,16 @@ _OFTEN = ("role", *(name for name, row in OPTIONS.items() if row.name[2:] in OFT
 app = make_app(completes=True)
 
 
-@command(app, "record", table="record", often=_OFTEN, overridden=overridden, defaults=_DEFAULTS)
-@with_options(OPTIONS, is_setting)
+@command(app, "record", table="record", often=_OFTEN, overridden=table_options.overridden, defaults=_DEFAULTS)
+@table_options.with_options(OPTIONS, is_setting)
 def record_command(
     context: typer.Context,
-    settings_given: SettingsOption = None,  # noqa: ARG001 - read before
+    settings_given: table_options.SettingsOption = None,  # noqa: ARG001 - read before
     version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,
 ) -> None:
     """Record latency of ROS 2 / DDS messages, as `dds-trace record ROLE` does."""
-    _record(context, given_values(values))
+    _record(context, table_options.given_values(values))
 
 
 _HELP = {
@@ -60,14 +51,16 @@ _HELP = {
 def role_app(role: Role, names: Iterable[str]) -> typer.Typer:
     app = make_app()
 
-    def record_role(context: typer.Context, settings_given: SettingsOption = None, **values: Any) -> None:  # noqa: ARG001 - read before
-        _record(context, {"role": role, **given_values(values)})
+    def record_role(context: typer.Context, settings_given: table_options.SettingsOption = None, **values: Any) -> None:  # noqa: ARG001 - read before
+        _record(context, {"role": role, **table_options.given_values(values)})
 
     record_role.__doc__ = _HELP[role]
     keys = [row.name.lstrip("-") for row in OPTIONS.values()]
     settings: Any = {"table": "record", "ignored": keys, "defaults": _DEFAULTS}
-    declare = command(app, role.value, overridden=lambda values: overridden({"role": role, **values}), **settings)
-    declare(with_options(names, lambda row: is_setting(row, role))(record_role))
+    declare = command(
+        app, role.value, overridden=lambda values: table_options.overridden({"role": role, **values}), **settings
+    )
+    declare(table_options.with_options(names, lambda row: is_setting(row, role))(record_role))
     return app
 
 
@@ -83,15 +76,15 @@ def _record(context: typer.Context, chosen: dict[str, Any]) -> None:
 
     from .run import TerminalWatch, record_until_stopped
 
-    command = read_record(CommandOptions, chosen)
+    command = table_options.read_record(CommandOptions, chosen)
     backend = load_backend(chosen.get("backend", OPTIONS["backend"].field_default))
     # Where a relay listens at an address, other devices reach it only on request.
     is_open = backend.meeting is not Meeting.PEERS or bool(chosen.get("peers"))
-    chosen.setdefault("discovery", default_discovery(is_open=is_open))
+    chosen.setdefault("discovery", table_options.default_discovery(is_open=is_open))
     if command.role is None or command.out is None:
         role = "" if command.role else "--role ping, relay, tap or beacon, and "
         raise OptionError(f"give {role}--out PATH for its trace (see --help)")
-    refuse_other_role(command.role, {OPTIONS[name].name: OPTIONS[name] for name in chosen})
+    table_options.refuse_other_role(command.role, {OPTIONS[name].name: OPTIONS[name] for name in chosen})
     options = _record_options(command, chosen)
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # a sweep checks all recordings before the first
@@ -119,15 +112,15 @@ def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOp
     chosen.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain(joins_robot=joins_robot))
     if is_bridged:
         chosen.setdefault("relay_domain_id", default_domain())
-    options = read_record(
+    options = table_options.read_record(
         RecordOptions,
         chosen,
         destination=TraceDestination(
             command.out, force=command.force, fsync=command.fsync, mode=command.file_mode.bits
         ),
-        node=read_record(NodeOptions, chosen, qos=command.qos),
-        ping=read_record(PingOptions, chosen) if command.role is Role.PING else None,
-        tap=read_record(TapOptions, chosen) if command.role is Role.TAP else None,
+        node=table_options.read_record(NodeOptions, chosen, qos=command.qos),
+        ping=table_options.read_record(PingOptions, chosen) if command.role is Role.PING else None,
+        tap=table_options.read_record(TapOptions, chosen) if command.role is Role.TAP else None,
         tap_qos=chosen_qos(chosen.get("reliability"), chosen.get("durability"), chosen.get("depth")),
         beacon_rate_hz=OPTIONS["rate_hz"].read(chosen.get("rate_hz", BEACON_RATE_HZ))
         if command.role is Role.BEACON
@@ -149,4 +142,4 @@ def words_of_role(words: Sequence[str]) -> list[str]:
     for word in words:
         if (row := rows.get(word.partition("=")[0])) is not None:
             say(f"{row.name} is a setting now: -o {key_of(row)}={row.metavar or flag_of(row)}")
-    return settings_as_options(words, role)
+    return table_options.settings_as_options(words, role)

@@ -31,14 +31,7 @@ from dds_trace.analyzer.verdicts.setup_runs import SetupRuns
 from dds_trace.base.extension import load
 from dds_trace.base.units import counted
 
-from .comparison_rows import (
-    DELIVERY_SCHEMA,
-    DISTRIBUTION_SCHEMA,
-    at_levels,
-    verdict_of_result,
-    with_adjusted_verdicts,
-    with_clock_bounds,
-)
+from . import comparison_rows
 from .detectable import DetectableChange, detectable_changes, probability_of_superiority
 from .ignoring import check_match, ignored_sentences
 from .matching import (
@@ -157,7 +150,7 @@ class Comparison:
         for number, (key, received) in enumerate(
             zip(self.delivery.select(match).rows(), self.delivery.iter_rows(named=True), strict=True)
         ):
-            whole = verdict_of_result(received, changes[key], is_busier=key in self.busier)
+            whole = comparison_rows.verdict_of_result(received, changes[key], is_busier=key in self.busier)
             about = Claim.CHANGED, group_words(received, names)
             numbers = {name: received[column] for name, column in _SHARE_COLUMNS.items()}
             rows += [
@@ -311,7 +304,7 @@ def compare_groups(
         paired = passes_of(base.runs, new.runs, passes or {}) if options.paired else None
         for metric in _metrics(base, options):
             before_ns, after_ns = (side.delivered(metric).ordered for side in (base, new))
-            times = {"base_ns": at_levels(before_ns), "new_ns": at_levels(after_ns)}
+            times = {"base_ns": comparison_rows.at_levels(before_ns), "new_ns": comparison_rows.at_levels(after_ns)}
             distributions.append(label | {"metric": metric} | times)
             superiority = probability_of_superiority(before_ns, after_ns)
             for name, estimate, other in _estimates(base, new, metric, options):
@@ -322,16 +315,16 @@ def compare_groups(
                     "cliffs_delta": None if superiority is None else 2 * superiority - 1,
                     "verdict": changes[-1].verdict(options.same_within).value,
                 }
-                rows.append(label | with_clock_bounds(row, base.bound_ns, new.bound_ns))
+                rows.append(label | comparison_rows.with_clock_bounds(row, base.bound_ns, new.bound_ns))
     match_schema, matched = {name: schema[name] for name in options.match}, {*pairs.values()}
     delivery_frame, row_frame = (
-        with_adjusted_verdicts(pl.DataFrame(own, {**match_schema, **columns}), options.confidence)
-        for own, columns in ((delivery, DELIVERY_SCHEMA), (rows, COMPARISON_SCHEMA))
+        comparison_rows.with_adjusted_verdicts(pl.DataFrame(own, {**match_schema, **columns}), options.confidence)
+        for own, columns in ((delivery, comparison_rows.DELIVERY_SCHEMA), (rows, COMPARISON_SCHEMA))
     )
     return Comparison(
         rows=row_frame,
         delivery=delivery_frame,
-        distributions=pl.DataFrame(distributions, {**match_schema, **DISTRIBUTION_SCHEMA}),
+        distributions=pl.DataFrame(distributions, {**match_schema, **comparison_rows.DISTRIBUTION_SCHEMA}),
         only_base=pl.DataFrame([key for key in before if key not in pairs], match_schema, orient="row"),
         only_new=pl.DataFrame([key for key in after if key not in matched], match_schema, orient="row"),
         options=options,

@@ -12,13 +12,7 @@ import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.timeline import run_rows
-from dds_trace.analyzer.model.applied import (
-    SHARED_MEMORY,
-    UNKNOWN,
-    congestion_controls,
-    payload_path,
-    udp_receive_buffer_bytes,
-)
+from dds_trace.analyzer.model import applied
 from dds_trace.analyzer.model.environment import middleware_version, versions_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, first_of, format_duration, format_ratio, three_digits
@@ -66,7 +60,7 @@ FLEETING = "wifi"
 
 _LONGEST_SETTING = 40
 
-_WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
+_WAYS = {applied.SHARED_MEMORY: "shared memory", applied.UNKNOWN: "an unknown way"}
 
 
 def file_table(analysis: Analysis) -> Iterator[Fold]:
@@ -175,7 +169,7 @@ def setting_words(analysis: Analysis) -> str:
             text = printable(value, _LONGEST_SETTING)
             is_xml = text.startswith("<")  # it would fill the screen
             pairs.append(("configuration", "in XML") if is_xml else (printable(name), text or "none"))
-        path = payload_path(session)
+        path = applied.payload_path(session)
         if path is not None:
             pairs.append(("payload carried by", _WAYS.get(path, printable(path))))
     return "; ".join(_each(pairs))
@@ -268,11 +262,11 @@ def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, s
     yield _VARIED, "domain", str(session.domain_id)
     yield _VARIED, "link", printable(session.connectivity)
     yield _VARIED, "end", "clean" if session.state == "closed" else "cut off"
-    if (path := payload_path(session)) is not None:
+    if (path := applied.payload_path(session)) is not None:
         yield _USED, "payload carried by", _WAYS.get(path, printable(path))
-        for control in congestion_controls(session):
+        for control in applied.congestion_controls(session):
             yield _USED, "TCP congestion control", printable(control)
-        if (buffer_bytes := udp_receive_buffer_bytes(session)) is not None:
+        if (buffer_bytes := applied.udp_receive_buffer_bytes(session)) is not None:
             yield _USED, "UDP receive buffer (bytes)", format_count(buffer_bytes)
     for name, value in session.host.items():
         if name == FLEETING or value is None or value in ({}, []):

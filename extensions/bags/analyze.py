@@ -171,6 +171,8 @@ class _Recording:
             getattr(self.condition, kind).extend(texts)
         self.condition.chunks += other.condition.chunks
         self.condition.topics |= other.condition.topics
+        self.condition.is_remainder |= other.condition.is_remainder
+        self.condition.gone += other.condition.gone
         self.following.append(other.columns)
         self.parts += other.parts
 

@@ -21,7 +21,7 @@ from .neighbours import find_silences
 from .observations import Observation, has_losses, observe, rhythm_notes
 from .periods import Int64
 from .quantiles import median, named_quantile, spread
-from .read import copied_messages
+from .read import UNCOUNTED, copied_messages
 from .recorded import NONE, Condition
 from .sync import Sync, compare_stamps
 from .weighing import Source, weigh
@@ -152,6 +152,7 @@ class RecordingHealth:
     """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
 
     `readable` topics have a reading that could have shown a loss. `doubtful` pauses may be of the publishers.
+    `gone` messages of topics that have none here were counted by the damaged original.
     It is `certain` that nothing is missing (`whole`) where some topic could have shown a loss, and none may lack one.
     """
 
@@ -168,6 +169,7 @@ class RecordingHealth:
     readable: int = 0
     doubtful: tuple[bool, ...] = ()
     certain: bool = False
+    gone: int = 0
 
 
 class Card:
@@ -177,7 +179,10 @@ class Card:
         self, path: str, columns: Sequence[TopicMessages], condition: Condition, sync: Sequence[str] = ()
     ) -> None:
         self._sync, self.links, self.syncs = sync, list[Link](), list[Sync]()
-        self._path, self._notes = path, [Note(note) for note in condition.notes]
+        self._path, self._notes, self._gone = path, [Note(note) for note in condition.notes], condition.gone.copy()
+        if condition.is_remainder:
+            count = f"{counted(condition.gone.total(), 'message')} that it counted {'is' if condition.gone.total() == 1 else 'are'} not here"
+            self._note(f"recovered from a damaged recording: {count if condition.gone else UNCOUNTED}")
         self._start_ns, self._end_ns = 0, 0
         self.rows: list[Row] = []
         self.holes: list[dict[str, object]] = []
@@ -192,8 +197,10 @@ class Card:
         is_doubtful = np.ones(len(pauses), np.bool_)
         for loss in losses:
             is_doubtful &= ~pauses.meet(loss.holes.at(loss.holes.low > 0))
-        is_certain = readable > 0 and not any(row["missing_high"] for row in self.rows)
-        sound = HOLES if has_losses(self.observed) else WHOLE if is_certain else UNKNOWN if columns else EMPTY
+        is_certain = readable > 0 and not condition.is_remainder and not any(row["missing_high"] for row in self.rows)
+        sound = (
+            HOLES if has_losses(self.observed) or self._gone else WHOLE if is_certain else UNKNOWN if columns else EMPTY
+        )
         self.health = RecordingHealth(
             path,
             DAMAGED if condition.damages else sound,
@@ -208,6 +215,7 @@ class Card:
             readable,
             tuple(is_doubtful.tolist()),
             is_certain,
+            self._gone.total(),
         )
 
     def _weigh(self, columns: Sequence[TopicMessages], condition: Condition) -> tuple[list[Losses], Holes, int]:
@@ -236,7 +244,8 @@ class Card:
                 "lost; the recorder or the way to it stalled"
             )
         for topic, times, loss, early in zip(columns, evidence.times, evidence.losses, evidence.history, strict=True):
-            self._add(topic, times, loss, pauses, early, evidence.clocks)
+            gone = self._gone.pop(topic.topic.name, 0)
+            self._add(topic, times, loss.with_gone(gone), pauses, early, evidence.clocks)
         pairs = [*zip(columns, evidence.times, strict=True)]
         if self._sync:
             self.syncs.append(compare_stamps(self._sync, {topic.topic.name: times for topic, times in pairs}))

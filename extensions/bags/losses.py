@@ -38,11 +38,14 @@ COMMANDS = re.compile(
 """Topics and types of commands, actions and services: sent while something happens."""
 
 
+ORIGINAL = "original"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """What one kind of evidence shows to be missing, within `low` to `high`.
 
-    `name` is `sequence`, `stamps`, `period` (arrival), `recorder` or `tap` (their own counts).
+    `name` is `sequence`, `stamps`, `period` (arrival), `recorder`, `tap` or `original` (their own counts).
     """
 
     name: str
@@ -82,6 +85,17 @@ class Losses:
     holes: Holes = field(default_factory=Holes)
     regularity: Regularity | None = None
     readings: Sequence[Reading] = ()
+
+    def with_gone(self, count: int) -> Losses:
+        """Add what a damaged recording counted and its copy lacks; other readings may show the same messages."""
+        if not count:
+            return self
+        missing, low, high = self.missing or 0, self.low or 0, self.high or 0
+        evidence = self.evidence if missing > count else ORIGINAL
+        readings = [*self.readings, Reading.exact(ORIGINAL, count, Holes())]
+        return Losses(
+            evidence, max(missing, count), max(low, count), high + count, self.holes, self.regularity, readings
+        )
 
 
 @dataclass(slots=True)

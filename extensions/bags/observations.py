@@ -17,7 +17,7 @@ from dds_trace.base.units import SECOND_NS, clock_words, counted, first_of, form
 
 from .bounds import FEWEST, MOST, NEAR, PATTERN, SHOWN
 from .clocks import Note
-from .losses import Losses, TopicTimes
+from .losses import ORIGINAL, Losses, TopicTimes
 from .periods import Int64, find_grid, rate_changes, without_queues
 from .quantiles import median
 from .recorded import NONE
@@ -32,6 +32,7 @@ READ_BY = {
     "period": "by the rate of arrival",
     "recorder": "by the recorder's counts",
     "tap": "by the tap's counts",
+    ORIGINAL: "by the counts of the damaged original",
     ALL_READINGS: "by all readings",
 }
 _MOST_HOLES = 1000

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
+from urllib.parse import quote, unquote
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -29,27 +30,31 @@ from dds_trace.tracefile.reading.mcap_walk import McapWalk
 from dds_trace.tracefile.reading.source import ZSTD_MAGIC, Budget, UnreadableError, unpack_message
 from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpacked
 
-from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, RecordingKind, function_at
+from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, SQLITE_MAGIC, RecordingKind, function_at
 from .recorded import LATEST_NS, NONE, Condition, Int64, MessageBatch, RawMessage, batched
 
 RECOVERED = "recovered by dds-trace"
+"""In the library of a copy that an earlier version made, damaged or not."""
+REMAINDER = "dds_trace_recovered"
+"""Name of the mark of a copy from a damaged recording: `/topic=messages` that this counted and lacks."""
+REMAINDER_ID = b"ddsr"
+"""Application id of a database that is such a copy."""
+_SQLITE_ID = slice(68, 72)
 UNCOUNTED = "what the damage took is counted nowhere"
 
 
 @dataclass(slots=True)
 class RecordingFiles:
-    """The files, each as it can be read, with the names that they have."""
+    """The files, each as it can be read, with the names that they have; what was found of the folder."""
 
     files: list[Path]
     names: list[Path]
-    damages: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    claimed: Mapping[str, int] = field(default_factory=dict)
+    condition: Condition
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[RecordingFiles]:
-    recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
+    recording = _described(path) if path.is_dir() else RecordingFiles([path], [path], Condition())
     with ExitStack() as stack:
         copies = (unpacked(file, LARGEST_FILE_RATIO, most_unpacked_bytes(0)) for file in recording.files)
         recording.files = [stack.enter_context(copy) for copy in copies]
@@ -62,30 +67,31 @@ def copied_messages(topic: str, copies: int) -> Iterator[str]:
 
 
 def _described(folder: Path) -> RecordingFiles:
-    stored = storage_files(folder)
-    listed, claimed = _read_metadata(folder / METADATA_NAME)
+    stored, text = storage_files(folder), ""
+    with suppress(OSError), open_regular(folder / METADATA_NAME) as file:
+        text = file.read(MOST_TEXT_BYTES).decode(errors="replace")
+    listed, claimed = _read_metadata(text)
+    mark = _MARK.search(text)
+    found = Condition(claimed=claimed, is_remainder=mark is not None, gone=gone_of(_plain(mark[1]) if mark else ""))
     if not listed:
-        return RecordingFiles(stored, stored[:], claimed=claimed)
+        return RecordingFiles(stored, stored[:], found)
     names = {name.removesuffix(ZSTD_SUFFIX) for name in listed}
     files = [file for file in stored if file.name.removesuffix(ZSTD_SUFFIX) in names]
     missing = sorted(names - {file.name.removesuffix(ZSTD_SUFFIX) for file in files})
     unlisted = [file for file in stored if file not in files]
     if len(missing) == len(unlisted) == 1:
-        note = f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
-        return RecordingFiles(stored, stored[:], notes=[note], claimed=claimed)
-    damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
-    notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
+        found.notes = [
+            f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
+        ]
+        return RecordingFiles(stored, stored[:], found)
+    found.damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
+    found.notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
     if not files:
-        raise TraceFormatError(folder, "; ".join([*damages, *notes][:3]))
-    return RecordingFiles(files, files[:], damages, notes, claimed)
+        raise TraceFormatError(folder, "; ".join([*found.damages, *found.notes][:3]))
+    return RecordingFiles(files, files[:], found)
 
 
-def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
-    try:
-        with open_regular(path) as file:
-            text = file.read(MOST_TEXT_BYTES).decode(errors="replace")
-    except OSError:
-        return [], {}
+def _read_metadata(text: str) -> tuple[list[str], dict[str, int]]:
     listed: list[str] = []
     claimed: dict[str, int] = {}
     section, section_indent = "", 0
@@ -109,6 +115,16 @@ def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     return listed, claimed
 
 
+def mark_of(gone: Mapping[str, int]) -> str:
+    return " ".join(f"{quote(topic)}={count}" for topic, count in gone.items())
+
+
+def gone_of(mark: str) -> Counter[str]:
+    return Counter({unquote(topic): int(count) for topic, count in _GONE.findall(mark)})
+
+
+_MARK = re.compile(rf"^ +{REMAINDER}:(.*)", re.MULTILINE)
+_GONE = re.compile(r"(\S+)=(\d{1,18})(?!\S)")
 _KEY = re.compile(r"(?P<indent> *)(?P<item>- )? *(?P<key>\w+):(?P<value>.*)")
 _ITEM = re.compile(r" *- +(.+)")
 _COUNT = re.compile(r"\d{1,18}")
@@ -131,8 +147,10 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     """
     delivered, index_of, topics = Counter[str](), dict[RecordedTopic, int](), list[RecordedTopic]()
     with open_recording(path) as recording:
-        condition.notes += recording.notes
-        condition.damages += recording.damages
+        found = recording.condition
+        condition.notes += found.notes
+        condition.damages += found.damages
+        condition.is_remainder |= found.is_remainder
         for file, name in zip(recording.files, recording.names, strict=True):
             counts, about_file = Counter[str](), Condition()
             budget, indices = _UnpackedBytes(file.stat().st_size), list[int]()
@@ -151,8 +169,10 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             except UnreadableError as err:
                 raise TraceFormatError(name, f"the recording cannot be read further: {err}") from err
             finally:
-                if re.search(r"[.-]recovered\b", f"{name.parent.name}/{name.name}") and file.suffix != ".mcap":
+                if file.suffix == ".bag" and ".recovered." in name.name:
                     about_file.notes.append(f"recovered, by its name: {UNCOUNTED}")
+                condition.is_remainder |= about_file.is_remainder or is_remainder(file)
+                condition.gone += about_file.gone
                 where = f"{name.name}: " if len(recording.files) > 1 else ""
                 condition.damages += [f"{where}{damage}" for damage in about_file.damages]
                 condition.notes += [f"{where}{note}" for note in about_file.notes]
@@ -161,9 +181,16 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             if not about_file.damages:
                 _compare(about_file.claimed, counts, name.name, condition)
             delivered += counts
-        _compare(recording.claimed, delivered, METADATA_NAME, condition)
+        condition.gone |= found.gone
+        _compare(found.claimed, delivered, METADATA_NAME, condition)
     if condition.damages and not delivered:
         raise TraceFormatError(path, f"the recording cannot be read: {condition.damages[0]}")
+
+
+def is_remainder(database: Path) -> bool:
+    with database.open("rb") as stream:
+        head = stream.read(_SQLITE_ID.stop)
+    return head.startswith(SQLITE_MAGIC) and head[_SQLITE_ID] == REMAINDER_ID
 
 
 def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str, condition: Condition) -> None:
@@ -355,12 +382,15 @@ def mcap_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             for item in items:
                 if isinstance(item, MessageBatch):
                     yield item
+                elif isinstance(item, Metadata) and item.name == REMAINDER:
+                    condition.is_remainder = True
+                    condition.gone += gone_of(item.metadata.get(REMAINDER, ""))
         finally:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
             if items.header and RECOVERED in items.header.library:
-                condition.notes.append(f"{RECOVERED}: {UNCOUNTED}")
+                condition.is_remainder = True
             names = {topic.name for topic in items.topics}
             silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
             condition.topics |= {*items.topics} | {topic_of(channel, items.channels.schemas) for channel in silent}

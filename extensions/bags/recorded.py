@@ -115,7 +115,10 @@ def batched(messages: Iterable[RawMessage]) -> Iterator[MessageBatch]:
 
 @dataclass(slots=True)
 class Condition:
-    """What was found while a recording was read; complete after its last message."""
+    """What was found while a recording was read; complete after its last message.
+
+    The remainder of a damaged recording lacks the messages in `gone`, by topic, that this one counted.
+    """
 
     damages: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -123,6 +126,8 @@ class Condition:
     claimed: dict[str, int] = field(default_factory=dict)
     chunks: list[tuple[int, int, int]] = field(default_factory=list)
     unreadable: Counter[str] = field(default_factory=Counter)
+    is_remainder: bool = False
+    gone: Counter[str] = field(default_factory=Counter)
 
 
 def full_type(name: str) -> str:

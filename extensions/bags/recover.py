@@ -7,6 +7,7 @@ import secrets
 import shutil
 import sqlite3
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +18,16 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
+from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, first_of, format_duration, utc_words
 from dds_trace.base.version import __version__
-from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, BagFile, RecordedTopic, write_bag_metadata
+from dds_trace.tracefile.format.bag_metadata import (
+    METADATA_NAME,
+    MOST_TOPICS,
+    BagFile,
+    RecordedTopic,
+    write_bag_metadata,
+)
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
@@ -33,7 +41,7 @@ from .bag1 import bag1_messages
 from .bounds import SHOWN
 from .kinds import function_at
 from .mcap_copy import McapCopy
-from .read import RECOVERED, McapItems, kind_of, open_recording
+from .read import RECOVERED, REMAINDER, REMAINDER_ID, McapItems, gone_of, is_remainder, kind_of, mark_of, open_recording
 from .recorded import LATEST_NS, Condition, Int64, MessageBatch
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
@@ -55,10 +63,17 @@ class RecordingRecovery:
     first_ns: int = LATEST_NS
     last_ns: int = 0
     damages: list[str] = field(default_factory=list)
+    gone: Counter[str] = field(default_factory=Counter)
+    counted: str = ""
+    """How many messages the original counts, and where."""
 
     def lines(self) -> list[str]:
         doubtful = f"; {self.doubtful:,} of them, out of damaged chunks, may be damaged" if self.doubtful else ""
-        damages = first_of(self.damages, SHOWN, "more like these") or ["nothing was damaged"]
+        damages = first_of(self.damages, SHOWN, "more like these") or ["nothing was damaged"] * (not self.gone)
+        if self.counted and (self.damages or self.gone):
+            by_topic = first_of([f"{count:,} of {printable(topic)}" for topic, count in self.gone.items()], SHOWN)
+            lost = f"{self.gone.total():,} of {self.counted} are not in it"
+            damages = [f"{lost}: {', '.join(by_topic)}" if by_topic else lost, *damages]
         if self.unchecked:
             unchecked = counted(self.unchecked, "message has", "messages have")
             damages = [*damages, f"{unchecked} no checksum: damage inside is not seen"]
@@ -75,6 +90,8 @@ class NewFile:
     first_ns: int = LATEST_NS
     last_ns: int = 0
     topics: Counter[RecordedTopic] = field(default_factory=Counter)
+    counted: Counter[str] = field(default_factory=Counter)
+    gone: Counter[str] = field(default_factory=Counter)
 
     def add(self, topic: RecordedTopic, count: int, first_ns: int, last_ns: int) -> None:
         self.messages += count
@@ -133,7 +150,8 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
     is_folder = path.is_dir()
     report, written = RecordingRecovery(path, target), list[NewFile]()
     with open_recording(path) as recording:
-        report.damages += recording.damages
+        found = recording.condition
+        report.damages += found.damages
         try:
             (draft if is_folder else draft.parent).mkdir(parents=True, exist_ok=True)
             for source, original in zip(recording.files, recording.names, strict=True):
@@ -152,10 +170,19 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
                 report.doubtful += doubtful
                 report.unchecked += new.unchecked
                 written.append(new)
+                report.gone += new.gone
+            claims = found.claimed or sum((new.counted for new in written), Counter[str]())
+            if claims:
+                total = sum(claims.values()) + found.gone.total()
+                where = METADATA_NAME if found.claimed else "its statistics"
+                report.counted = f"{counted(total, 'message')} counted in {where}"
+            report.gone |= _lacking(found.claimed, written) + found.gone
             if is_folder and written:
                 topics = [item for new in written for item in new.topics.items()]
                 storage = kind_of(written[0].path).storage
-                write_bag_metadata(draft, storage, [new.described for new in written], topics)
+                is_remainder = found.is_remainder or bool(report.damages or report.gone)
+                mark = {REMAINDER: mark_of(report.gone)} if is_remainder else {}
+                write_bag_metadata(draft, storage, [new.described for new in written], topics, custom=mark)
         except OSError as err:
             raise output_error(target, err, "the recording") from err
         except sqlite3.Error as err:
@@ -163,6 +190,13 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
     if not report.messages:
         raise TraceFormatError(path, f"holds no whole message: {'; '.join(report.damages[:3]) or 'it is empty'}")
     return report
+
+
+def _lacking(claimed: Mapping[str, int], written: Iterable[NewFile]) -> Counter[str]:
+    delivered = Counter[str]()
+    for topic, count in (item for new in written for item in new.topics.items()):
+        delivered[topic.name] += count
+    return Counter(claimed) - delivered
 
 
 class _NewChannels:
@@ -205,14 +239,14 @@ def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
         items = iter(walked)
         item = next(items, None)  # now the header and the first chunk's compression are known
         library = walked.header.library if walked.header else "unknown"
-        library = f"{library}; {RECOVERED} {__version__}"
+        library, marks = f"{library}; copied by {LIBRARY} {__version__}", list[Metadata]()
         copy, left_out = McapCopy(stream, _profile(walked), library, is_packed=not walked.walk.is_unpacked), 0
         channels = _NewChannels(copy, walked, new)
         while item is not None:
             if isinstance(item, Attachment):
                 copy.add_attachment(item)
             elif isinstance(item, Metadata):
-                copy.add_metadata(item)
+                (marks.append if item.name == REMAINDER else copy.add_metadata)(item)
             else:
                 channel_ids = channels.ids_of(item)
                 has_channel = channel_ids > 0
@@ -220,6 +254,12 @@ def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
                 copy.add_messages(item.selected(has_channel), channel_ids[has_channel])
             item = next(items, None)
         unused = [channel for _, channel in walked.channels.items() if not channels.id_of(channel.record)]
+        for channel_id, count in (walked.walk.claimed or {}).items() if walked.walk.is_checked else ():
+            if declared := walked.channels.get(channel_id):
+                new.counted[declared.topic] += count
+        new.gone = sum((gone_of(mark.metadata.get(REMAINDER, "")) for mark in marks), _lacking(new.counted, [new]))
+        if marks or walked.walk.damages or new.gone or RECOVERED in library:
+            copy.add_metadata(Metadata(name=REMAINDER, metadata={REMAINDER: mark_of(new.gone)}))
         copy.finish()
     new.unchecked = walked.unchecked
     lost = f"{counted(left_out, 'message')} of further ones, and {counted(len(unused), 'channel')} without any, are left out"
@@ -271,6 +311,8 @@ def recover_sqlite(source: Path, new: NewFile) -> tuple[list[str], int]:
             new.add(message.topic, 1, message.log_ns, message.log_ns)
         for topic in condition.topics:
             declared(topic)
+        if condition.damages or is_remainder(source):
+            database.execute(f"PRAGMA application_id = {int.from_bytes(REMAINDER_ID, 'big')}")
         database.commit()
     return condition.damages, 0
 

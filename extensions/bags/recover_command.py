@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated
 
 from dds_trace.base import limits
@@ -25,4 +26,5 @@ def recover_command(
     report = (recover_recording if is_of_others(path) else recover)(path, out)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
-    print("\n".join(report.lines()))
+    for line in report.lines():
+        print(fill(line, 80, break_long_words=False, break_on_hyphens=False))

@@ -82,7 +82,8 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     if health.verdict == "empty":
         return "No message was recorded."
     if health.verdict == "holes":
-        return f"Holes: {sentence}."
+        more = f", and {health.gone:,} of topics that have none here" if health.gone else ""
+        return f"Holes: {sentence}{more}."
     if not rows:
         return "Only topics of dds-trace itself: `dds-trace analyze` reads them."
     topics, unseen = counted(len(rows), "topic"), len(rows) - health.readable
@@ -90,10 +91,15 @@ def verdict_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     if not health.readable:
         return f"No loss can be seen: {blind}."
     readable = f"{health.readable} of " if unseen else ""
-    words = f"No loss found on {readable}{topics} in {seconds_words(health.duration_ns / SECOND_NS)}."
+    what = " of what was recovered" if is_uncounted(health) else ""
+    words = f"No loss found on {readable}{topics} in {seconds_words(health.duration_ns / SECOND_NS)}{what}."
     if most := [row["missing_high"] for row in rows if row["missing_high"]]:
         words = f"No loss is proven: up to {counted(sum(most), 'message')} may be missing on {len(most)} of {topics}."
     return words + (f" {blind}, so losses there cannot be seen." if unseen else "")
+
+
+def is_uncounted(health: RecordingHealth) -> bool:
+    return any(note.endswith(UNCOUNTED) for note in health.notes)
 
 
 def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
@@ -104,7 +110,7 @@ def ends_ns(row: TopicRow, health: RecordingHealth) -> tuple[int, int]:
 def ended_words(health: RecordingHealth, rows: Sequence[TopicRow]) -> str:
     steady = [row for row in rows if row["expected_rate_hz"]]
     ends = [(ends_ns(row, health), row["topic"], quiet_ns(SECOND_NS / row["expected_rate_hz"])) for row in steady]
-    words = " It is what was recovered of another." if any(note.endswith(UNCOUNTED) for note in health.notes) else ""
+    words = " W" + UNCOUNTED[1:] + "." if is_uncounted(health) else ""
     for side, (verb, when, how) in enumerate((("begin", "after", "late"), ("end", "before", "early"))):
         silences = [(silent_ns[side], topic) for silent_ns, topic, usual_ns in ends if silent_ns[side] > usual_ns]
         if silences:
@@ -160,7 +166,8 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
             count = f"{low:,} to {counted(hole['missing'], 'message')}"
         yield f"{_hole_words(hole)} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
-    if elsewhere > 0 and not is_unsure and (shown or row["missing_from"] not in {"tap", "recorder"}):
+    is_told = row["missing_from"] == "original" or (row["missing_from"] in {"tap", "recorder"} and not shown)
+    if elsewhere > 0 and not is_unsure and not is_told:
         lengths_s = [hole["duration_s"] for hole in holes if hole not in shown]
         where = f", in holes of up to {seconds_words(max(lengths_s))}" if lengths_s else ""
         yield f"{elsewhere:,} {'more ' if shown else ''}{'message is' if elsewhere == 1 else 'messages are'} missing{where}"

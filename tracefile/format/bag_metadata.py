@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,6 +52,7 @@ def write_bag_metadata(
     *,
     mode: int = OWNER_AND_GROUP,
     fsync: bool = True,
+    custom: Mapping[str, str] | None = None,
 ) -> None:
     """Describe several files; QoS stays as it was recorded where it is plain YAML."""
     counts = Counter[str]()
@@ -88,6 +89,7 @@ def write_bag_metadata(
         duration_ns=end_ns - start_ns,
         count=counts.total(),
         topics=per_topic or " []\n",
+        custom="".join(f"\n    {key}: {json.dumps(value)}" for key, value in (custom or {}).items()) or " ~",
     )
     with replacing(folder / METADATA_NAME, fsync=fsync) as draft, create_file(draft, mode) as file:
         file.write(text.encode())
@@ -139,6 +141,6 @@ rosbag2_bagfile_information:
   compression_mode: ""
   relative_file_paths:{names}
   files:{files}
-  custom_data: ~
+  custom_data:{custom}
   ros_distro: dds-trace
 """

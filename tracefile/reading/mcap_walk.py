@@ -76,9 +76,10 @@ class McapWalk:
         summary = read_summary(file)
         for declaration in summary.declarations() if summary else ():
             self.declare(*declaration)
-        if summary and summary.is_checked:
-            self.channels.settle()
         self.claimed = summary.message_counts() if summary else None
+        self.is_checked = summary is not None and summary.is_checked
+        if self.is_checked:
+            self.channels.settle()
         self._at: int | None = 0
         self._is_in_damage = False
         self._stretch_bytes = _FIRST_STRETCH_BYTES

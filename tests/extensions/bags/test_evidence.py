@@ -196,7 +196,10 @@ def test_the_part_has_few_bounds_and_its_rules_have_none_of_their_own():
 
 
 def test_gaps_that_pauses_explain_are_not_called_whole():
-    row, health = {"topic": "/a", "missing_low": 0}, SimpleNamespace(verdict="unknown", readable=1, duration_ns=0)
+    row, health = (
+        {"topic": "/a", "missing_low": 0},
+        SimpleNamespace(verdict="unknown", readable=1, duration_ns=0, notes=()),
+    )
     assert "found" in verdict_words(health, [row | {"missing_high": 0}])
     assert "5 messages may" in verdict_words(health, [row | {"missing_high": 5}])
     assert "analyze" in verdict_words(health, [row | {"topic": "/dds_trace/tap"}])

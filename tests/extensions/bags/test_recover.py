@@ -14,11 +14,13 @@ from rosbags.rosbag2 import StoragePlugin
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
 from dds_trace.extensions.bags.analyze import analyze_topics
+from dds_trace.extensions.bags.command import report_topics
 from dds_trace.extensions.bags.payload import load_payload
-from dds_trace.extensions.bags.read import read_messages
+from dds_trace.extensions.bags.read import UNCOUNTED, read_messages
 from dds_trace.extensions.bags.recorded import Condition
 from dds_trace.extensions.bags.recover import is_of_others, recover_recording
 from dds_trace.extensions.bags.recover_command import recover_command
+from dds_trace.extensions.bags.report import verdict_words
 from dds_trace.recorder.payloads import STRING
 
 
@@ -142,12 +144,41 @@ def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, p
         recover_recording(bag)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_copy_lacks_what_the_damaged_bag_counted(tmp_path, plugin, seed, capsys):
+    count, rng = 400, random.Random(seed)
+    messages = {"/imu": [imu(n / 100) for n in range(count)], "/chatter": [text("x" * 300)] * count}
+    bag = write_bag2(tmp_path / "drive", messages, plugin)
+    (file,) = bag.glob("drive*")
+    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * rng.uniform(0.3, 0.8))])
+    report = recover_recording(bag)
+    gone = 2 * count - report.messages
+    assert report.gone.total() == gone > 0
+    assert f"{gone:,} of {2 * count:,} messages" in "\n".join(report.lines())
+    again = recover_recording(report.recovered)
+    assert again.gone == report.gone
+    for copy in (report.recovered, again.recovered):
+        health = analyze_topics(copy).recordings[0]
+        rows = analyze_topics(copy).topics
+        assert (health.verdict, rows["missing_low"].sum() + health.gone) == ("holes", gone)
+        assert report_topics([copy], tmp_path / "out", [], [], [])[0] == 30
+        assert f"{rows['missing_low'].sum():,} messages are missing" in capsys.readouterr().out
+    (single,) = report.recovered.glob("drive*")
+    (health,) = analyze_topics(single).recordings
+    assert (health.verdict, health.certain, health.notes[0].endswith(UNCOUNTED)) == ("unknown", False, True)
+    assert "No loss found on 2 topics in 8 s." not in verdict_words(
+        health, analyze_topics(single).topics.rows(named=True)
+    )
+
+
 def test_a_whole_bag_is_copied_with_its_qos(tmp_path):
     bag = write_bag2(tmp_path / "drive", {"/imu": [imu(0.1)] * 3}, StoragePlugin.MCAP)
     report = recover_recording(bag, tmp_path / "new")
     assert (report.messages, report.damages, report.doubtful) == (3, [], 0)
     topics = [analyze_topics(path).topics.drop("recording") for path in (bag, tmp_path / "new")]
     assert topics[0].equals(topics[1])
+    assert analyze_topics(tmp_path / "new").recordings[0].notes == ()
 
 
 def test_what_holds_nothing_is_refused_in_one_line(tmp_path):

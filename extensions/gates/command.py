@@ -98,11 +98,10 @@ def compare_command(
 
         dds-trace compare main/ branch/ --fail-if default --report md
     """
-    from .gate import GateOutcome
     from .ignoring import match_without
     from .limits_file import limits_text, read_gates
     from .limits_file import write_limits as write_limits_file
-    from .report import judge_sides, write_report
+    from .report import end_with, judge_sides, print_report, write_report
 
     limits.check(limits.LOOKS, looks, "--looks")
     reports = [kind.value for kind in report or [ReportKind.TERMINAL]]
@@ -124,7 +123,9 @@ def compare_command(
         drives = load("parts", "compare_drives")(base, new, fail_if or [], limits_file, allow_missing=allow_missing)
         for kind, file in zip(reports, files, strict=True):
             write_report(drives, kind, file)
-        raise typer.Exit(0 if drives.outcome is GateOutcome.INCONCLUSIVE and not strict else drives.outcome.exit_code)
+        if None not in files:
+            print_report(drives)
+        raise typer.Exit(end_with(drives.outcome, drives.judged, strict=strict))
     gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
     judged = judge_sides(base, new, gates, looks=looks, allow_missing=allow_missing, match=match, paired=paired)

@@ -163,7 +163,7 @@ def gate_blocks(gates: Sequence[words.Gated], most: int | None, answer: str = ""
         mark, gate, measured, found, where = words.GATE_COLUMNS
         columns = [*map(Column, (mark, gate, measured)), Column(found, media=media if is_found else blocks.Medium(0))]
         columns.append(Column(where, media=MARKDOWN | PAGE))
-        yield Table(columns, rows[:shown], label="Table of the gates", gap=2, media=media)
+        yield Table(columns, rows[:shown], label="Table of the gates", look="data cards", gap=2, media=media)
         yield Points(notes[:shown], bullet="", media=media)
         hidden = len(rows[shown:]) + len(notes[shown:]) if shown else 0
         yield from _more(f"and {hidden} more", hidden)
@@ -351,11 +351,15 @@ class JudgedSides(NamedTuple):
         write_report(contents, kind, file, render(self.info) if render else "")
 
     def end(self, *, strict: bool) -> int:
-        is_let_pass = self.outcome is GateOutcome.INCONCLUSIVE and not strict
-        if self.info.gates or self.outcome is GateOutcome.NOTHING_TO_COMPARE:
-            warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
-            say(f"dds-trace: {self.outcome.word}{warning}")
-        return 0 if is_let_pass else self.outcome.exit_code
+        return end_with(self.outcome, self.info.gates, strict=strict)
+
+
+def end_with(outcome: GateOutcome, gates: Sequence[object], *, strict: bool) -> int:
+    is_let_pass = outcome is GateOutcome.INCONCLUSIVE and not strict
+    if gates or outcome is GateOutcome.NOTHING_TO_COMPARE:
+        warning = ", which passes with this warning; --strict fails" if is_let_pass else ""
+        say(f"dds-trace: {outcome.word}{warning}")
+    return 0 if is_let_pass else outcome.exit_code
 
 
 def judge_sides(

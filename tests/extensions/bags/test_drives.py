@@ -53,6 +53,13 @@ def test_both_sides_are_shown_by_topic(drives):
         assert words in shown, shown
 
 
+def test_the_answer_is_printed_beside_a_page(drives, tmp_path, capfd):
+    done = compared(*drives, "--report", "html", "--out", tmp_path / "c.html", "--fail-if", "rate(/imu) < -5%")
+    assert (code_of(done), "Gone on the new side: /tf." in done.output) == (20, True)
+    assert "regressed" in done.output + capfd.readouterr().err
+    assert 'class="data cards"' in (tmp_path / "c.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("limit", "code"),
     [

@@ -167,8 +167,8 @@ def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:
             f"{link.next_topic} {format_duration(link.p50_ns)} later ({format_ratio(link.share)})" for link in following
         ]
         last_ns = following[-1].p99_ns
-        last = "" if last_ns is None else f"; p99 from the first to the last {format_duration(last_ns)}"
-        yield f"chain: the stamps of {begin} come again on {', '.join(first_of(steps, most))}{last}"
+        last = "" if last_ns is None else f"; p99 to {following[-1].next_topic} {format_duration(last_ns)}"
+        yield f"the same stamps as {begin}: {', '.join(first_of(steps, most))}{last}"
     again = [link for link in links if link.stamps_again]
     for link in again[:most]:
         yield (
@@ -177,4 +177,4 @@ def chain_lines(links: Sequence[Link], most: int) -> Iterator[str]:
         )
     hidden = max(len(begins) - most, 0) + max(len(again) - most, 0)
     if hidden:
-        yield f"and {counted(hidden, 'more chain')} are not shown"
+        yield f"and {counted(hidden, 'more such topic')} not shown"

@@ -61,7 +61,9 @@ def compare_stamps(names: Sequence[str], topics: dict[str, TopicTimes]) -> Sync:
     ages = [_by_part(*times, edges) for times in (first, other)]
     offsets, middle_ns = ages[0] - ages[1], (edges[1:] + edges[:-1]) / 2 - first_ns
     if np.isnan(offsets).any():
-        raise OptionError(f"--sync {','.join(names)}: fewer than {FEWEST} messages of both in a part of their time")
+        raise OptionError(
+            f"--sync {','.join(names)}: fewer than {FEWEST} messages of both in one of {PATTERN} parts of their common time; name two faster topics, or take a longer recording"
+        )
     slope, level = np.polyfit(middle_ns, offsets, 1)
     residual = offsets - slope * middle_ns - level
     error = np.sqrt((residual**2).sum() / (PATTERN - 2) / ((middle_ns - middle_ns.mean()) ** 2).sum())

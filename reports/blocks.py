@@ -51,8 +51,11 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Figure(Block):
+    """`text` is of a terminal, `short` of Markdown."""
+
     text: str = ""
     svg: str = ""
+    short: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ def render(report: Report) -> str:
 
 def _words(words: Words) -> str:
     if isinstance(words, blocks.Figure):
-        return f"<code>{words.text}</code>".replace(" ", "\u2007")
+        return f"<code>{words.short or words.text}</code>".replace(" ", "\u2007")
     if isinstance(words, blocks.Stack):
         return ", ".join(map(_words, words.lines))
     return markdown(words) if isinstance(words, str) else "".join(map(_span, words))

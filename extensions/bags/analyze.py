@@ -18,7 +18,7 @@ import polars as pl
 from dds_trace.analyzer.model.finding import Source
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.extension import load
-from dds_trace.base.units import first_of
+from dds_trace.base.units import counted, first_of
 from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS
 
 from .bounds import SHOWN
@@ -34,7 +34,7 @@ from .splits import Part, Span, goes_on, lost_files, parts_of, shown_path
 from .sync import Sync
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TopicReport:
     """Topics, and the recordings with what was wrong with them.
 
@@ -54,6 +54,10 @@ class TopicReport:
     observations: pl.DataFrame
     links: tuple[tuple[str, Link], ...] = ()
     syncs: tuple[tuple[str, Sync], ...] = ()
+
+    def __repr__(self) -> str:
+        parts = counted(len(self.recordings), "recording"), counted(len(self.topics), "topic")
+        return f"<TopicReport: {', '.join(parts)}, {counted(len(self.holes), 'hole')}; .verdict {self.verdict}, .topics, .holes>"
 
     def _repr_markdown_(self) -> str:
         shown: str = load("parts", "bag_report")(self)._repr_markdown_()

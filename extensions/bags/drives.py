@@ -87,6 +87,9 @@ class DriveComparison(blocks.Report):
     title: str = "What changed between two bags?"
     kicker = "Two recordings"
 
+    def __repr__(self) -> str:
+        return f"<DriveComparison: {' → '.join(map(str, self.paths))}, {counted(len(self.topics), 'topic')}; .topics, .reports>"
+
     @property
     def topics(self) -> dict[str, tuple[TopicRow | None, ...]]:
         """Rows of the base and the new recording by topic; None where one lacks it."""

@@ -126,7 +126,7 @@ def facts_words(health: RecordingHealth, topics: int) -> str:
         return f"0 messages{chunks}"
     return (
         f"{seconds_words(health.duration_ns / SECOND_NS)} from {utc_words(health.start_ns)}, {counted(health.messages, 'message')}, "
-        f"{counted(topics, 'topic')}{chunks}; with messages {_share_words(health.coverage)} of the time"
+        f"{counted(topics, 'topic')}{chunks}"
     )
 
 
@@ -148,11 +148,12 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
 def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth) -> Iterator[str]:
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
     end_s = health.duration_ns / SECOND_NS
+    before_ns, after_ns = ends_ns(row, health)
     if holes and holes[0]["start_s"] == 0 and not holes[0]["missing"]:
-        yield f"begins at {clock_words(holes[0]['duration_s'])}, not with the recording"
+        yield f"begins at {clock_words(before_ns / SECOND_NS)}, not with the recording"
         holes = holes[1:]
     if holes and abs(holes[-1]["start_s"] + holes[-1]["duration_s"] - end_s) < period_s and not holes[-1]["missing"]:
-        yield f"ends at {clock_words(holes[-1]['start_s'])}, {seconds_words(holes[-1]['duration_s'])} before the recording"
+        yield f"ends at {clock_words(end_s - after_ns / SECOND_NS)}, {seconds_words(after_ns / SECOND_NS)} before the recording"
         holes = holes[:-1]
     is_unsure = row["missing_low"] == 0 < row["missing_high"]
     least_s = max((1 + 1 / 2) * period_s, is_unsure)  # shorter ones are single messages
@@ -226,7 +227,7 @@ def topic_notes(row: TopicRow, health: RecordingHealth) -> Iterator[str]:
     if row["missing_low"] and row["missing_from"] != "period":
         yield f"{counted(row['missing'], 'message')} missing {READ_BY[row['missing_from']]}"
     if row["missing_inside"] and row["missing_low"] and not row["lost_in_recorder"]:
-        yield f"{counted(row['missing_inside'], 'message')} of them while nothing of any topic came"
+        yield f"{row['missing_inside']:,} of them while nothing of any topic came"
     if row["lost_in_transport"] or row["lost_in_recorder"]:
         who = "the tap" if row["missing_from"] == "tap" else "rosbag2"
         yield f"{who} counted {row['lost_in_transport']:,} lost on the way to it and {row['lost_in_recorder']:,} inside"
@@ -345,7 +346,10 @@ class BagReport(blocks.Report):
         drawn = [_row(health, *topic) for topic in topics]
         yield Table(columns, drawn, label="Table of the topics", look="groups cards", parted=EVERYWHERE)
         colors = [("there", "messages"), ("hole", "missing"), ("inside", "missing on all topics at once")]
-        yield blocks.Key([("", f"00:00 to {_end(health)}"), *colors, ("some", "not periodic")], media=PAGE)
+        yield blocks.Key(
+            [("", f"00:00 to {_end(health)}"), *colors, ("gap", "nothing came, not counted"), ("some", "not periodic")],
+            media=PAGE,
+        )
 
 
 def _end(health: RecordingHealth) -> str:
@@ -358,7 +362,8 @@ def _row(health: RecordingHealth, row: TopicRow, holes: Sequence[TopicRow], stri
     words = f"{first}: time from 00:00 to {_end(health)}, {'; '.join(lines) or 'without holes'}"
     is_periodic = row["missing_from"] != ""
     text = "".join(_LEVELS[int(share * 8)] if is_periodic else "▪" if share else " " for share in strip)
-    figure = blocks.Figure(text, _strip_svg(words, strip_parts(health, row, holes, strip)))
+    short = "".join(map(min if is_periodic else max, text[::2], text[1::2]))
+    figure = blocks.Figure(text, _strip_svg(words, strip_parts(health, row, holes, strip)), short)
     with_qos = blocks.stack(Span(first, ""), Span(printable(row["qos"]), "soft"))
     part = "Of dds-trace itself: `dds-trace analyze` reads them" if row["topic"].startswith(TOPIC_PREFIX) else ""
     return Row([first, with_qos, *others], part=part, figure=figure, notes=lines)
@@ -388,7 +393,8 @@ def strip_parts(
     for hole in holes:
         if not row["missing_low"] and hole["duration_s"] <= 1:
             continue
-        kind, width = "inside" if hole["inside"] else "hole", round(max(hole["duration_s"] * scale, 0.1), 2)
+        counted_as = "inside" if hole["inside"] else "hole"
+        kind, width = counted_as if hole["missing_low"] else "gap", round(max(hole["duration_s"] * scale, 0.1), 2)
         drawn.append((round(hole["start_s"] * scale, 2), width, kind, _hole_words(hole)))
     return drawn
 

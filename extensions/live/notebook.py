@@ -65,7 +65,9 @@ def first_screen(analysis: Analysis) -> str:
     if sizes is not None:
         room = MOST_CHARACTERS - len(top) - len(below) - _BELOW
         pairs = ("more link", "more links")
-        top += f"{_table(size_block(sizes), room, pairs)}<p style='{_SOFT}'>{escape(HOW_TO_READ)}</p>"
+        hidden = sum(len(site.further) for site in sizes.places)
+        more = f"And {counted(hidden, 'more row')}, of another rate: <code>summary</code>. " if hidden else ""
+        top += f"{_table(size_block(sizes), room, pairs)}<p style='{_SOFT}'>{more}{escape(HOW_TO_READ)}</p>"
     return f"<div>{top}{below}</div>"
 
 

@@ -68,6 +68,8 @@ def test_a_late_start_and_an_early_end_are_no_loss(tmp_path, capsys, camera, sta
     shown = capsys.readouterr().out
     assert words in shown
     assert "s 20 s " in shown.splitlines()[1]
+    page = load_reporter("html").render(BagReport(report))
+    assert ('<rect class="gap"' in page, '<rect class="hole"' in page) == (True, False)
 
 
 def test_the_rate_of_a_start_and_a_late_start_are_no_pause(tmp_path, capsys):

@@ -198,9 +198,8 @@ class Card:
         for loss in losses:
             is_doubtful &= ~pauses.meet(loss.holes.at(loss.holes.low > 0))
         is_certain = readable > 0 and not condition.is_remainder and not any(row["missing_high"] for row in self.rows)
-        sound = (
-            HOLES if has_losses(self.observed) or self._gone else WHOLE if is_certain else UNKNOWN if columns else EMPTY
-        )
+        is_lossy = has_losses(self.observed) or self._gone
+        sound = HOLES if is_lossy else WHOLE if is_certain else UNKNOWN if columns else EMPTY
         self.health = RecordingHealth(
             path,
             DAMAGED if condition.damages else sound,

@@ -33,8 +33,6 @@ from dds_trace.tracefile.reading.storage import ZSTD_SUFFIX, storage_files, unpa
 from .kinds import BLOCK_BYTES, MOST_TEXT_BYTES, RECORDING_KINDS, SQLITE_MAGIC, RecordingKind, function_at
 from .recorded import LATEST_NS, NONE, Condition, Int64, MessageBatch, RawMessage, batched
 
-RECOVERED = "recovered by dds-trace"
-"""In the library of a copy that an earlier version made, damaged or not."""
 REMAINDER = "dds_trace_recovered"
 """Name of the mark of a copy from a damaged recording: `/topic=messages` that this counted and lacks."""
 REMAINDER_ID = b"ddsr"
@@ -72,23 +70,22 @@ def _described(folder: Path) -> RecordingFiles:
         text = file.read(MOST_TEXT_BYTES).decode(errors="replace")
     listed, claimed = _read_metadata(text)
     mark = _MARK.search(text)
-    found = Condition(claimed=claimed, is_remainder=mark is not None, gone=gone_of(_plain(mark[1]) if mark else ""))
+    described = Condition(claimed=claimed, is_remainder=mark is not None, gone=gone_of(_plain(mark[1]) if mark else ""))
     if not listed:
-        return RecordingFiles(stored, stored[:], found)
+        return RecordingFiles(stored, stored[:], described)
     names = {name.removesuffix(ZSTD_SUFFIX) for name in listed}
     files = [file for file in stored if file.name.removesuffix(ZSTD_SUFFIX) in names]
     missing = sorted(names - {file.name.removesuffix(ZSTD_SUFFIX) for file in files})
     unlisted = [file for file in stored if file not in files]
     if len(missing) == len(unlisted) == 1:
-        found.notes = [
-            f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
-        ]
-        return RecordingFiles(stored, stored[:], found)
-    found.damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
-    found.notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
+        note = f"{unlisted[0].name} is not listed in {METADATA_NAME} and is read as {missing[0]}, which is not here: renamed?"
+        described.notes.append(note)
+        return RecordingFiles(stored, stored[:], described)
+    described.damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
+    described.notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in unlisted]
     if not files:
-        raise TraceFormatError(folder, "; ".join([*found.damages, *found.notes][:3]))
-    return RecordingFiles(files, files[:], found)
+        raise TraceFormatError(folder, "; ".join([*described.damages, *described.notes][:3]))
+    return RecordingFiles(files, files[:], described)
 
 
 def _read_metadata(text: str) -> tuple[list[str], dict[str, int]]:
@@ -147,10 +144,10 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
     """
     delivered, index_of, topics = Counter[str](), dict[RecordedTopic, int](), list[RecordedTopic]()
     with open_recording(path) as recording:
-        found = recording.condition
-        condition.notes += found.notes
-        condition.damages += found.damages
-        condition.is_remainder |= found.is_remainder
+        described = recording.condition
+        condition.notes += described.notes
+        condition.damages += described.damages
+        condition.is_remainder |= described.is_remainder
         for file, name in zip(recording.files, recording.names, strict=True):
             counts, about_file = Counter[str](), Condition()
             budget, indices = _UnpackedBytes(file.stat().st_size), list[int]()
@@ -181,8 +178,8 @@ def read_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             if not about_file.damages:
                 _compare(about_file.claimed, counts, name.name, condition)
             delivered += counts
-        condition.gone |= found.gone
-        _compare(found.claimed, delivered, METADATA_NAME, condition)
+        condition.gone |= described.gone
+        _compare(described.claimed, delivered, METADATA_NAME, condition)
     if condition.damages and not delivered:
         raise TraceFormatError(path, f"the recording cannot be read: {condition.damages[0]}")
 
@@ -389,8 +386,6 @@ def mcap_batches(path: Path, condition: Condition) -> Iterator[MessageBatch]:
             condition.damages += items.walk.damages
             condition.notes += items.walk.notes
             condition.chunks += items.chunks
-            if items.header and RECOVERED in items.header.library:
-                condition.is_remainder = True
             names = {topic.name for topic in items.topics}
             silent = [declared.record for _, declared in items.channels.items() if declared.topic not in names]
             condition.topics |= {*items.topics} | {topic_of(channel, items.channels.schemas) for channel in silent}

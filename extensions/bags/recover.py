@@ -21,13 +21,7 @@ from dds_trace.base.files import flush_to_disk, mode_within, output_error
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, first_of, format_duration, utc_words
 from dds_trace.base.version import __version__
-from dds_trace.tracefile.format.bag_metadata import (
-    METADATA_NAME,
-    MOST_TOPICS,
-    BagFile,
-    RecordedTopic,
-    write_bag_metadata,
-)
+from dds_trace.tracefile.format.bag_metadata import MOST_TOPICS, BagFile, RecordedTopic, write_bag_metadata
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.mcapfile.file import RecordFile
@@ -41,7 +35,7 @@ from .bag1 import bag1_messages
 from .bounds import SHOWN
 from .kinds import function_at
 from .mcap_copy import McapCopy
-from .read import RECOVERED, REMAINDER, REMAINDER_ID, McapItems, gone_of, is_remainder, kind_of, mark_of, open_recording
+from .read import REMAINDER, REMAINDER_ID, McapItems, gone_of, is_remainder, kind_of, mark_of, open_recording
 from .recorded import LATEST_NS, Condition, Int64, MessageBatch
 from .sqlite_rows import SQLITE_TABLES, sqlite_messages
 
@@ -150,8 +144,8 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
     is_folder = path.is_dir()
     report, written = RecordingRecovery(path, target), list[NewFile]()
     with open_recording(path) as recording:
-        found = recording.condition
-        report.damages += found.damages
+        described = recording.condition
+        report.damages += described.damages
         try:
             (draft if is_folder else draft.parent).mkdir(parents=True, exist_ok=True)
             for source, original in zip(recording.files, recording.names, strict=True):
@@ -171,16 +165,15 @@ def _recover_into(draft: Path, path: Path, target: Path) -> RecordingRecovery:
                 report.unchecked += new.unchecked
                 written.append(new)
                 report.gone += new.gone
-            claims = found.claimed or sum((new.counted for new in written), Counter[str]())
-            if claims:
-                total = sum(claims.values()) + found.gone.total()
-                where = METADATA_NAME if found.claimed else "its statistics"
-                report.counted = f"{counted(total, 'message')} counted in {where}"
-            report.gone |= _lacking(found.claimed, written) + found.gone
+            claims = described.claimed or sum((new.counted for new in written), Counter[str]())
+            where = "metadata.yaml" if described.claimed else "its statistics"
+            total = counted(sum(claims.values()) + described.gone.total(), "message")
+            report.counted = f"{total} counted in {where}" if claims else ""
+            report.gone |= _lacking(described.claimed, written) + described.gone
             if is_folder and written:
                 topics = [item for new in written for item in new.topics.items()]
                 storage = kind_of(written[0].path).storage
-                is_remainder = found.is_remainder or bool(report.damages or report.gone)
+                is_remainder = described.is_remainder or bool(report.damages or report.gone)
                 mark = {REMAINDER: mark_of(report.gone)} if is_remainder else {}
                 write_bag_metadata(draft, storage, [new.described for new in written], topics, custom=mark)
         except OSError as err:
@@ -239,7 +232,7 @@ def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
         items = iter(walked)
         item = next(items, None)  # now the header and the first chunk's compression are known
         library = walked.header.library if walked.header else "unknown"
-        library, marks = f"{library}; copied by {LIBRARY} {__version__}", list[Metadata]()
+        library, marks = f"{library}; recovered by {LIBRARY} {__version__}", list[Metadata]()
         copy, left_out = McapCopy(stream, _profile(walked), library, is_packed=not walked.walk.is_unpacked), 0
         channels = _NewChannels(copy, walked, new)
         while item is not None:
@@ -258,7 +251,7 @@ def recover_mcap(source: Path, new: NewFile) -> tuple[list[str], int]:
             if declared := walked.channels.get(channel_id):
                 new.counted[declared.topic] += count
         new.gone = sum((gone_of(mark.metadata.get(REMAINDER, "")) for mark in marks), _lacking(new.counted, [new]))
-        if marks or walked.walk.damages or new.gone or RECOVERED in library:
+        if marks or walked.walk.damages or new.gone:
             copy.add_metadata(Metadata(name=REMAINDER, metadata={REMAINDER: mark_of(new.gone)}))
         copy.finish()
     new.unchecked = walked.unchecked

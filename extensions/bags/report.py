@@ -167,8 +167,8 @@ def hole_lines(row: TopicRow, holes: Sequence[TopicRow], health: RecordingHealth
             count = f"{low:,} to {counted(hole['missing'], 'message')}"
         yield f"{_hole_words(hole)} ({count}{inside})"
     elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
-    is_told = row["missing_from"] == "original" or (row["missing_from"] in {"tap", "recorder"} and not shown)
-    if elsewhere > 0 and not is_unsure and not is_told:
+    is_counted = row["missing_from"] == "original" or (row["missing_from"] in {"tap", "recorder"} and not shown)
+    if elsewhere > 0 and not is_unsure and not is_counted:
         lengths_s = [hole["duration_s"] for hole in holes if hole not in shown]
         where = f", in holes of up to {seconds_words(max(lengths_s))}" if lengths_s else ""
         yield f"{elsewhere:,} {'more ' if shown else ''}{'message is' if elsewhere == 1 else 'messages are'} missing{where}"
@@ -346,10 +346,8 @@ class BagReport(blocks.Report):
         drawn = [_row(health, *topic) for topic in topics]
         yield Table(columns, drawn, label="Table of the topics", look="groups cards", parted=EVERYWHERE)
         colors = [("there", "messages"), ("hole", "missing"), ("inside", "missing on all topics at once")]
-        yield blocks.Key(
-            [("", f"00:00 to {_end(health)}"), *colors, ("gap", "nothing came, not counted"), ("some", "not periodic")],
-            media=PAGE,
-        )
+        colors += [("gap", "nothing came, not counted"), ("some", "not periodic")]
+        yield blocks.Key([("", f"00:00 to {_end(health)}"), *colors], media=PAGE)
 
 
 def _end(health: RecordingHealth) -> str:

@@ -53,13 +53,6 @@ def test_both_sides_are_shown_by_topic(drives):
         assert words in shown, shown
 
 
-def test_the_answer_is_printed_beside_a_page(drives, tmp_path, capfd):
-    done = compared(*drives, "--report", "html", "--out", tmp_path / "c.html", "--fail-if", "rate(/imu) < -5%")
-    assert (code_of(done), "Gone on the new side: /tf." in done.output) == (20, True)
-    assert "regressed" in done.output + capfd.readouterr().err
-    assert 'class="data cards"' in (tmp_path / "c.html").read_text()
-
-
 @pytest.mark.parametrize(
     ("limit", "code"),
     [
@@ -115,15 +108,16 @@ def test_a_side_of_several_recordings_is_refused(tmp_path, drives):
     done = compared(drives[0], tmp_path)
     assert (code_of(done), "2 recordings" in str(done.exception)) == (2, True)
     bag = analyze_topics(drives[0])
-    assert all("/lidar" in shown._repr_markdown_() for shown in (bag, compare(bag, bag)))
+    assert all("/lidar" in shown._repr_markdown_() and len(repr(shown)) < 300 for shown in (bag, compare(bag, bag)))
 
 
 def test_files_are_written_for_each_report(tmp_path, drives):
     files = [tmp_path / kind / f"comparison.{kind}" for kind in ("md", "html")]
     words = [word for file in files for word in ("--report", file.suffix[1:], "--out", file.parent)]
-    assert compared(*drives, *words).exit_code == 0
+    done = compared(*drives, *words, "--fail-if", "rate(/imu) < -5%")
+    assert (code_of(done), "Gone on the new side: /tf." in done.output) == (20, True)
     assert all("/camera" in file.read_text() for file in files)
-    assert 'id="theme"' in files[1].read_text()
+    assert all(part in files[1].read_text() for part in ('id="theme"', 'class="data cards"'))
 
 
 def test_traces_are_no_drives(tmp_path, drives):

@@ -147,29 +147,22 @@ def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, p
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("plugin", StoragePlugin)
 def test_a_copy_lacks_what_the_damaged_bag_counted(tmp_path, plugin, seed, capsys):
-    count, rng = 400, random.Random(seed)
-    messages = {"/imu": [imu(n / 100) for n in range(count)], "/chatter": [text("x" * 300)] * count}
-    bag = write_bag2(tmp_path / "drive", messages, plugin)
-    (file,) = bag.glob("drive*")
-    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * rng.uniform(0.3, 0.8))])
-    report = recover_recording(bag)
-    gone = 2 * count - report.messages
-    assert report.gone.total() == gone > 0
-    assert f"{gone:,} of {2 * count:,} messages" in "\n".join(report.lines())
-    again = recover_recording(report.recovered)
-    assert again.gone == report.gone
-    for copy in (report.recovered, again.recovered):
-        health = analyze_topics(copy).recordings[0]
-        rows = analyze_topics(copy).topics
-        assert (health.verdict, rows["missing_low"].sum() + health.gone) == ("holes", gone)
-        assert report_topics([copy], tmp_path / "out", [], [], [])[0] == 30
-        assert f"{rows['missing_low'].sum():,} messages are missing" in capsys.readouterr().out
-    (single,) = report.recovered.glob("drive*")
-    (health,) = analyze_topics(single).recordings
-    assert (health.verdict, health.certain, health.notes[0].endswith(UNCOUNTED)) == ("unknown", False, True)
-    assert "No loss found on 2 topics in 8 s." not in verdict_words(
-        health, analyze_topics(single).topics.rows(named=True)
+    bag = write_bag2(
+        tmp_path / "drive", {"/imu": [imu(n / 100) for n in range(400)], "/a": [text("x" * 300)] * 400}, plugin
     )
+    (file,) = bag.glob("drive*")
+    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * random.Random(seed).uniform(0.3, 0.8))])
+    report = recover_recording(bag)
+    gone = 800 - report.messages
+    assert f"{gone:,} of 800 messages" in "\n".join(report.lines())
+    for copy in (report.recovered, recover_recording(report.recovered).recovered):
+        assert report_topics([copy], tmp_path / "out", [], [], [])[0] == 30
+        rows, (health,) = (about := analyze_topics(copy)).topics, about.recordings
+        assert rows["missing_low"].sum() + health.gone == gone > 0
+        assert f"{rows['missing_low'].sum():,} messages are missing" in capsys.readouterr().out
+    (health,) = (about := analyze_topics(next(report.recovered.glob("drive*")))).recordings
+    assert (health.verdict, health.certain, health.notes[0].endswith(UNCOUNTED)) == ("unknown", False, True)
+    assert " of what was recovered." in verdict_words(health, about.topics.rows(named=True))
 
 
 def test_a_whole_bag_is_copied_with_its_qos(tmp_path):

@@ -297,7 +297,9 @@ function zipParts(files) {
 
 /** Every figure of the page in one zip; as PDF one page each, without a dialog where a program prints the page. */
 async function saveAll(format, options) {
-  const name = isColumn(options?.mm ?? chosenWidth().mm) ? "figures-column" : "figures";
+  const { mm } = { ...chosenWidth(), ...options };
+  const [column, star] = isColumn(mm) ? ["-column", ""] : ["", "*"]; // figure* is as wide as both columns
+  const name = `figures${column}`;
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
   const figures = drawn.map((block) => [block.fileName(), picturesOf(block, "", options)]);
@@ -306,14 +308,15 @@ async function saveAll(format, options) {
   const latex = ([label, pictures], at) =>
     pictures.map(
       (_, part) => `
-\\begin{figure}
-  \\includegraphics[width=\\linewidth,page=${(page += 1)}]{${name}.pdf}
+\\begin{figure${star}}
+  \\includegraphics[width=${mm ? `${mm}mm` : "\\textwidth"},page=${(page += 1)}]{${name}.pdf}
   \\caption{${latexOf(captionOf(drawn[at]))}}
-  \\label{fig:${label}${part ? `-${part + 1}` : ""}}
-\\end{figure}
+  \\label{fig:${label}${column}${part ? `-${part + 1}` : ""}}
+\\end{figure${star}}
 `,
     );
-  const head = `% Needs graphicx, and ${name}.pdf of the same page. ${measuredWith()}\n`;
+  const elsewhere = "if it is in another folder: \\graphicspath{{FOLDER/}}";
+  const head = `% Needs graphicx and ${name}.pdf; ${elsewhere}\n% ${measuredWith()}\n`;
   const text = [head, ...figures.flatMap(latex)].join("");
   if (options) return document.body.append(element("pre", { id: "latex", hidden: "" }, text)); // for who prints it
   saveBlob(`${name}.tex`, new Blob([text], { type: "application/x-tex" }));

@@ -54,7 +54,7 @@ def _table(block: blocks.Table) -> str:
 
 
 def _fold(block: blocks.Fold) -> str:
-    inner = [_DRAWN[type(block)](block) for block in block.blocks]
+    inner = [_DRAWN[type(inside)](inside) for inside in block.blocks if MARKDOWN in inside.media]
     return "\n\n".join([f"<details><summary>{markdown(plain_text(block.summary))}</summary>", *inner, "</details>"])
 
 

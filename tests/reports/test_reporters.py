@@ -26,7 +26,7 @@ from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_ratio
 from dds_trace.extensions.campaigns.recommend import recommend_settings
 from dds_trace.reports import document, terminal
-from dds_trace.reports.blocks import Column, Row, Section, Span, Table
+from dds_trace.reports.blocks import PAGE, Column, Fold, Row, Section, Sentence, Span, Table
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING, format_count, markdown
 from dds_trace.reports.book.numbers import intervals_info
@@ -35,6 +35,7 @@ from dds_trace.reports.book.sizes import Threshold
 from dds_trace.reports.document import _lines
 from dds_trace.reports.figures.table import FIGURES
 from dds_trace.reports.html.page import json_island
+from dds_trace.reports.markdown import _fold
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
 from dds_trace.reports.terminal import INLINE_BAR
 
@@ -299,6 +300,11 @@ def test_markdown_keeps_its_tables_whole():
     assert tables
     for table in tables:
         assert len({len(re.findall(r"\|", line)) for line in table}) == 1
+
+
+def test_markdown_has_no_block_of_the_page_within_a_fold():
+    fold = Fold("first", [Sentence("second"), Sentence("third", media=PAGE)])
+    assert re.findall("second|third", _fold(fold)) == ["second"]
 
 
 def test_markdown_makes_hostile_strings_inert():

@@ -17,7 +17,7 @@ from dds_trace.recorder.payloads import check_data, sources
 from .link import PRESETS
 from .schema import INSTALLED, POINTER, TABLES, plain
 
-WIDTH = 100
+WIDTH = 80
 
 DATA_EXAMPLE = "binary 33KB @ 20, imu @ 100"
 HERE, NOTHING = "here", "nothing"
@@ -83,9 +83,9 @@ def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str]
         POINTER,
         "\n".join(
             [
-                f"# Show its runs and check that they start:  dds-trace sweep {name}.toml --rehearse",
-                f"# Record it:                                dds-trace sweep {name}.toml --out runs/",
-                f"# Look:                                     dds-trace analyze runs/{name} --report html",
+                f"# Check it:   dds-trace sweep {name}.toml --rehearse",
+                f"# Record it:  dds-trace sweep {name}.toml --out runs/",
+                f"# Look:       dds-trace analyze runs/{name} --report html",
             ]
         ),
         _block(
@@ -116,7 +116,7 @@ def _where(location: str) -> list[str]:
     if location in PRESETS:
         return [_block("[link]", "link", [_line("link", "preset", location)])]
     lines = [_line("devices.relay", "ssh", location)]
-    further = [f"# {key}: {plain(TABLES['devices.relay'].keys[key].meaning)}" for key in ("setup", "path")]
+    further = [_comment(f"{key}: {plain(TABLES['devices.relay'].keys[key].meaning)}") for key in ("setup", "path")]
     return [_block("[devices.relay]", "devices.relay", [*lines, *further])]
 
 

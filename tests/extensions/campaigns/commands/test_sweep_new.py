@@ -54,7 +54,7 @@ def test_answers_on_a_terminal_are_a_plan_with_a_schema_beside_it(new, tmp_path)
     text = (tmp_path / "mine.toml").read_text()
     assert text.startswith("#:schema ./plan.schema.json\n")
     assert "dds-trace sweep mine.toml --rehearse\n" in text
-    assert max(map(len, text.splitlines())) <= 100
+    assert max(map(len, text.splitlines())) <= 80
     assert json.loads((tmp_path / "plan.schema.json").read_text()) == plan_schema()
 
 

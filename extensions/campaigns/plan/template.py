@@ -129,7 +129,8 @@ def _line(table: str, key: str, value: object) -> str:
 
 
 def _comment(text: str) -> str:
-    return textwrap.fill(text.replace("**", ""), WIDTH, initial_indent="# ", subsequent_indent="# ")
+    whole = text.replace("**", "").replace("`. ", "`.\u00a0")  # a command stays in one line
+    return textwrap.fill(whole, WIDTH, initial_indent="# ", subsequent_indent="# ").replace("\u00a0", " ")
 
 
 def _toml(value: object) -> str:

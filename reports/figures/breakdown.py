@@ -44,7 +44,7 @@ FIGURE = FigureMaker(
     name="breakdown",
     title="Where the time goes, on average",
     how_to_read=(
-        "A whole bar is the mean response, from the planned send (T0) over sent (T1), at the relay (T3) and sent back (T4) to the reply (T2), "
+        "Each bar divides its mean response (100 %), from the planned send (T0) over sent (T1), at the relay (T3) and sent back (T4) to the reply (T2), "
         "its parts upwards in that order; means add up, percentiles do not."
     ),
     nothing="no message has a schedule and all four time stamps (a relay's trace is missing).",

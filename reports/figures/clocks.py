@@ -43,7 +43,7 @@ ONE_WAY = FigureMaker(
     name="one_way",
     title="The way out against the way back",
     how_to_read=(
-        "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
+        "Triangles are the way out, strokes the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
         "inside it cannot be seen."
     ),
     nothing="no message has all four time stamps (a relay's trace is missing).",

@@ -79,10 +79,7 @@ def dots_plan(book: Book) -> Plan | None:
 DOTS = FigureMaker(
     name="dots",
     title="Latency at a glance",
-    how_to_read=(
-        "Each line is one result: the dot is its time with the 95 % interval, followed by the share received and how many times as long a "
-        "message takes through a bridge as in the same domain; times are of the received messages."
-    ),
+    how_to_read="Each line is one result: the mark is its time with the 95 % interval; times are of the received messages.",
     nothing=f"no message was received, or there are more than {FEW_GROUPS} results.",
     kind="dots",
     make=dots_plan,

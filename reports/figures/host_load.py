@@ -53,10 +53,10 @@ def host_load_plan(book: Book) -> Plan | None:
 
 FIGURE = FigureMaker(
     name="host_load",
-    title="Processor load, Wi-Fi signal and replayed link against latency",
+    title="Latency and what the devices sampled",
     how_to_read=(
-        "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "
-        "shown is the busiest processor's, and a link that replays a file has a step for each of its rows."
+        "All panels share the time axis, so what changes where the latency rises may be its cause; marks with a rim are of the relay's "
+        "device."
     ),
     nothing="no device sampled its load during a run.",
     kind="host_load",

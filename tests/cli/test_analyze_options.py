@@ -73,10 +73,9 @@ def test_figures_are_printed_in_the_width_of_a_page_or_column(runs, kind, name, 
     boxes = re.findall(rb"/MediaBox \[0 0 ([0-9.]+) ", (runs / "analysis" / name).read_bytes())
     assert {round(float(width) / 72 * 25.4) for width in boxes} <= {mm - 1, mm, mm + 1}
     latex = (runs / "analysis" / name).with_suffix(".tex").read_text(encoding="utf-8")
-    found = re.findall(r"(figure.?)\}\n.+width=(.+),page=(\d+)\]\{(.+)\}", latex)
-    environment = "figure*" if mm == 174 else "figure"
-    assert found == [(environment, f"{mm}mm", str(page + 1), name) for page in range(len(boxes))]
-    assert latex.count("-column}") == ("column" in kind) * len(boxes)
+    found = re.findall(rf"(figure.?)\}}\n.+width={mm}mm,page=(\d+)\]\{{(.+)\}}", latex)
+    assert found == [("figure*" if kind == "pdf" else "figure", str(at + 1), name) for at in range(len(boxes))]
+    assert latex.count("-column}") == ("column" in kind) * len(boxes), "labels of both widths in one paper"
 
 
 @pytest.mark.parametrize(("is_terminal", "answer", "code"), [(False, "", 0), (True, "y\n", 0), (True, "n\n", 2)])

@@ -439,6 +439,7 @@ function cellAxis(cells) {
   });
   const x = (width) => {
     const step = Math.max(1, Math.ceil(20 / (width / cells.length)));
+    const unit = width / cells.length > 54 ? " Hz" : "";
     const kept = cells
       .map((_, place) => place)
       .filter(
@@ -457,7 +458,7 @@ function cellAxis(cells) {
       range: [-0.6, cells.length - 0.4],
       tickmode: "array",
       tickvals: kept,
-      ticktext: kept.map((place) => plain(cells[place].hz ? digits(cells[place].hz) : "max")),
+      ticktext: kept.map((place) => plain(cells[place].hz ? digits(cells[place].hz) + unit : "max")),
       tickangle: 0,
       showgrid: false,
       zeroline: false,

@@ -67,7 +67,6 @@ def test_columns_are_at_once_as_wide_as_all_their_rows_need(reader, pages, name)
 
 @pytest.mark.thorough
 def test_the_buttons_of_a_figure_stay_where_they_are_whatever_its_note_says(reader, pages):
-    """Bars of what lost messages bring a note."""
     tab = reader.open(pages("500 groups"))
     places = (
         "[...document.querySelectorAll('#figure-domain_difference .actions > :not(.note)')].map(one => one.offsetLeft)"

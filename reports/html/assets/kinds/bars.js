@@ -19,10 +19,7 @@ KINDS.bars = function bars(plan, width, all) {
   const found = collected(plan, (group) => plannedTime(plan, group), facet);
   const base = new Map(plan.pairs.map(([same, different]) => [different, same]));
   const isPicture = all?.page !== undefined; // its panels are too low for more than a number
-  const finite = (panels) =>
-    panels
-      .flatMap((panel) => pointsOf(panel).map((point) => point.value))
-      .filter(Number.isFinite);
+  const finite = (panels) => panels.flatMap(pointsOf).map(({ value }) => value).filter(Number.isFinite);
   const tops = new Map(
     found.panels.map((panel) => [
       panel.row,
@@ -31,16 +28,8 @@ KINDS.bars = function bars(plan, width, all) {
         Math.max(1, ...finite(found.panels.filter((one) => one.row === panel.row))),
     ]),
   );
-  const minWidth = Math.min(
-    width - 80,
-    Math.max(
-      150,
-      ...found.panels.map(
-        (panel) =>
-          new Set(pointsOf(panel).map((point) => point.x)).size * panel.lines.length * 11,
-      ),
-    ),
-  );
+  const barsIn = (panel) => new Set(pointsOf(panel).map((point) => point.x)).size * panel.lines.length;
+  const minWidth = Math.min(width - 80, Math.max(150, ...found.panels.map((panel) => 11 * barsIn(panel))));
   const panels = found.panels.map((panel) => {
     const positions = [...new Set(pointsOf(panel).map((point) => point.x))].sort((a, b) => a - b);
     const top = tops.get(panel.row);

@@ -196,9 +196,7 @@ Object.assign(KINDS, {
       ...drawn,
       legend: choicesOf(inCell),
       missing: 0,
-      foot:
-        "Marks with a rim are of the relay's device." +
-        (plan.decimated ? " Thinned for drawing: samples are left out at even steps." : ""),
+      foot: plan.decimated ? "Thinned for drawing: samples are left out at even steps." : "",
       columns: [
         ...GROUP_COLUMNS,
         { label: "Device" },
@@ -219,16 +217,18 @@ Object.assign(KINDS, {
 /** One message in how many is beyond a share. */
 const rarity = (share) => 1 / (1 - share);
 
-/** The named percentiles of a group's curve with their intervals, where the sample supports them. */
-function namedPercentiles(group) {
+/** The named percentiles that a group's sample supports with their intervals, both of a typical run where one is known. */
+function namedPercentiles(group, width) {
   const times = DATA.values.times_ns[view.metric];
+  const valueOf = ({ key }) => typicalOf(group, key) ?? times[key][group];
   return DATA.percentiles
-    .map((one) => ({ ...one, at: rarity(one.share), value: times[one.key][group], ends: intervalOf(group, one.key) }))
+    .filter(({ share }) => share !== 0.95 || !isNarrow(width)) // its label has no room next to p90
+    .map((one) => ({ ...one, at: rarity(one.share), value: valueOf(one), ends: intervalOf(group, one.key) }))
     .filter((one) => one.value !== null && one.ends.some((end) => end !== null));
 }
 
-function percentileMarks(group) {
-  const named = namedPercentiles(group);
+function percentileMarks(group, width) {
+  const named = namedPercentiles(group, width);
   if (!named.length) return [];
   const trace = marks(choiceLook(group), named, {
     x: (one) => one.at,
@@ -265,8 +265,9 @@ function distribution(width, byRarity, all) {
     ...(byRarity ? [] : [{ value: last(group), level: 1 }]),
   ];
   const valueTitle = timeTitle(labelOf("metric"));
-  const marked = byRarity ? groups.flatMap((group) => namedPercentiles(group).flatMap(({ ends }) => ends)) : [];
-  const values = groups.flatMap((group) => pointsOf(group).map((point) => point.value)).concat(marked);
+  const marked = byRarity ? groups.flatMap((group) => namedPercentiles(group, width)) : [];
+  const drawn = [...groups.flatMap(pointsOf), ...marked].map((point) => point.value);
+  const values = drawn.concat(marked.flatMap(({ ends }) => ends));
   const lines = (x, y, said) =>
     groups.map((group) => {
       const trace = marks(choiceLook(group), pointsOf(group), {
@@ -282,11 +283,13 @@ function distribution(width, byRarity, all) {
   const common = {
     legend: choicesOf(inCell),
     missing: without,
-    foot: groups.some(isLossy) ? `Faded curves ${LOST_MUCH}.` : "",
+    foot:
+      (marked.length ? "Marks and 95 % bars are of a typical run from three runs on, curves of all messages. " : "") +
+      (groups.some(isLossy) ? `Faded curves ${LOST_MUCH}.` : ""),
   };
   if (byRarity) {
     const isTick = (level) => level === 0.5 || (level > 0.5 && Number.isInteger(Math.log10(Math.round(rarity(level)))));
-    const ticks = levels.filter(isTick);
+    const ticks = [...levels.filter(isTick), ...(isNarrow(width) ? [] : [0.95])];
     const deepest = Math.max(...groups.map((group) => rarity(levels[curves[group].length - 1])));
     const panel = {
       title: cellTitle(),
@@ -295,7 +298,7 @@ function distribution(width, byRarity, all) {
         (point) => rarity(point.level),
         (point) => point.value * S,
         (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`,
-      ).concat(groups.flatMap((group) => percentileMarks(group))),
+      ).concat(groups.flatMap((group) => percentileMarks(group, width))),
       x: () => ({
         type: "log",
         range: [0, Math.log10(Math.max(deepest, 10)) + 0.05],

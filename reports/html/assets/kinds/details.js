@@ -12,15 +12,15 @@ function offsetAxis(pair) {
 }
 
 const WAYS = ["Way out", "Way back"];
-// Colour and filling of each part: one hue a way, deliveries in a tint of it.
+// Colour and filling of each part: one hue a way, transport and delivery in tints of it.
 const PART_LOOKS = {
   waiting_ns: [0],
   outbound_ns: [1],
-  outbound_transport_ns: [1],
+  outbound_transport_ns: [1, 0.65],
   relay_delivery_ns: [1, 0.3],
   relay_ns: [2],
   return_ns: [3],
-  return_transport_ns: [3],
+  return_transport_ns: [3, 0.65],
   ping_delivery_ns: [3, 0.3],
 };
 
@@ -64,9 +64,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
     ...grid,
   });
   Object.assign(drawn.layout, { barmode: "relative", bargap: 0.15 });
-  const lossy = found.points.some((point) => isLossy(point.group))
-    ? ` Faded bars ${LOST_MUCH}.`
-    : "";
+  const lossy = found.points.some(({ group }) => isLossy(group)) ? ` Faded bars ${LOST_MUCH}.` : "";
   return {
     ...drawn,
     parts: names.map((name) => ({
@@ -108,10 +106,8 @@ Object.assign(KINDS, {
       yTitle: "Share of the time",
       y: { type: "linear", range: [0, 100], nticks: 5, ticksuffix: " %" },
     });
-    const bounded = Math.max(
-      0,
-      ...found.points.flatMap((point) => plan.parts[point.group].map((part) => part.bound_ns || 0)),
-    );
+    const bounds = found.points.flatMap(({ group }) => plan.parts[group].map((part) => part.bound_ns || 0));
+    const bounded = Math.max(0, ...bounds);
     return {
       ...drawn,
       foot:
@@ -149,16 +145,15 @@ Object.assign(KINDS, {
     };
     const found = collected(plan, valueOf);
     const statistic = labelOf("statistic");
+    const colors = [theme().parts[1], theme().parts[3]];
     const boundOf = ({ group }) => plan.ways[group].bound_ns || 0;
-    const y = timeAxis(
-      found.points.flatMap((point) =>
-        point.value.flatMap((way) => [way, way - boundOf(point), way + boundOf(point)]),
-      ),
-    );
+    const reach = (point) => point.value.flatMap((way) => [way, way - boundOf(point), way + boundOf(point)]);
+    const y = timeAxis(found.points.flatMap(reach));
     const panels = found.panels.map((panel) => {
       const { points } = panel.lines[0];
       const traces = [0, 1].map((way) => {
-        const trace = marks({ ...choiceLook(points[0].group), label: WAYS[way] }, points, {
+        const look = { ...choiceLook(points[0].group), label: WAYS[way], color: colors[way] };
+        const trace = marks(look, points, {
           x: (point) => points.indexOf(point) + (way - 0.5) * 0.3,
           y: (point) => point.value[way] * S,
           mode: "markers",
@@ -195,11 +190,11 @@ Object.assign(KINDS, {
         minWidth: widthFor(panels, width, 200, 18),
         height: 150,
       }),
-      legend: choicesOf(found.points.map((point) => point.group)),
+      parts: WAYS.map((name, way) => ({ name, color: colors[way] })),
       missing: found.missing,
       foot:
-        "Triangles are the way out, strokes the way back. Where no bar is drawn, ping and relay shared one clock. " +
-        CELL_FOOT,
+        `Where no bar is drawn, ping and relay shared one clock. ${CELL_FOOT}` +
+        (found.points.some((point) => isLossy(point.group)) ? ` A hollow triangle ${LOST_MUCH}.` : ""),
       columns: [
         ...GROUP_COLUMNS,
         { label: `Way out, ${statistic}`, unit: "ns", format: formatNs },

@@ -7,12 +7,15 @@ KINDS.dots = function dots(plan, width) {
   const phone = width < 600;
   const row = (group) => passing.length - 1 - passing.indexOf(group);
   const name = (group) => {
+    const { label, size, hz } = cellOf(group);
     const parts = [
-      cellOf(group).label,
+      phone && !varies("data") && hz ? `${size} at ${formatHz(hz)}` : label,
       DATA.dimensions.choice.options.length > 1 ? choiceLook(group).short : "",
       varies("place") ? labelIn("place", group) : "",
     ].filter(Boolean);
-    return wrapped(parts.join(", "), phone ? 26 : 60).map(plain).slice(0, 2).join("<br>");
+    const lines = phone ? [parts[0], parts.slice(1).join(", ")] : [parts.join(", ")];
+    const fitting = lines.filter(Boolean).flatMap((line) => wrapped(line, phone ? 26 : 60));
+    return fitting.map(plain).slice(0, 2).join("<br>");
   };
   const longest = Math.max(...passing.flatMap((group) => name(group).split("<br>")).map((line) => line.length));
   const left = Math.min(phone ? 180 : 390, 20 + 6.6 * longest);
@@ -77,11 +80,12 @@ KINDS.dots = function dots(plan, width) {
   const x = {
     ...axis,
     range,
-    ...timeTicks(range, axis.type === "log", Math.max(2, Math.min(6, Math.floor((width - left) / (phone ? 60 : 75))))),
+    ...timeTicks(range, axis.type === "log", Math.max(2, Math.min(6, Math.floor((width - left) / (phone ? 38 : 75))))),
     title: axisTitle(view.scale === "log" ? "log scale" : ""),
   };
+  if (phone) x.ticktext = x.ticktext.map((text, at) => (at % 2 ? `<br>${text}` : text)); // in two rows
   const panels = [{ title: statisticLabel(), traces, x: () => x, y: rows, height }];
-  const drawn = gridOf(timed.length ? panels : [], width, { left, below: 46 });
+  const drawn = gridOf(timed.length ? panels : [], width, { left, below: phone ? 60 : 46 });
   if (timed.length && !phone) {
     // Beside the times, on the rows' own axis.
     drawn.layout.xaxis.domain = [0, 0.82];

@@ -187,6 +187,7 @@ function onWhite(drawn, title, width, mm) {
       },
     },
     mm,
+    foot: drawn.foot,
   };
 }
 
@@ -310,7 +311,7 @@ async function saveAll(format, options) {
       (_, part) => `
 \\begin{figure${star}}
   \\includegraphics[width=${mm ? `${mm}mm` : "\\textwidth"},page=${(page += 1)}]{${name}.pdf}
-  \\caption{${latexOf(captionOf(drawn[at]))}}
+  \\caption{${latexOf(captionOf(drawn[at], pictures))}}
   \\label{fig:${label}${column}${part ? `-${part + 1}` : ""}}
 \\end{figure${star}}
 `,
@@ -330,8 +331,8 @@ const latexOf = (text) =>
     .replace(/[\\~^%_&#${}]/g, (sign) => LATEX_SIGNS[sign] || `\\${sign}`)
     .replace(/[→≤≥≈]/g, (sign) => `$\\${LATEX_MATHS[sign]}$`);
 
-/** What is shown, of how many messages and runs, with which intervals, and under which conditions. */
-function captionOf(block) {
+/** What pictures of a figure show, of how many messages and runs, with which intervals, and under which conditions. */
+function captionOf(block, [{ foot = "" }]) {
   const ofCell = block.article.closest("#cell");
   const groups = ofCell ? seenInCell(cellGroups()) : passingGroups();
   const sum = (column) => groups.reduce((total, group) => total + (DATA.values.plain[column][group] || 0), 0);
@@ -341,7 +342,7 @@ function captionOf(block) {
     ...(hasBars ? ["bars are 95 % intervals, between runs where there are three or more"] : []),
     ...factsOf("Devices", "Link", "Middleware"),
   ];
-  return `${block.title()}. ${block.article.querySelector(".how").textContent} ${parts.join("; ")}.`;
+  return `${block.title()}. ${block.article.querySelector(".how").textContent}${foot && ` ${foot.trim()}`} ${parts.join("; ")}.`;
 }
 
 const factsOf = (...labels) =>
@@ -359,7 +360,7 @@ const PRINTED_FIGURES = [
   "bridge_cost", "dots", "breakdown", "percentile_curve", "ecdf", "timeline",
 ];
 const A4 = "210mm 297mm; margin: 15mm 18mm"; // 174 mm between the margins
-const CAPTION_HEIGHT = 84; // px of a figure's caption
+const CAPTION_HEIGHT = 116; // px of a figure's caption
 
 /** Four figures as a paper has them, each with a caption that says how to read it and what it was measured with. */
 async function savePaper() {
@@ -370,7 +371,7 @@ async function savePaper() {
     for (const name of PRINTED_FIGURES) {
       const block = blocks.find((one) => one.name === name);
       const pictures = block ? picturesOf(block, "", { mm: 174, title: "", below: CAPTION_HEIGHT }) : [];
-      if (pictures.length && figures.length < 4) figures.push({ pictures, caption: captionOf(block) });
+      if (pictures.length && figures.length < 4) figures.push({ pictures, caption: captionOf(block, pictures) });
     }
   } finally {
     Object.assign(view, before);

@@ -101,7 +101,7 @@ def compare_command(
     from .ignoring import match_without
     from .limits_file import limits_text, read_gates
     from .limits_file import write_limits as write_limits_file
-    from .report import end_with, judge_sides, print_report, write_report
+    from .report import end_with, judge_sides, write_each
 
     limits.check(limits.LOOKS, looks, "--looks")
     reports = [kind.value for kind in report or [ReportKind.TERMINAL]]
@@ -121,10 +121,7 @@ def compare_command(
                 f"two bags take --fail-if, --limits, --allow-missing, --strict and --report {', '.join(_OF_DRIVES)}"
             )
         drives = load("parts", "compare_drives")(base, new, fail_if or [], limits_file, allow_missing=allow_missing)
-        for kind, file in zip(reports, files, strict=True):
-            write_report(drives, kind, file)
-        if None not in files:
-            print_report(drives)
+        write_each(drives, reports, files)
         raise typer.Exit(end_with(drives.outcome, drives.judged, strict=strict))
     gates = read_gates(fail_if or [], limits_file, one_side=new is None, needed=write_limits is None)
     match = match_without(filter(None, map(str.strip, ignore.split(","))))

@@ -338,6 +338,14 @@ def write_report(contents: blocks.Report, kind: str, file: Path | None, text: st
         getattr(sys.stdout, method, sys.stdout.write)(text)
 
 
+def write_each(contents: blocks.Report, kinds: Sequence[str], files: Sequence[Path | None]) -> None:
+    """Write a report of each kind, and print the answer if all of them are files."""
+    for kind, file in zip(kinds, files, strict=True):
+        write_report(contents, kind, file)
+    if None not in files:
+        print_report(contents)
+
+
 class JudgedSides(NamedTuple):
     comparison: Comparison
     info: ComparisonInfo

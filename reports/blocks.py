@@ -182,10 +182,10 @@ class Bars(Block):
 
 @dataclass(frozen=True, slots=True)
 class Fitted(Block):
-    """What fits into `most` lines of a terminal: the first of `parts`, and always the one numbered `kept`."""
+    """What fits into `most` lines of a terminal: the first of `parts`, and always the one numbered `pinned`."""
 
     parts: Sequence[Sequence[Block]]
-    kept: int
+    pinned: int
     most: int
     more: str
 

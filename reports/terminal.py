@@ -110,8 +110,8 @@ def _fitted(block: blocks.Fitted) -> Drawn:
     lines: list[RenderableType] = []
     parts, remaining = list(map(_lines, block.parts)), 0
     for number, drawn in enumerate(parts):
-        reserved = len(parts[block.kept]) if number < block.kept else 0
-        if number != block.kept and (remaining or len(lines) + len(drawn) + reserved > block.most - 1):
+        reserved = len(parts[block.pinned]) if number < block.pinned else 0
+        if number != block.pinned and (remaining or len(lines) + len(drawn) + reserved > block.most - 1):
             remaining += 1
         else:
             lines += drawn

@@ -202,7 +202,7 @@ def analysis_of_a_chain(folder, every=1):
 
 def test_a_chain_is_timed_from_the_first_to_the_last_at_each_tap(tmp_path):
     analysis = analysis_of_a_chain(tmp_path)
-    lines = [line for line in topic_sentences(analysis) if line.startswith("chain")]
+    lines = [line for line in topic_sentences(analysis) if line.startswith("the same stamps")]
     assert len(lines) == 2
     assert "/detections on laptop 8." in lines[0]
     assert "(100 %)" in lines[0]

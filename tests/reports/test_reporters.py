@@ -303,8 +303,7 @@ def test_markdown_keeps_its_tables_whole():
 
 
 def test_markdown_has_no_block_of_the_page_within_a_fold():
-    fold = Fold("first", [Sentence("second"), Sentence("third", media=PAGE)])
-    assert re.findall("second|third", _fold(fold)) == ["second"]
+    assert "of page" not in _fold(Fold("first", [Sentence("second"), Sentence("of page", media=PAGE)]))
 
 
 def test_markdown_makes_hostile_strings_inert():

@@ -197,7 +197,6 @@ def test_metric_and_statistic_change_the_numbers(reader, pages):
 
 @pytest.fixture(scope="module")
 def lossy_report():
-    """A base of 40 messages, all back; through a bridge 30 of 40 sent came back and 10 more never left."""
     ramp = [MS + 10_000 * number for number in range(40)]
     bridged = [*ramp[:30], *["lost_return"] * 10]
     others = (Measured(ramp[:1], rate_hz=float(rate)) for rate in range(11, 23))  # too many for the chart of dots
@@ -455,7 +454,6 @@ OUTSIDE_PLOTS = "{exclude: ['.plot svg']}"
 
 
 def opened_for_axe(read_with, address, scheme, width):
-    """The tab with a page of which every figure is drawn and all folds are open that axe should look into."""
     one = read_with(color_scheme=scheme, viewport={"width": width, "height": 900})
     tab = one.open(address)
     one.draw_all()

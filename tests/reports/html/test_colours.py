@@ -81,7 +81,6 @@ def test_the_simulation_is_the_papers():
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_three_middlewares_are_told_apart_by_colour_alone(theme):
-    """Fast DDS, Cyclone DDS and RTI Connext; Zenoh and sockets have symbols of their own besides."""
     for eyes in ("all cones", "protanopia", "deuteranopia", "tritanopia"):
         for one, other in combinations(PALETTE[:2], 2):
             assert apart(one[theme == "dark"], other[theme == "dark"], eyes) >= LEAST

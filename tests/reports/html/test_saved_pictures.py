@@ -179,7 +179,6 @@ def test_latex_has_a_caption_for_each_page_of_the_pdf_and_its_signs_escaped(read
 
 
 def printed_by(tab, click):
-    """Name, sizes in points, words and bytes of the PDF."""
     tab.evaluate("window.isPrinted = false; window.print = () => { window.isPrinted = true; }; 0")  # 0: no function
     click()
     wait_until(lambda: tab.evaluate("window.isPrinted"))

@@ -126,6 +126,7 @@ class Search:
     order: Callable[[Plan, Sequence[Candidate]], Sequence[Candidate]] = as_learned
     link: Link | None = field(default=None, init=False)
     began_s: float = field(init=False)
+    enough_minutes: int = field(default=0, init=False)
     overheads_s: dict[str, list[float]] = field(default_factory=dict, init=False)
     ranking: list[Standing] = field(default_factory=list, init=False)
     fresh: list[Standing] = field(default_factory=list, init=False)
@@ -147,8 +148,7 @@ class Search:
         limits = self.question.limits
         self.ranking = self.look(self.fitted(plan), self.link)
         sides = self.sides(self.ranking)
-        if sides and self.load <= 1 and not sides[0].excess(limits)[0]:
-            racing = [side for side in sides if side.excess(limits)[0] <= MOSTLY]
+        if self.load <= 1 and (racing := self._racing(sides)):
             fresh = self.record_proof(racing)
             self.fresh = fresh or racing
             self._judge([*self.fresh[1:], *(side for side in sides if side not in racing)], is_recorded=bool(fresh))
@@ -197,8 +197,11 @@ class Search:
         looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
         with self._open(looks, "look", self.folder / "looks") as trials:
 
-            def proof_s() -> float:
+            def proof_s(ranking: Sequence[Standing] = ()) -> float:
                 expected_s = partial(trials.expected_s, seconds=self.proof_seconds(trials, candidates))
+                if ranking and self.load <= 1:
+                    racing = self._racing(self.sides(ranking)) or 2 * [ranking[0]]
+                    return LEAST_PROOFS * sum(expected_s(row.candidate) for row in racing) + 2 * JUDGE_S
                 turn_s = 3 * fmean(map(expected_s, candidates))
                 turns = min(PROOFS, max(LEAST_PROOFS, int(PROOF_SHARE * 60 * self.question.minutes / turn_s)))
                 return max(turns * turn_s + 2 * JUDGE_S, PROOF_SHARE * 60 * self.question.minutes * (self.load > 1))
@@ -206,7 +209,11 @@ class Search:
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
             passes_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in candidates)
             spare_s = (self._until_s - self.clock() - proof_s() - passes_s) / (PASSES * len(looks.cells))
-            return race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
+            ranking = race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
+            untried = [row.candidate for row in ranking if row.dropped == NO_TIME]
+            untried_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in untried)
+            self.enough_minutes = math.ceil(self.question.minutes + untried_s / (1 - PROOF_SHARE) / 60)
+            return ranking
 
     def proof_seconds(self, trials: Measurer, candidates: Sequence[Candidate]) -> float:
         shortest_s, longest_s = PROOF_SECONDS
@@ -226,6 +233,11 @@ class Search:
         defaults = [standing for standing in (*measured[1:], *waiting) if _is_default(standing, measured[0])]
         others = [standing for standing in measured[1:] if standing not in defaults]
         return [*measured[:1], *defaults[:1], *others[:1]]
+
+    def _racing(self, sides: Sequence[Standing]) -> list[Standing]:
+        """Return the sides of a proof that lost little; none if the best breaks a limit."""
+        excesses = [side.excess(self.question.limits)[0] for side in sides]
+        return [side for side, excess in zip(sides, excesses, strict=True) if excess <= MOSTLY and not excesses[0]]
 
     def record_proof(self, sides: Sequence[Standing]) -> list[Standing]:
         """Record fresh runs of each side in turns, none of the runner-up where time is short; return none without one of each."""
@@ -393,11 +405,15 @@ class Search:
         return f"Use {event.text}{late}; {'; '.join(compared) or 'nothing to compare it with'}{more}."
 
     def _missing_words(self, *, is_compared: bool) -> str:
-        """Return how many setups were not measured, or had no time to be compared."""
+        """Return how many setups were not tried, could not run, or had no time to be compared."""
         proven = [row.candidate for row in self.fresh if row.looks]
         names: dict[str, list[str]] = {}
         for row in self.ranking:
-            words = "had no time (--minutes)" if row.dropped == NO_TIME else "could not run"
+            words = (
+                f"were {NO_TIME}, --minutes {self.enough_minutes} tries all"
+                if row.dropped == NO_TIME
+                else "could not run"
+            )
             if row.looks:
                 words = "had no time for more runs" if is_compared and row.dropped.endswith(NO_MORE_TIME) else ""
             if words and row.candidate not in proven:

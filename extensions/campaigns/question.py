@@ -39,6 +39,9 @@ SIZED = ("binary", "string")
 HOLDS = 0.9
 """Least share of datagrams that arrive whole where a setup is likely to hold."""
 
+MUCH_LOSS = 1.0
+"""Loss in percent from which small packets that are paced follow the small ones."""
+
 NOT_RECOMMENDED = ("socket",)
 """Backends that no ROS 2 node can use."""
 
@@ -192,6 +195,11 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
         first = next((number for number, share in enumerate(shares) if share >= HOLDS), 0)
         candidates[first] = replace(candidates[first], turn=0)
         rows += enumerate(candidates)
+        if link is not None and link.loss_percent >= MUCH_LOSS and candidates[first].bundle == "small-packets":
+            rows = [
+                (-1, replace(one, turn=1)) if one.bundle == "paced-small-packets" else (number, one)
+                for number, one in rows
+            ]
     return [candidate for _, candidate in sorted(rows, key=lambda row: (row[1].turn, row[0]))]
 
 

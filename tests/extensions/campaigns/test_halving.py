@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from dds_trace.extensions.campaigns.halving import Candidate, Limits, Look, Race
+from dds_trace.extensions.campaigns.halving import NO_TIME, Candidate, Limits, Look, Race
 from dds_trace.extensions.campaigns.plan.cells import Cell
 
 OVERHEAD_S = 3.0
@@ -91,7 +91,7 @@ def test_it_ends_at_its_time_and_first_tries_the_first(until_s):
     tried = [name for name in MANY if made.runs[name]]
     assert tried == list(MANY)[: len(tried)]
     untried = [standing for standing in ranking if not standing.looks]
-    assert {standing.dropped for standing in untried} <= {"not tried, there was no time"}
+    assert {standing.dropped for standing in untried} <= {NO_TIME}
     left = [len(standing.looks) for standing in ranking if not standing.dropped]
     assert len(set(left)) == 1
     if until_s >= 150:

@@ -39,6 +39,14 @@ SIZED = ("binary", "string")
 HOLDS = 0.9
 """Least share of datagrams that arrive whole where a setup is likely to hold."""
 
+ROUTERS = [
+    "# needs the package ros-$ROS_DISTRO-rmw-zenoh-cpp, and first on each device:",
+    "#   ros2 run rmw_zenoh_cpp rmw_zenohd",
+    "# with, on one of two devices, the address of the other before it:",
+    """#   ZENOH_CONFIG_OVERRIDE='connect/endpoints=["tcp/OTHER:7447"]'""",
+]
+"""What the nodes of `rmw_zenoh_cpp` need."""
+
 MUCH_LOSS = 1.0
 """Loss in percent from which small packets that are paced follow the small ones."""
 
@@ -229,12 +237,13 @@ def settings_of(candidate: Candidate) -> dict[str, Any]:
     """Return what a person's own nodes need; `exports` are the lines for a shell."""
     path, cell = None if candidate.path is None else candidate.path.absolute(), candidate.cells[0]
     variables = {} if path is None else variables_of(candidate.vendor, path)
-    exports = [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+    exports = [] if path is None else [f"# first copy {path} to the same path on each device"]
+    exports += [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
     if rmw := cell.rmw or next((rmw for rmw, of in ROS_MIDDLEWARES.items() if of.vendor == candidate.vendor), None):
         variables["RMW_IMPLEMENTATION"] = rmw
         is_native = cell.backend != "ros2"
         exports.append(f"export RMW_IMPLEMENTATION={rmw}{'  # ROS 2; its own API was measured' * is_native}")
-        exports += ["# before it on each device: ros2 run rmw_zenoh_cpp rmw_zenohd"] * (rmw == "rmw_zenoh_cpp")
+        exports += ROUTERS * (rmw == "rmw_zenoh_cpp")
     return {
         **{key: getattr(candidate, key) for key in ("middleware", "vendor", "bundle")},
         "configuration": None if path is None else str(path),

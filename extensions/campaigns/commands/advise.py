@@ -157,7 +157,7 @@ def _say(event: Event) -> None:
 
 
 def _line(text: str) -> str:
-    is_for_a_shell = text.startswith(("  export ", "    dds-trace "))
+    is_for_a_shell = text.startswith(("  export ", "  #", "    dds-trace "))
     return text if is_for_a_shell else wrapped(text, sys.stdout, in_pipe=SCREEN_WIDTH)
 
 

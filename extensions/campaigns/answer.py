@@ -126,6 +126,7 @@ class Search:
     order: Callable[[Plan, Sequence[Candidate]], Sequence[Candidate]] = as_learned
     link: Link | None = field(default=None, init=False)
     began_s: float = field(init=False)
+    cut_short: set[str] = field(default_factory=set, init=False)
     enough_minutes: int = field(default=0, init=False)
     overheads_s: dict[str, list[float]] = field(default_factory=dict, init=False)
     ranking: list[Standing] = field(default_factory=list, init=False)
@@ -311,15 +312,17 @@ class Search:
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, "fit")
             for number, (name, (axis, value)) in enumerate(axes.items(), 1):
                 race.until_s = self.clock() + (self._until_s - self.clock()) * number / len(axes)
-                fits[name] = self._fitting(race, candidate, axis, value)
+                is_cut_short, fits[name] = self._fitting(race, candidate, axis, value)
+                self.cut_short |= {name} if is_cut_short else set()
         return fits
 
-    def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> float | None:
-        """Return the highest value that keeps the limits in fresh runs, too."""
+    def _fitting(self, race: Race, candidate: Candidate, axis: str, requested: float) -> tuple[bool, float | None]:
+        """Return whether time ran out, and the highest value that keeps the limits in fresh runs, too."""
         until_s, seconds, highest = race.until_s, self.proof_seconds(race.measurer, [candidate]), 0.0
+        is_cut_short = False
 
         def why_not(value: float, number: int, seconds: float = FIT_SECONDS, runs: int = 1) -> str:
-            nonlocal highest
+            nonlocal highest, is_cut_short
             cells = [
                 replace(cell, **{"rate": message.rate, axis: _scaled(getattr(message, axis), value / requested)})  # type: ignore[arg-type]  # two axes
                 for cell, message in zip(candidate.cells, self.question.messages, strict=True)
@@ -327,6 +330,7 @@ class Search:
             standing = Standing(replace(candidate, cells=tuple(cells)))
             for turn in range(runs):
                 if not race.has_time(standing.candidate, seconds):
+                    is_cut_short = True
                     raise _TimeUpError
                 race.run(standing, seconds, number + turn)
                 if standing.dropped:
@@ -343,9 +347,9 @@ class Search:
         with suppress(_TimeUpError):
             while value >= requested / FIT_SPAN:
                 if not why_not(value, _FRESH, seconds, FIT_FRESH):
-                    return value
+                    return is_cut_short, value
                 value = round_rate(value / FIT_RESOLUTION)
-        return None
+        return is_cut_short, None
 
     def _result(self, chosen: Standing | None, fits: Answer | None) -> Answer:
         question, limits, host = self.question, self.question.limits, self.question.plan.relay.ssh
@@ -424,13 +428,22 @@ class Search:
 
     def _fits_words(self, fits: Answer) -> str:
         rate, size = fits["rate_hz"], fits.get("size_bytes")
-        parts = [f"{format_rate(rate)} at this size"] if rate else []
-        parts += [f"{format_size(int(size))} at this rate"] if size else []
+        requested = max(self.question.plan.cells, key=lambda cell: cell.payload_bit_s or 0.0)
+        at_size = f"at {format_size(requested.size)}" if requested.size else "at this size"
+        at_rate = f"at {format_rate(requested.rate)}"
+        axes = {"rate_hz": f"rate {at_size}", "size_bytes": f"size {at_rate}"}
+        unproven = [
+            f"no {axes[name]} was proven ({'its time ran out' if name in self.cut_short else 'all broke limits'})"
+            for name, value in fits.items()
+            if not value
+        ]
+        parts = [f"{format_rate(rate)} {at_size}"] if rate else []
+        parts += [f"{format_size(int(size))} {at_rate}"] if size else []
         if not parts:
-            return f"no other rate or size was proven to fit in {self.question.minutes:g} min"
+            return "; ".join(unproven)
         others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
-        unproven = "" if rate else "; no rate at this size was proven"
-        return f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}{unproven}"
+        kept = f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
+        return "; ".join([kept, *unproven])
 
 
 _OPPOSITES = {"better": "worse", "worse": "better"}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dds_trace.analyzer.statistics.percentiles import minimum_messages, quantile_of
 from dds_trace.base.records import to_json
-from dds_trace.base.units import three_digits
+from dds_trace.base.units import format_rate, format_size, three_digits
 
 from .plan.cells import Cell
 from .search import exceeds
@@ -162,6 +162,9 @@ class Standing:
         """Describe all runs so far."""
         name, values = self.candidate.name, np.sort(np.concatenate([*self.responses(), []]))
         lost, late = int(np.isinf(values).sum()), int((values > limits.deadline_ms).sum())
+        if stage == "fit":
+            cell = max(self.candidate.cells, key=lambda cell: cell.payload_bit_s or 0.0)
+            name += f", {format_size(cell.size or 0)} at" * bool(cell.size) + f" {format_rate(cell.rate)}"
         p50, p99 = (quantile_of(values, quantile) if len(values) else None for quantile in QUANTILES)
         slowest = float(values[-1]) if 0 < len(values) < minimum_messages(QUANTILES[-1]) else None
         slow = f"p99 {ms_words(p99)}" if slowest is None else f"slowest {ms_words(slowest)}"

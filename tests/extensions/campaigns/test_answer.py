@@ -295,10 +295,13 @@ def test_a_load_below_the_links_rate_that_nothing_carries_is_searched_too_and_se
     assert 0.8 * most_hz <= (found["fits"]["rate_hz"] or 0) <= most_hz
     assert found["fits"]["size_bytes"] is None
     assert "was nearest" in found["sentence"]
-    assert "no rate at this size" in desk.search(tmp_path)._fits_words({"rate_hz": None, "size_bytes": 5000})
+    said = re.findall(r"no (rate|size) at [^(]+\(([^)]+)", found["sentence"])
+    assert said == [("rate", "its time ran out")] * (not most_hz) + [("size", "all broke limits")]
+    fit = [event.text for event in desk.events if event.stage == "fit" and event.state == "measured"]
+    assert all(" at " in text and " Hz: p50" in text for text in fit)
     assert (found["recommended"] is not None) == ("Settings for what fits:" in lines) == bool(most_hz)
     assert any("export" in line for line in lines) == bool(most_hz)
-    assert not any("fresh runs;" in line for line in lines)
+    assert not any("`choose`" in line for line in lines)
     assert lines[-1].startswith("Wrote")
 
 

@@ -442,8 +442,8 @@ class Search:
         if not parts:
             return "; ".join(unproven)
         others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
-        kept = f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
-        return "; ".join([kept, *unproven])
+        fitting = f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
+        return "; ".join([fitting, *unproven])
 
 
 _OPPOSITES = {"better": "worse", "worse": "better"}

@@ -205,8 +205,8 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
         rows += enumerate(candidates)
         if link is not None and link.loss_percent >= MUCH_LOSS and candidates[first].bundle == "small-packets":
             rows = [
-                (-1, replace(one, turn=1)) if one.bundle == "paced-small-packets" else (number, one)
-                for number, one in rows
+                (-1, replace(row, turn=1)) if row.bundle == "paced-small-packets" else (number, row)
+                for number, row in rows
             ]
     return [candidate for _, candidate in sorted(rows, key=lambda row: (row[1].turn, row[0]))]
 

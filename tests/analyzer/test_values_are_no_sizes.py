@@ -2,18 +2,7 @@ import subprocess
 import sys
 
 import pytest
-from trace_files import (
-    RELAY_ID,
-    Message,
-    event,
-    merged_events,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    write_trace,
-)
+import trace_files
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import MOST_STAMP_NS, Stage
@@ -29,29 +18,36 @@ NO_TIME = -(2**63)
 
 def sound(period=PERIOD):
     return [
-        Message(n, t0=n * period, t1=n * period + 50, t3=n * period + 100, t4=n * period + 200, t2=n * period + 400)
+        trace_files.Message(
+            n, t0=n * period, t1=n * period + 50, t3=n * period + 100, t4=n * period + 200, t2=n * period + 400
+        )
         for n in range(MESSAGES)
     ]
 
 
 def write_campaign(folder, messages, ping=(), relay=(), **session):
-    described = run(planned_messages=len(messages), published=len(messages))
-    write_trace(
+    described = trace_files.run(planned_messages=len(messages), published=len(messages))
+    trace_files.write_trace(
         folder / "ping.mcap",
-        ping_session(extra=session),
+        trace_files.ping_session(extra=session),
         [described],
-        merged_events([ping_events(messages), dict(ping)]),
+        trace_files.merged_events([trace_files.ping_events(messages), dict(ping)]),
     )
-    write_trace(folder / "relay.mcap", relay_session(), (), merged_events([relay_events(messages), dict(relay)]))
+    trace_files.write_trace(
+        folder / "relay.mcap",
+        trace_files.relay_session(),
+        (),
+        trace_files.merged_events([trace_files.relay_events(messages), dict(relay)]),
+    )
     return folder
 
 
 def foreign_relays(count):
-    return {Stage.T2: [event(n % MESSAGES, 10**12 + n, relay_id=1000 + n) for n in range(count)]}
+    return {Stage.T2: [trace_files.event(n % MESSAGES, 10**12 + n, relay_id=1000 + n) for n in range(count)]}
 
 
 HOSTILE = {
-    "no_time": lambda folder: write_campaign(folder, sound(), {Stage.T1: [event(MESSAGES, NO_TIME)]}),
+    "no_time": lambda folder: write_campaign(folder, sound(), {Stage.T1: [trace_files.event(MESSAGES, NO_TIME)]}),
     "long_clock": lambda folder: write_campaign(folder, sound(2**62 // MESSAGES - 1000)),
     "parts": lambda folder: write_campaign(folder, sound(), part=2_000_000_000),
     "relays": lambda folder: write_campaign(folder, sound(), foreign_relays(3000)),
@@ -91,7 +87,9 @@ sys.exit(code)
     ("stage", "field"), [*((stage, "monotonic_ns") for stage in Stage), (Stage.T1, "scheduled_ns")]
 )
 def test_an_event_without_a_possible_instant_is_not_used(tmp_path, stage, instant, field):
-    wild = event(5, **{"monotonic_ns": 5, field: instant}, relay_id=0 if stage is Stage.T1 else RELAY_ID)
+    wild = trace_files.event(
+        5, **{"monotonic_ns": 5, field: instant}, relay_id=0 if stage is Stage.T1 else trace_files.RELAY_ID
+    )
     side = "ping" if stage in (Stage.T1, Stage.T2) else "relay"
     whole = analyze(write_campaign(tmp_path / "whole", sound()))
     analysis = analyze(write_campaign(tmp_path / "wild", sound(), **{side: {stage: [wild]}}))
@@ -102,7 +100,7 @@ def test_an_event_without_a_possible_instant_is_not_used(tmp_path, stage, instan
 
 
 def test_an_impossible_stamp_of_the_middleware_is_unknown(tmp_path):
-    wild = event(MESSAGES, 50 + MESSAGES * PERIOD, source_ns=NO_TIME, received_ns=2**63 - 1)
+    wild = trace_files.event(MESSAGES, 50 + MESSAGES * PERIOD, source_ns=NO_TIME, received_ns=2**63 - 1)
     analysis = analyze(write_campaign(tmp_path, sound(), {Stage.T1: [wild]}))
     assert analysis.load_roundtrips().height == MESSAGES + 1
 
@@ -116,12 +114,16 @@ def test_missing_parts_are_named_as_ranges(tmp_path):
 def test_made_up_relays_do_not_make_rows_without_bound(tmp_path):
     analysis = analyze(write_campaign(tmp_path, sound(), foreign_relays(2000)))
     assert analysis.load_roundtrips().height <= 4 * (2000 + 3 * MESSAGES)
-    assert RELAY_ID in analysis.load_roundtrips()["relay_id"].to_list()
+    assert trace_files.RELAY_ID in analysis.load_roundtrips()["relay_id"].to_list()
     assert "too_many_relays" in {finding.code for finding in analysis.findings}
 
 
 def test_a_run_may_have_many_relays_that_answer(tmp_path):
-    replies = {Stage.T2: [event(n, n * PERIOD + 500, relay_id=1000 + k) for k in range(20) for n in range(MESSAGES)]}
+    replies = {
+        Stage.T2: [
+            trace_files.event(n, n * PERIOD + 500, relay_id=1000 + k) for k in range(20) for n in range(MESSAGES)
+        ]
+    }
     analysis = analyze(write_campaign(tmp_path, sound(), replies, settings={"relays": "21"}))
     assert analysis.load_roundtrips().height == 21 * MESSAGES
     assert not [finding for finding in analysis.findings if finding.code == "too_many_relays"]

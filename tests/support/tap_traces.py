@@ -8,20 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trace_files
 from event_cdr import pack_event
-from trace_files import (
-    RELAY_ID,
-    RUN_ID,
-    STRING,
-    RawMessage,
-    event,
-    ping_session,
-    relay_session,
-    run,
-    string_cdr,
-    write_messages,
-    write_trace,
-)
 
 from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, SESSION_TOPIC, TAP_DEFINITION, Stage
@@ -101,8 +89,12 @@ class Hearing:
 
 
 def write_tap(path: Path, clock: Clock, hearings: Sequence[Hearing], *, session_id: int, end_ns: int = 0) -> Path:
-    session = clock.session(ping_session, session_id, role="tap")
-    messages = [RawMessage(SESSION_TOPIC, string_cdr(session.to_json()), session.wall_anchor_ns, STRING)]
+    session = clock.session(trace_files.ping_session, session_id, role="tap")
+    messages = [
+        trace_files.RawMessage(
+            SESSION_TOPIC, trace_files.string_cdr(session.to_json()), session.wall_anchor_ns, trace_files.STRING
+        )
+    ]
     events = []
     for publisher_id, one in enumerate(hearings, 1):
         record = {
@@ -121,7 +113,11 @@ def write_tap(path: Path, clock: Clock, hearings: Sequence[Hearing], *, session_
             "messages": int((one.arrived_ns >= 0).sum()),
             "missing": None,
         }
-        messages.append(RawMessage(PUBLISHER_TOPIC, string_cdr(json.dumps(record)), session.wall_anchor_ns, STRING))
+        messages.append(
+            trace_files.RawMessage(
+                PUBLISHER_TOPIC, trace_files.string_cdr(json.dumps(record)), session.wall_anchor_ns, trace_files.STRING
+            )
+        )
         for number, (arrived_ns, sent_ns, header_ns) in enumerate(
             zip(one.arrived_ns.tolist(), one.published.sent_ns.tolist(), one.published.headers.tolist(), strict=True)
         ):
@@ -138,8 +134,8 @@ def write_tap(path: Path, clock: Clock, hearings: Sequence[Hearing], *, session_
                 )
                 events.append((arrived_ns, fields))
     for _, fields in sorted(events):
-        messages.append(RawMessage(Stage.TAP.topic, pack_event(*fields), session.wall_ns(fields[2]), TAP))
-    return write_messages(path, messages)
+        messages.append(trace_files.RawMessage(Stage.TAP.topic, pack_event(*fields), session.wall_ns(fields[2]), TAP))
+    return trace_files.write_messages(path, messages)
 
 
 def write_beacon(folder: Path, ping: Clock, relay: Clock, *, seconds: int, rate_hz: int = 4, number: int = 0) -> None:
@@ -148,8 +144,8 @@ def write_beacon(folder: Path, ping: Clock, relay: Clock, *, seconds: int, rate_
     sent = np.arange(seconds * rate_hz) * (SECOND // rate_hz) + 3 * MS
     out, back = (120_000 + draw.exponential(80_000, len(sent)).astype(np.int64) for _ in range(2))
     times = np.stack([sent, sent + out, sent + out + 40_000, sent + out + 40_000 + back])
-    relay_id, run_id = RELAY_ID + number, RUN_ID + number
-    described = run(
+    relay_id, run_id = trace_files.RELAY_ID + number, trace_files.RUN_ID + number
+    described = trace_files.run(
         run_id=run_id,
         extra={"session_id": f"{0xA1 + 256 * number:016x}"},
         data_type="beacon",
@@ -162,21 +158,25 @@ def write_beacon(folder: Path, ping: Clock, relay: Clock, *, seconds: int, rate_
         clock.monotonic(one).tolist() for clock, one in zip((ping, relay, relay, ping), times, strict=True)
     )
     numbers = range(len(sent))
-    write_trace(
+    trace_files.write_trace(
         folder / "beacon-ping.mcap",
-        ping.session(ping_session, 0xA1 + 256 * number),
+        ping.session(trace_files.ping_session, 0xA1 + 256 * number),
         [described],
         {
-            Stage.T1: [event(n, t1[n], run_id=run_id, scheduled_ns=t1[n], payload_bytes=64) for n in numbers],
-            Stage.T2: [event(n, t2[n], run_id=run_id, relay_id=relay_id, payload_bytes=64) for n in numbers],
+            Stage.T1: [
+                trace_files.event(n, t1[n], run_id=run_id, scheduled_ns=t1[n], payload_bytes=64) for n in numbers
+            ],
+            Stage.T2: [
+                trace_files.event(n, t2[n], run_id=run_id, relay_id=relay_id, payload_bytes=64) for n in numbers
+            ],
         },
     )
-    write_trace(
+    trace_files.write_trace(
         folder / "beacon-relay.mcap",
-        relay.session(relay_session, 0xB2 + 256 * number, relay_id=relay_id),
+        relay.session(trace_files.relay_session, 0xB2 + 256 * number, relay_id=relay_id),
         (),
         {
-            stage: [event(n, at[n], run_id=run_id, relay_id=relay_id, payload_bytes=64) for n in numbers]
+            stage: [trace_files.event(n, at[n], run_id=run_id, relay_id=relay_id, payload_bytes=64) for n in numbers]
             for stage, at in ((Stage.T3, t3), (Stage.T4, t4))
         },
     )

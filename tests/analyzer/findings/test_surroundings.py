@@ -1,16 +1,6 @@
 import pytest
+import trace_files
 from campaigns import write_run
-from trace_files import (
-    Message,
-    merged_events,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    sound,
-    write_trace,
-)
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -21,11 +11,15 @@ COUNT = 50
 
 
 def recorded(folder, *, load=None, host=()):
-    messages = sound(COUNT)
-    described = run(planned_messages=COUNT, published=COUNT)
+    messages = trace_files.sound(COUNT)
+    described = trace_files.run(planned_messages=COUNT, published=COUNT)
     extra = {} if load is None else {"load": load}
-    write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
-    write_trace(folder / "relay.mcap", relay_session(extra=extra), (), relay_events(messages), host=host)
+    trace_files.write_trace(
+        folder / "ping.mcap", trace_files.ping_session(), [described], trace_files.ping_events(messages)
+    )
+    trace_files.write_trace(
+        folder / "relay.mcap", trace_files.relay_session(extra=extra), (), trace_files.relay_events(messages), host=host
+    )
     return {finding.code: finding for finding in analyze(folder).findings}
 
 
@@ -87,10 +81,12 @@ TIMES = {"first_ns": 12_000_000, "typed_ns": 40_000, "accepted_p50_ns": 900_000,
 
 
 def findings_of(folder, call):
-    messages = sound(COUNT)
-    described = run(planned_messages=COUNT, published=COUNT, extra={"call": call})
-    write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
-    write_trace(folder / "relay.mcap", relay_session(), (), relay_events(messages))
+    messages = trace_files.sound(COUNT)
+    described = trace_files.run(planned_messages=COUNT, published=COUNT, extra={"call": call})
+    trace_files.write_trace(
+        folder / "ping.mcap", trace_files.ping_session(), [described], trace_files.ping_events(messages)
+    )
+    trace_files.write_trace(folder / "relay.mcap", trace_files.relay_session(), (), trace_files.relay_events(messages))
     return {finding.code: finding.what for finding in analyze(folder).findings}
 
 
@@ -116,7 +112,7 @@ MS = 1_000_000
 
 def messages(number):
     times = [number * 60_000 * MS + s * 100 * MS for s in range(30)]
-    return [Message(s, t0=t, t1=t, t3=t + MS, t4=t + MS, t2=t + 2 * MS + s) for s, t in enumerate(times)]
+    return [trace_files.Message(s, t0=t, t1=t, t3=t + MS, t4=t + MS, t2=t + 2 * MS + s) for s, t in enumerate(times)]
 
 
 def record(folder, number, *, size=33_000, ping=None, relay=None):
@@ -169,11 +165,11 @@ def test_unlike_environments_of_relays_are_told_of_the_relay(tmp_path):
 def test_a_run_with_two_relays_is_another_group_than_one_with_one(tmp_path):
     record(tmp_path, 1)
     record(tmp_path, 2)
-    second, fields = relay_session(session_id=900, relay_id=0xCAFE), {"run_id": 72, "relay_id": 0xCAFE}
-    write_trace(tmp_path / "2" / "second.mcap", second, (), relay_events(messages(2), **fields))
-    ping = ping_session(session_id=52, host={"kernel": "6.1"})
-    described = run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"})
-    replies = {Stage.T2: ping_events(messages(2), **fields)[Stage.T2]}
-    both = merged_events([ping_events(messages(2), run_id=72), replies])
-    write_trace(tmp_path / "2" / "ping.mcap", ping, [described], both)
+    second, fields = trace_files.relay_session(session_id=900, relay_id=0xCAFE), {"run_id": 72, "relay_id": 0xCAFE}
+    trace_files.write_trace(tmp_path / "2" / "second.mcap", second, (), trace_files.relay_events(messages(2), **fields))
+    ping = trace_files.ping_session(session_id=52, host={"kernel": "6.1"})
+    described = trace_files.run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"})
+    replies = {Stage.T2: trace_files.ping_events(messages(2), **fields)[Stage.T2]}
+    both = trace_files.merged_events([trace_files.ping_events(messages(2), run_id=72), replies])
+    trace_files.write_trace(tmp_path / "2" / "ping.mcap", ping, [described], both)
     assert sorted(analyze(tmp_path).summary["setting"].to_list()) == ["", "relays=2"]

@@ -1,17 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from trace_files import (
-    RUN_ID,
-    Message,
-    merged_events,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    write_trace,
-)
+import trace_files
 
 from dds_trace.analyzer.pipeline import analyze
 
@@ -33,20 +23,24 @@ def message(sequence, relay):
     if relay == RELAYS and sequence % 10 == 0:
         out = 60 * US
     t3 = sent + out
-    return Message(sequence, t0=sent, t1=sent, t3=t3, t4=t3 + 10 * US, t2=t3 + 110 * US)
+    return trace_files.Message(sequence, t0=sent, t1=sent, t3=t3, t4=t3 + 10 * US, t2=t3 + 110 * US)
 
 
-def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, run_id=RUN_ID, first=1, **fields):
+def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, run_id=trace_files.RUN_ID, first=1, **fields):
     sent = [message(sequence, 1) for sequence in range(MESSAGES)]
-    described = run(run_id=run_id, planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields)
-    ping = ping_session(session_id=run_id + 1, host={"cpu_cores": 2}, extra=BOOT)
-    events = [ping_events([one.lost() for one in sent], run_id=run_id)]
+    described = trace_files.run(
+        run_id=run_id, planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields
+    )
+    ping = trace_files.ping_session(session_id=run_id + 1, host={"cpu_cores": 2}, extra=BOOT)
+    events = [trace_files.ping_events([one.lost() for one in sent], run_id=run_id)]
     for relay in range(first, first + relays):
         got = [change(message(sequence, relay - first + 1), relay) for sequence in range(MESSAGES)]
-        events.append(ping_events([replace(one, t1=None) for one in got], run_id=run_id, relay_id=relay))
-        session = relay_session(session_id=run_id + 100 + relay, relay_id=relay, extra=BOOT)
-        write_trace(folder / f"relay-{relay}.mcap", session, (), relay_events(got, run_id=run_id, relay_id=relay))
-    write_trace(folder / "ping.mcap", ping, [described], merged_events(events))
+        events.append(trace_files.ping_events([replace(one, t1=None) for one in got], run_id=run_id, relay_id=relay))
+        session = trace_files.relay_session(session_id=run_id + 100 + relay, relay_id=relay, extra=BOOT)
+        trace_files.write_trace(
+            folder / f"relay-{relay}.mcap", session, (), trace_files.relay_events(got, run_id=run_id, relay_id=relay)
+        )
+    trace_files.write_trace(folder / "ping.mcap", ping, [described], trace_files.merged_events(events))
     return analyze(folder)
 
 
@@ -80,8 +74,8 @@ def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
 
 def test_relays_of_repeats_are_no_positions(tmp_path):
     campaign(tmp_path / "three")
-    campaign(tmp_path / "one", relays=1, run_id=RUN_ID + 1000)
-    campaign(tmp_path / "again", relays=1, run_id=RUN_ID + 2000, first=7)
+    campaign(tmp_path / "one", relays=1, run_id=trace_files.RUN_ID + 1000)
+    campaign(tmp_path / "again", relays=1, run_id=trace_files.RUN_ID + 2000, first=7)
     details = analyze(tmp_path).details
     assert details.fan_out.sort("receivers")["receivers"].to_list() == [1, 3]
     assert details.fan_out.filter(receivers=1)["position_step_ns"].to_list() == [None]

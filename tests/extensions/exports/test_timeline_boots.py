@@ -6,18 +6,8 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
+import trace_files
 from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
-from trace_files import (
-    WALL_ANCHOR_NS,
-    Message,
-    merged_events,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    write_trace,
-)
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.extensions.exports.perfetto import timeline_slices, write_perfetto
@@ -30,7 +20,7 @@ class Booted:
 
     def __init__(self, device, booted_ns, wall_off_ns, number, has_id):
         self.device, self.booted_ns = device, booted_ns
-        self.wall_ns = WALL_ANCHOR_NS + wall_off_ns
+        self.wall_ns = trace_files.WALL_ANCHOR_NS + wall_off_ns
         self.extra = {"boot_id": f"{number:08x}-0000-4000-8000-000000000000"} if has_id else {}
 
     def session(self, make, true_ns, session_id, **changes):
@@ -44,7 +34,9 @@ def record(folder, number, ping, relays, start_ns, draw):
     """Record a run of 20 messages at 10 Hz and return (run, relay, sequence) -> true times of its four stamps."""
     run_id = int(draw.integers(2**62, 2**64, dtype=np.uint64))
     session_id = 1000 + 100 * number
-    described = run(run_id=run_id, planned_messages=20, published=20, extra={"session_id": f"{session_id:016x}"})
+    described = trace_files.run(
+        run_id=run_id, planned_messages=20, published=20, extra={"session_id": f"{session_id:016x}"}
+    )
     truth, parts = {}, []
     for index, relay in enumerate(relays):
         relay_id = int(draw.integers(1, 2**32))
@@ -56,14 +48,16 @@ def record(folder, number, ping, relays, start_ns, draw):
             truth[run_id, relay_id, sequence] = times
             t1, t2 = (times[at] - ping.booted_ns for at in (0, 3))
             t3, t4 = (times[at] - relay.booted_ns for at in (1, 2))
-            messages.append(Message(sequence, t0=t1, t1=t1, t3=t3, t4=t4, t2=t2))
+            messages.append(trace_files.Message(sequence, t0=t1, t1=t1, t3=t3, t4=t4, t2=t2))
         fields = {"run_id": run_id, "relay_id": relay_id}
-        sent = ping_events(messages, **fields)
+        sent = trace_files.ping_events(messages, **fields)
         parts.append(sent if not index else {stage: events for stage, events in sent.items() if stage.name == "T2"})
-        there = relay.session(relay_session, start_ns, session_id + 1 + index, relay_id=relay_id)
-        write_trace(folder / f"{number}.relay{index}.mcap", there, (), relay_events(messages, **fields))
-    here = ping.session(ping_session, start_ns, session_id)
-    write_trace(folder / f"{number}.ping.mcap", here, [described], merged_events(parts))
+        there = relay.session(trace_files.relay_session, start_ns, session_id + 1 + index, relay_id=relay_id)
+        trace_files.write_trace(
+            folder / f"{number}.relay{index}.mcap", there, (), trace_files.relay_events(messages, **fields)
+        )
+    here = ping.session(trace_files.ping_session, start_ns, session_id)
+    trace_files.write_trace(folder / f"{number}.ping.mcap", here, [described], trace_files.merged_events(parts))
     return truth
 
 
@@ -93,7 +87,7 @@ def test_every_slice_of_every_boot_is_at_its_true_time(tmp_path, seed, has_ids):
     for row, (sending, reception) in by_row.items():
         assert sending.message == reception.message
         drawn = [sending.begin_ns, reception.begin_ns, reception.end_ns, sending.end_ns]
-        assert np.abs(np.array(drawn) - WALL_ANCHOR_NS - truth[row]).max() < 1 * MS
+        assert np.abs(np.array(drawn) - trace_files.WALL_ANCHOR_NS - truth[row]).max() < 1 * MS
     rows = analysis.load_roundtrips().filter(ping_device="alpha")
     for run_id, relay_id, sequence, utc_ns in rows.select(
         "run_id", "relay_id", "sequence", pl.col("publish_utc").to_physical()

@@ -10,24 +10,13 @@ from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.model.detail_frames import FAN_OUT_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
+from dds_trace.reports.figures import lines
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_plan
 from dds_trace.reports.figures.clocks import ClockPair, clock_plan, one_way_plan
 from dds_trace.reports.figures.costs import bridge_cost_plan, domain_difference_plan, dots_plan
 from dds_trace.reports.figures.distribution import HeatmapPanel, distribution_plan, heatmap_plan, run_spread_plan
 from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Line, Panel, facet_panels
 from dds_trace.reports.figures.host_load import DeviceLoad, host_load_plan
-from dds_trace.reports.figures.lines import (
-    BY_DEVICE,
-    LATENCY_BY_RATE,
-    LATENCY_BY_SIZE,
-    RECEIVED,
-    RELAY_TIME,
-    SUSTAINABLE,
-    TRANSFER_BY_RATE,
-    TRANSFER_BY_SIZE,
-    TRANSFER_RATE,
-    VENDOR_COMPARISON,
-)
 from dds_trace.reports.figures.own_times import Receivers, fan_out_plan
 from dds_trace.reports.figures.table import FIGURES, drawn_figures
 from dds_trace.reports.figures.timeline import GroupTimeline, timeline_plan
@@ -64,25 +53,25 @@ def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
         Line(1, (10.0,), (0,)),
         Line(2, (10.0,), (4,)),
     )
-    assert LATENCY_BY_RATE.info(Book(campaign)) == Faceted(
+    assert lines.LATENCY_BY_RATE.info(Book(campaign)) == Faceted(
         Facet("rate", "size", "choice"), (Panel("33 KB", (line_same, line_bridged, line_zenoh)),)
     )
 
 
 def test_latency_by_size_has_a_panel_per_rate_with_two_sizes(campaign):
-    lines = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
-    by_size = Faceted(Facet("size", "rate", "choice"), (Panel("10 Hz", lines),))
-    assert LATENCY_BY_SIZE.info(Book(campaign)) == by_size
+    curves = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
+    by_size = Faceted(Facet("size", "rate", "choice"), (Panel("10 Hz", curves),))
+    assert lines.LATENCY_BY_SIZE.info(Book(campaign)) == by_size
     # The relay is measured in every group, and a transfer rate takes two replies, which Zenoh did not get.
-    assert RELAY_TIME.info(Book(campaign)) == by_size
-    assert TRANSFER_BY_SIZE.info(Book(campaign)).panels == (Panel("10 Hz", lines[:2]),)
-    assert TRANSFER_BY_RATE.info(Book(campaign)).panels == (
+    assert lines.RELAY_TIME.info(Book(campaign)) == by_size
+    assert lines.TRANSFER_BY_SIZE.info(Book(campaign)).panels == (Panel("10 Hz", curves[:2]),)
+    assert lines.TRANSFER_BY_RATE.info(Book(campaign)).panels == (
         Panel("33 KB", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (0,)))),
     )
 
 
 def test_the_papers_panel_is_one_vendor_way_and_place_with_a_line_per_size(campaign):
-    (panel,) = LATENCY_BY_RATE.info(Book(campaign), panels="vendor", lines="size").panels
+    (panel,) = lines.LATENCY_BY_RATE.info(Book(campaign), panels="vendor", lines="size").panels
     assert panel == Panel("Fast DDS, same domain", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (3,))))
 
 
@@ -98,7 +87,7 @@ def test_rows_are_places_and_no_panel_has_more_lines_than_can_be_told_apart():
             )
         )
     )
-    panels = LATENCY_BY_RATE.info(book).panels
+    panels = lines.LATENCY_BY_RATE.info(book).panels
     assert [(panel.title, len(panel.lines)) for panel in panels] == [
         ("wired (1 of 2)", 5),
         ("wired (2 of 2)", 4),
@@ -107,27 +96,29 @@ def test_rows_are_places_and_no_panel_has_more_lines_than_can_be_told_apart():
     ]
     assert MOST_LINES == 7
     # Along the places: the same vendors, now one position for each link.
-    assert {line.x for panel in BY_DEVICE.info(book).panels for line in panel.lines} == {(0.0, 1.0)}
+    assert {line.x for panel in lines.BY_DEVICE.info(book).panels for line in panel.lines} == {(0.0, 1.0)}
 
 
 def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
     # Cells: 33 KB at 10 Hz, 33 KB at 20 Hz, 67 KB at 10 Hz.
-    lines = (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(1, (0.0,), (0,)), Line(2, (0.0,), (4,)))
-    everything = Faceted(Facet("plane", "way", "choice"), (Panel("Binary", lines),))
-    assert VENDOR_COMPARISON.info(Book(campaign)) == everything
-    assert RECEIVED.info(Book(campaign)) == everything
+    curves = (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(1, (0.0,), (0,)), Line(2, (0.0,), (4,)))
+    everything = Faceted(Facet("plane", "way", "choice"), (Panel("Binary", curves),))
+    assert lines.VENDOR_COMPARISON.info(Book(campaign)) == everything
+    assert lines.RECEIVED.info(Book(campaign)) == everything
 
 
 def test_a_panel_without_a_loss_is_left_out_of_what_was_received():
     lossy = Measured([MS, "lost_return"], data_type="string", payload_bytes=100)
-    assert [panel.title for panel in RECEIVED.info(Book(make_analysis(Measured([MS]), lossy))).panels] == ["String"]
-    assert RECEIVED.info(Book(make_analysis(Measured([MS])))).panels == ()
+    assert [panel.title for panel in lines.RECEIVED.info(Book(make_analysis(Measured([MS]), lossy))).panels] == [
+        "String"
+    ]
+    assert lines.RECEIVED.info(Book(make_analysis(Measured([MS])))).panels == ()
 
 
 def test_transfer_rate_stands_over_size_times_rate(campaign):
     # Zenoh's one reply spans no time and has no transfer rate.
-    lines = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
-    assert TRANSFER_RATE.info(Book(campaign)).panels == (Panel("Binary", lines),)
+    curves = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
+    assert lines.TRANSFER_RATE.info(Book(campaign)).panels == (Panel("Binary", curves),)
 
 
 def test_domain_difference_pairs_equal_groups(campaign):
@@ -210,9 +201,9 @@ def test_bridge_cost_is_the_difference_with_its_interval():
 
 def test_sustainable_needs_two_rates_and_one_that_was_not_kept_up(campaign):
     # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate. Zenoh lost every other message.
-    assert [panel.title for panel in SUSTAINABLE.info(Book(campaign)).panels] == ["33 KB"]
+    assert [panel.title for panel in lines.SUSTAINABLE.info(Book(campaign)).panels] == ["33 KB"]
     kept_up = make_analysis(Measured([MS, MS]), Measured([MS, MS], rate_hz=20.0))
-    assert SUSTAINABLE.info(Book(kept_up)).panels == ()
+    assert lines.SUSTAINABLE.info(Book(kept_up)).panels == ()
 
 
 def test_the_spread_of_runs_is_how_far_their_interval_reaches():

@@ -96,11 +96,6 @@ def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():
     assert Cell(environment="/home/x/kilted/.venv/").name == "ros2_same_binary_10Hz_kilted"
 
 
-def test_presets_are_those_that_are_documented():
-    page = (Path(__file__).parents[4] / "docs/how-to/choose.md").read_text()
-    assert {*re.findall(r"`([a-z0-9]+(?:-\w+)?)`", page)} >= {*PRESETS}
-
-
 def test_link_in_words(sentences):
     sentences(str(PRESETS["wifi-poor"]), str(Link()))
 

@@ -7,7 +7,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import polars as pl
 
@@ -78,6 +78,10 @@ def recommendation_info(
             f"None of its messages was late; if twice as many as allowed are lost, in bursts of {LONG_BURST}, none is in {100 * missed:.2g} %."
         )
     sentences += [] if summary is None else _own_nodes(recommendation, names, summary)
+    reason = candidates[0].reason if candidates else ""
+    if reason and len(candidates) > 1 and {(one.fit, one.reason) for one in candidates} == {(Fit.MISSES, reason)}:
+        sentences.append(f"Of each: {reason}.")
+        candidates = tuple(replace(one, reason="") for one in candidates)
     missing, commands = _missing(recommendation, full_names)
     return Advice(
         job=_job_words(recommendation.job),

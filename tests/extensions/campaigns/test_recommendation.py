@@ -92,6 +92,9 @@ def test_each_pair_of_devices_and_link_has_a_recommendation_of_its_own(sentences
     advice = advised(frame)
     sentences(advice.sentence)
     assert advice.rows[0][0] == "Fast DDS, on laptop, wired"
+    slow, link = [100 * ns for ns in MIXED], "link=slow(queue_ms=100,rate_mbit_s=1)"
+    both = advised(pl.concat([in_runs(slow, setting=link), in_runs(slow, run_id=9, vendor="zenoh", setting=link)]))
+    assert (both.sentence.count("Mbit/s"), [row for row in both.rows if "Mbit/s" in row[2]]) == (1, [])
 
 
 def test_the_terminal_has_a_numbered_line_for_each_setup():

@@ -17,7 +17,7 @@ from statistics import fmean
 from typing import Any, TypeAlias
 
 from dds_trace.base.records import to_json
-from dds_trace.base.units import counted, format_rate, format_size, joined
+from dds_trace.base.units import counted, joined
 
 from .folder import replace_text
 from .halving import (
@@ -39,7 +39,7 @@ from .plan.flows import recorded_together
 from .plan.link import Link
 from .plan.plan import Plan
 from .proof import proof_of
-from .question import Question, as_learned, check_advisable, find_candidates, settings_of
+from .question import Question, as_learned, check_advisable, find_candidates, fits_words, settings_of
 from .search import Bisection, RateAnswer, round_rate
 from .trials import Imagined, open_trials
 
@@ -211,9 +211,8 @@ class Search:
             passes_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in candidates)
             spare_s = (self._until_s - self.clock() - proof_s() - passes_s) / (PASSES * len(looks.cells))
             ranking = race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
-            untried = [row.candidate for row in ranking if row.dropped == NO_TIME]
-            untried_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in untried)
-            self.enough_minutes = math.ceil(self.question.minutes + untried_s / (1 - PROOF_SHARE) / 60)
+            look_s = [trials.expected_s(row.candidate, FIRST_SECONDS) for row in ranking if row.dropped == NO_TIME]
+            self.enough_minutes = math.ceil(self.question.minutes + PASSES * sum(look_s) / (1 - PROOF_SHARE) / 60)
             return ranking
 
     def proof_seconds(self, trials: Measurer, candidates: Sequence[Candidate]) -> float:
@@ -391,7 +390,7 @@ class Search:
             reason += more
             if self.load > 1:
                 reason = f"No setting makes this fit ({self._load_words()})"
-            return f"{reason}; with {name} {self._fits_words(fits)}."
+            return f"{reason}; with {name} {fits_words(self.question, fits, self.cut_short, FIT_FRESH)}."
         event = chosen.event("proof", limits)
         late = "" if math.isinf(limits.deadline_ms) else f", {event.late} later than {limits.deadline_ms:g} ms"
         if late and event.late > limits.late_percent / 100 * event.messages:
@@ -425,25 +424,6 @@ class Search:
         return "".join(
             f"; {counted(len(of), 'more setup')} {words} ({joined(sorted({*of}))})" for words, of in names.items()
         )
-
-    def _fits_words(self, fits: Answer) -> str:
-        rate, size = fits["rate_hz"], fits.get("size_bytes")
-        requested = max(self.question.plan.cells, key=lambda cell: cell.payload_bit_s or 0.0)
-        at_size = f"at {format_size(requested.size)}" if requested.size else "at this size"
-        at_rate = f"at {format_rate(requested.rate)}"
-        axes = {"rate_hz": f"rate {at_size}", "size_bytes": f"size {at_rate}"}
-        unproven = [
-            f"no {axes[name]} was proven ({'its time ran out' if name in self.cut_short else 'all broke limits'})"
-            for name, value in fits.items()
-            if not value
-        ]
-        parts = [f"{format_rate(rate)} {at_size}"] if rate else []
-        parts += [f"{format_size(int(size))} {at_rate}"] if size else []
-        if not parts:
-            return "; ".join(unproven)
-        others = " (the largest message, the others in proportion)" if len(self.question.messages) > 1 else ""
-        fitting = f"{' or '.join(parts)}{others} kept the limits in {counted(FIT_FRESH, 'fresh run')}"
-        return "; ".join([fitting, *unproven])
 
 
 _OPPOSITES = {"better": "worse", "worse": "better"}

@@ -70,7 +70,7 @@ def _response(row: Mapping[str, Any], verdict: str = "") -> str:
         return f"{_result(row)}: response {row['statistic']}: too few messages"
     ratios = [row[name] for name in ("ratio", "ratio_low", "ratio_high")]
     has_ratio = "lost" not in (before, after) and None not in ratios
-    times = ", {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if has_ratio else ""
+    times = ", paired {:.2f} times ({:.2f} to {:.2f})".format(*ratios) if has_ratio else ""
     return f"{_result(row)}: response {row['statistic']} {before} -> {after}{times}: {verdict or row['verdict']}"
 
 

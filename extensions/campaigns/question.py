@@ -6,7 +6,7 @@ import json
 import math
 import platform
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from dds_trace.analyzer.model.parameters import QOS_DEFAULTS
 from dds_trace.analyzer.model.setting import write_setting
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import parse_duration, parse_rate, parse_size, spell_size
+from dds_trace.base.units import counted, format_rate, format_size, parse_duration, parse_rate, parse_size, spell_size
 from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES
 from dds_trace.recorder.backends import installed_middlewares, load_backend
 from dds_trace.recorder.backends.ros2 import middleware_of
@@ -250,3 +250,24 @@ def settings_of(candidate: Candidate) -> dict[str, Any]:
         "variables": variables,
         "exports": exports,
     }
+
+
+def fits_words(question: Question, fits: Mapping[str, float | None], cut_short: Collection[str], runs: int) -> str:
+    """Say what fits, or why nothing was proven to; the time of axes in `cut_short` ran out."""
+    rate, size = fits["rate_hz"], fits.get("size_bytes")
+    requested = max(question.plan.cells, key=lambda cell: cell.payload_bit_s or 0.0)
+    at_size = f"at {format_size(requested.size)}" if requested.size else "at this size"
+    at_rate = f"at {format_rate(requested.rate)}"
+    axes = {"rate_hz": f"rate {at_size}", "size_bytes": f"size {at_rate}"}
+    unproven = [
+        f"no {axes[name]} was proven ({'its time ran out' if name in cut_short else 'all broke limits'})"
+        for name, value in fits.items()
+        if not value
+    ]
+    parts = [f"{format_rate(rate)} {at_size}"] if rate else []
+    parts += [f"{format_size(int(size))} {at_rate}"] if size else []
+    if not parts:
+        return "; ".join(unproven)
+    others = " (the largest message, the others in proportion)" if len(question.messages) > 1 else ""
+    kept = f"{' or '.join(parts)}{others} kept the limits in {counted(runs, 'fresh run')}"
+    return "; ".join([kept, *unproven])

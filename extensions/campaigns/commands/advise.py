@@ -16,7 +16,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import SEARCH_MINUTES
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import SCREEN_WIDTH, command_lines, wrapped
-from dds_trace.base.units import counted, first_of
+from dds_trace.base.units import counted, first_of, joined
 from dds_trace.cli.program import argument, command, make_app, option
 
 from .common import INCOMPLETE_EXIT_CODE, AsJson, DryRun, Out, plan_of, read_thresholds, run_until_interrupted
@@ -136,6 +136,8 @@ def _dry_run(question: Question, out: Path, *, as_json: bool) -> int:
         "cannot_start": refused,
     }
     link = [f"link: {plan.link}"] if plan.link else []
+    if plan.link and plan.link.load(question.load_mbit_s) > 1:
+        link.append(f"no setting makes this fit: {plan.link.load_words(question.load_mbit_s)}")
     times = f"about {Remaining(seconds)} of at most {question.minutes:g} min"
     lines = [
         *(cell.name for cell in plan.cells),
@@ -165,8 +167,10 @@ def shown(answer: Answer) -> list[str]:
     recommended, fits = answer["recommended"] or {}, answer["fits"]
     lines = [answer["sentence"], *(["Settings for what fits:"] if recommended and fits else [])]
     lines += [f"  {line}" for line in recommended.get("exports", [])]
-    if recommended and not fits:
-        lines.append("By p50 and p99 of the response in fresh runs; `choose` ranks older recordings by a deadline.")
+    if recommended and not fits and any(proof["received"] for proof in answer["proofs"]):
+        rows = [row for proof in answer["proofs"] for row in proof["proof"] if row["new_ns"] is not None]
+        judged = joined([*dict.fromkeys(row["statistic"] for row in rows), "messages received"])
+        lines.append(f"By {judged} in fresh runs; `choose` ranks older recordings by a deadline.")
     lines += [line for proof in answer["proofs"] for line in shown_proof(proof)]
     lines.append("Candidates, response in the first looks:")
     rows = [row["text"] + (f" ({row['dropped']})" if row["dropped"] else "") for row in answer["candidates"]]

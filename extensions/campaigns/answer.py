@@ -127,7 +127,6 @@ class Search:
     link: Link | None = field(default=None, init=False)
     began_s: float = field(init=False)
     cut_short: set[str] = field(default_factory=set, init=False)
-    enough_minutes: int = field(default=0, init=False)
     overheads_s: dict[str, list[float]] = field(default_factory=dict, init=False)
     ranking: list[Standing] = field(default_factory=list, init=False)
     fresh: list[Standing] = field(default_factory=list, init=False)
@@ -198,11 +197,8 @@ class Search:
         looks = replace(plan, name="looks", cells=tuple(cell for candidate in candidates for cell in candidate.cells))
         with self._open(looks, "look", self.folder / "looks") as trials:
 
-            def proof_s(ranking: Sequence[Standing] = ()) -> float:
+            def proof_s() -> float:
                 expected_s = partial(trials.expected_s, seconds=self.proof_seconds(trials, candidates))
-                if ranking and self.load <= 1:
-                    racing = self._racing(self.sides(ranking)) or 2 * [ranking[0]]
-                    return LEAST_PROOFS * sum(expected_s(row.candidate) for row in racing) + 2 * JUDGE_S
                 turn_s = 3 * fmean(map(expected_s, candidates))
                 turns = min(PROOFS, max(LEAST_PROOFS, int(PROOF_SHARE * 60 * self.question.minutes / turn_s)))
                 return max(turns * turn_s + 2 * JUDGE_S, PROOF_SHARE * 60 * self.question.minutes * (self.load > 1))
@@ -210,10 +206,7 @@ class Search:
             race = Race(trials, self.question.limits, self._until_s, self._say, self.clock, reserve_s=proof_s)
             passes_s = PASSES * sum(trials.expected_s(candidate, FIRST_SECONDS) for candidate in candidates)
             spare_s = (self._until_s - self.clock() - proof_s() - passes_s) / (PASSES * len(looks.cells))
-            ranking = race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
-            look_s = [trials.expected_s(row.candidate, FIRST_SECONDS) for row in ranking if row.dropped == NO_TIME]
-            self.enough_minutes = math.ceil(self.question.minutes + PASSES * sum(look_s) / (1 - PROOF_SHARE) / 60)
-            return ranking
+            return race.halve(candidates, min(MOST_FIRST_SECONDS, FIRST_SECONDS + max(0.0, spare_s)))
 
     def proof_seconds(self, trials: Measurer, candidates: Sequence[Candidate]) -> float:
         shortest_s, longest_s = PROOF_SECONDS
@@ -412,11 +405,7 @@ class Search:
         proven = [row.candidate for row in self.fresh if row.looks]
         names: dict[str, list[str]] = {}
         for row in self.ranking:
-            words = (
-                f"were {NO_TIME}, --minutes {self.enough_minutes} tries all"
-                if row.dropped == NO_TIME
-                else "could not run"
-            )
+            words = f"were {NO_TIME} (--minutes)" if row.dropped == NO_TIME else "could not run"
             if row.looks:
                 words = "had no time for more runs" if is_compared and row.dropped.endswith(NO_MORE_TIME) else ""
             if words and row.candidate not in proven:

@@ -192,7 +192,7 @@ class Measurer(Protocol):
 class Race:
     """The runs of some candidates, `tell` gets each; what begins is expected to end before `until_s` of `clock`.
 
-    `reserve_s` is what later steps need of it; of a ranking, the least.
+    `reserve_s` is what later steps need of it.
     """
 
     measurer: Measurer
@@ -201,7 +201,7 @@ class Race:
     tell: Tell
     clock: Callable[[], float] = time.monotonic
     stage: str = "look"
-    reserve_s: Callable[[Sequence[Standing]], float] = lambda _: 0.0
+    reserve_s: Callable[[], float] = lambda: 0.0
     _began_s: float = field(init=False)
     _is_open: bool = field(default=True, init=False)  # no candidate has kept the limits yet
 
@@ -214,7 +214,7 @@ class Race:
 
     def _left_s(self, number: int) -> float:
         share = FIRST_SHARE if number == 1 and not self._is_open else 1.0
-        until_s = self._began_s + share * (self.until_s - self.reserve_s(()) - self._began_s)
+        until_s = self._began_s + share * (self.until_s - self.reserve_s() - self._began_s)
         return until_s - self.clock()
 
     def run(self, standing: Standing, seconds: float, number: int = 0) -> None:
@@ -246,36 +246,13 @@ class Race:
                     self.run(standing, seconds)
                 elif not standing.looks:
                     self.drop(standing, NO_TIME)
-            racing = self._not_excluded(racing)
-            untried = [standing for standing in standings if standing.dropped == NO_TIME]
-            is_enough = len(racing) < 2 or (untried and all(len(row.looks) >= PASSES for row in racing))
-            if number >= PASSES and is_enough:
+            if len(racing := self._not_excluded(racing)) < 2 and number >= PASSES:
                 break
             seconds *= 2 if number % PASSES == 0 else 1
-        for standing in untried:
-            self._look_late(standing, standings, first_s)
         running = [standing for standing in standings if not standing.dropped]
         for standing in running:  # of an unfinished pass some have more and longer runs
             del standing.looks[min(len(row.looks) for row in running) :]
         return sorted(standings, key=lambda standing: standing.rank(self.limits))
-
-    def _look_late(self, standing: Standing, standings: Sequence[Standing], seconds: float) -> None:
-        """Run one that was not tried, twice if it looks best, in time that the sides known by now do not need."""
-        expected_s = self.measurer.expected_s(standing.candidate, seconds)
-        for runs in range(PASSES, 0, -1):
-            ranking = sorted(standings, key=lambda row: row.rank(self.limits))
-            if runs * expected_s > self.until_s - self.reserve_s(ranking) - self.clock():
-                if standing.looks and not (ranking[1].dropped or ranking[1].excess(self.limits)[0]):
-                    self.drop(standing, f"{self._times_words(standing, ranking[1])}, {NO_MORE_TIME}")
-                return
-            standing.dropped = ""
-            self.run(standing, seconds)
-            best = min(standings, key=lambda row: row.rank(self.limits))
-            if best is not standing and not standing.dropped:
-                slower = f"{self._times_words(standing, best)}, {NO_MORE_TIME}"
-                self.drop(standing, standing.excess(self.limits)[1] or slower)
-            if standing.dropped:
-                return
 
     def _affordable(self, racing: Sequence[Standing], seconds: float, number: int) -> list[Standing]:
         """Drop those without time in a pass and the next of its length; of two none is dropped, or both are run."""

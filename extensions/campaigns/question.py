@@ -48,7 +48,7 @@ ROUTERS = [
 """What the nodes of `rmw_zenoh_cpp` need."""
 
 MUCH_LOSS = 1.0
-"""Loss in percent from which small packets that are paced follow the small ones."""
+"""Loss in percent from which paced small packets follow the small ones and the default."""
 
 NOT_RECOMMENDED = ("socket",)
 """Backends that no ROS 2 node can use."""
@@ -205,7 +205,7 @@ def find_candidates(plan: Plan, link: Link | None, folder: Path) -> list[Candida
         rows += enumerate(candidates)
         if link is not None and link.loss_percent >= MUCH_LOSS and candidates[first].bundle == "small-packets":
             rows = [
-                (-1, replace(row, turn=1)) if row.bundle == "paced-small-packets" else (number, row)
+                (0, replace(row, turn=1)) if row.bundle == "paced-small-packets" else (number, row)
                 for number, row in rows
             ]
     return [candidate for _, candidate in sorted(rows, key=lambda row: (row[1].turn, row[0]))]
@@ -269,5 +269,5 @@ def fits_words(question: Question, fits: Mapping[str, float | None], cut_short: 
     if not parts:
         return "; ".join(unproven)
     others = " (the largest message, the others in proportion)" if len(question.messages) > 1 else ""
-    kept = f"{' or '.join(parts)}{others} kept the limits in {counted(runs, 'fresh run')}"
-    return "; ".join([kept, *unproven])
+    fitting = f"{' or '.join(parts)}{others} kept the limits in {counted(runs, 'fresh run')}"
+    return "; ".join([fitting, *unproven])

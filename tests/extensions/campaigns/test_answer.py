@@ -171,21 +171,6 @@ def test_no_step_begins_that_would_not_end_in_the_time_that_was_given(tmp_path, 
         assert min(proofs.values()) >= module.LEAST_PROOFS
 
 
-@pytest.mark.parametrize("is_kept", [True, False])
-def test_time_that_the_proof_does_not_need_is_for_those_that_were_not_tried(tmp_path, monkeypatch, is_kept):
-    """Of 10, 6 had their look in 5 minutes; where the default loses, two sides are proven, and where all do, none."""
-    made_proofs(monkeypatch, defaultdict(lambda: "better"))
-    desk = Desk(median, more_s=lambda *_: 8)
-    desk.lost = lambda one: 0.6 * (not is_kept or "small" not in one.bundle)
-    found = desk.search(tmp_path, replace(LINK, loss_percent=2), minutes=5).answer()
-    names = [candidate.name for stage, candidate, _ in desk.looks if stage == "looks"]
-    assert len({*names}) >= 8
-    assert {*names[:3]} == {f"Cyclone DDS {name}small-packets" for name in ("", "paced-")} | {"Zenoh default"}
-    enough = re.search(r"--minutes (\d+)", found["sentence"])
-    found = desk.search(tmp_path, replace(LINK, loss_percent=2), minutes=int(enough[1]) if enough else 5).answer()
-    assert not any("not tried" in one["dropped"] for one in found["candidates"])
-
-
 def test_without_time_for_a_proof_the_default_is_used_and_the_sentence_says_so(tmp_path):
     desk = Desk(median, more_s=lambda *_: 100 if desk.stage == "proof" else 0)
     found = desk.search(tmp_path, minutes=3).answer()

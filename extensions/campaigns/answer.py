@@ -228,7 +228,7 @@ class Search:
         return [*measured[:1], *defaults[:1], *others[:1]]
 
     def _racing(self, sides: Sequence[Standing]) -> list[Standing]:
-        """Return the sides of a proof that lost little; none if the best breaks a limit."""
+        """Those that lost little; none if the best breaks a limit."""
         excesses = [side.excess(self.question.limits)[0] for side in sides]
         return [side for side, excess in zip(sides, excesses, strict=True) if excess <= MOSTLY and not excesses[0]]
 

@@ -48,7 +48,7 @@ ROUTERS = [
 """What the nodes of `rmw_zenoh_cpp` need."""
 
 MUCH_LOSS = 1.0
-"""Loss in percent from which paced small packets follow the small ones and the default."""
+"""Percent; from here on paced small packets come early."""
 
 NOT_RECOMMENDED = ("socket",)
 """Backends that no ROS 2 node can use."""
@@ -253,7 +253,7 @@ def settings_of(candidate: Candidate) -> dict[str, Any]:
 
 
 def fits_words(question: Question, fits: Mapping[str, float | None], cut_short: Collection[str], runs: int) -> str:
-    """Say what fits, or why nothing was proven to; the time of axes in `cut_short` ran out."""
+    """The time of axes in `cut_short` ran out."""
     rate, size = fits["rate_hz"], fits.get("size_bytes")
     requested = max(question.plan.cells, key=lambda cell: cell.payload_bit_s or 0.0)
     at_size = f"at {format_size(requested.size)}" if requested.size else "at this size"

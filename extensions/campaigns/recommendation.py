@@ -79,9 +79,9 @@ def recommendation_info(
         )
     sentences += [] if summary is None else _own_nodes(recommendation, names, summary)
     reason = candidates[0].reason if candidates else ""
-    if reason and len(candidates) > 1 and {(one.fit, one.reason) for one in candidates} == {(Fit.MISSES, reason)}:
+    if reason and len(candidates) > 1 and {(row.fit, row.reason) for row in candidates} == {(Fit.MISSES, reason)}:
         sentences.append(f"Of each: {reason}.")
-        candidates = tuple(replace(one, reason="") for one in candidates)
+        candidates = tuple(replace(row, reason="") for row in candidates)
     missing, commands = _missing(recommendation, full_names)
     return Advice(
         job=_job_words(recommendation.job),

@@ -174,7 +174,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
 
 
 def _decided_words(comparison: Comparison, gates: Sequence[Gated]) -> list[str]:
-    """Return limits that such runs decide: of the statistics of undecided gates, and of the median."""
+    """Of the statistics of undecided gates, and of the median."""
     undecided = [gated.result.gate for gated in gates if gated.result.outcome is GateOutcome.INCONCLUSIVE]
     judged = [(gate.metric, gate.statistic) for gate in undecided if gate.against is Against.RATIO]
     limits: dict[str, float] = {}

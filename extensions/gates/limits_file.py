@@ -176,8 +176,8 @@ def read_gates(
     more = [] if limits_file is None else read_limits(limits_file)
     more = limits_of_one_side(more) if one_side else more
     if limits_file is not None and not more:
-        of_one = " of one side" if one_side else ""
-        raise OptionError(f"{limits_file}: has no limit{of_one} for results; write one, or leave out --limits")
+        side_words = " of one side" if one_side else ""
+        raise OptionError(f"{limits_file}: has no limit{side_words} for results; write one, or leave out --limits")
     return [*gates, *more]
 
 

@@ -381,8 +381,8 @@ def judge_sides(
 ) -> JudgedSides:
     before = analyze(base, details=False) if isinstance(base, Path) else base
     after = before if new is None else analyze(new, details=False)
-    at_each = CompareOptions(confidence=confidence_at_each(looks), **options)
-    comparison = compare(before, after, options_for(gates, at_each))
+    options_of_look = CompareOptions(confidence=confidence_at_each(looks), **options)
+    comparison = compare(before, after, options_for(gates, options_of_look))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
     for folder, side in ((base, before), (new, after)):
         for finding in side.findings if isinstance(folder, Path) else ():
@@ -394,8 +394,8 @@ def judge_sides(
         outcome = overall_outcome(result.outcome for result in results) if results else GateOutcome.PASSED
     info = comparison_info(comparison, results)
     if new is None:
-        said = f"{counted(len(info.groups), 'result')} against limits."
-        info = replace(info, answer=words.with_undecided((said,), info.gates), seen="", groups=(), rules=())
+        answer = f"{counted(len(info.groups), 'result')} against limits."
+        info = replace(info, answer=words.with_undecided((answer,), info.gates), seen="", groups=(), rules=())
     return JudgedSides(comparison, info, outcome)
 
 

@@ -99,7 +99,7 @@ def link_of(setting: str) -> Link:
 
 
 def overload(setting: str, payload_bytes: float, rate_hz: float) -> str:
-    """Say of messages that the link of a setting cannot carry how much they need."""
+    """Return words, none where the link carries it."""
     link, mbit_s = link_of(setting), 8e-6 * payload_bytes * rate_hz
     return link.load_words(mbit_s) if link.load(mbit_s) > 1 else ""
 

@@ -167,7 +167,7 @@ class Link:
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms or self.file)
 
     def load(self, mbit_s: float) -> float:
-        """Return a load each way over what the link carries, 0 where its rate is not known."""
+        """0 where its rate is not known."""
         return mbit_s * (2 if self.shared else 1) / self.rate_mbit_s if self.rate_mbit_s else 0.0
 
     def load_words(self, mbit_s: float) -> str:

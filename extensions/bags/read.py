@@ -121,7 +121,7 @@ def gone_of(mark: str) -> Counter[str]:
 
 
 _MARK = re.compile(rf"^ +{REMAINDER}:(.*)", re.MULTILINE)
-_GONE = re.compile(r"(\S+)=(\d{1,18})(?!\S)")
+_GONE = re.compile(r"(\S+)=(\d{1,12})(?!\S)")
 _KEY = re.compile(r"(?P<indent> *)(?P<item>- )? *(?P<key>\w+):(?P<value>.*)")
 _ITEM = re.compile(r" *- +(.+)")
 _COUNT = re.compile(r"\d{1,18}")

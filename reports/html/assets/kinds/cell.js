@@ -217,7 +217,7 @@ Object.assign(KINDS, {
 /** One message in how many is beyond a share. */
 const rarity = (share) => 1 / (1 - share);
 
-/** The named percentiles that a group's sample supports with their intervals, both of a typical run where one is known. */
+/** Percentiles that a group's sample supports with their intervals, both of a typical run where one is known. */
 function namedPercentiles(group, width) {
   const times = DATA.values.times_ns[view.metric];
   const valueOf = ({ key }) => typicalOf(group, key) ?? times[key][group];

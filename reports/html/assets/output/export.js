@@ -342,7 +342,8 @@ function captionOf(block, [{ foot = "" }]) {
     ...(hasBars ? ["bars are 95 % intervals, between runs where there are three or more"] : []),
     ...factsOf("Devices", "Link", "Middleware"),
   ];
-  return `${block.title()}. ${block.article.querySelector(".how").textContent}${foot && ` ${foot.trim()}`} ${parts.join("; ")}.`;
+  const how = block.article.querySelector(".how").textContent;
+  return `${block.title()}. ${how}${foot && ` ${foot.trim()}`} ${parts.join("; ")}.`;
 }
 
 const factsOf = (...labels) =>

@@ -34,7 +34,7 @@ class Side:
     def __init__(self, given):
         self.given = given
         if given["environment"] is not None:  # what the product would set, replaced by what is tried
-            ros2.set_discovery_range = lambda _: os.environ.update(given["environment"])
+            ros2.installation.set_discovery_range = lambda _: os.environ.update(given["environment"])
             ros2.applied_transport = lambda *_: nullcontext({})
         if given["zenoh_memory"] is not None:
             inner = zenoh.zenoh_configuration

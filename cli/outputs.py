@@ -49,6 +49,8 @@ def print_figures(page: Path, kind: str) -> list[Path]:
     Raises:
         BackendUnavailableError: no browser is installed, or it wrote nothing within two minutes.
     """
+    from dds_trace.analyzer.exports.kinds import write_text_file
+
     program = next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None:
         raise BackendUnavailableError(
@@ -66,9 +68,7 @@ def print_figures(page: Path, kind: str) -> list[Path]:
     latex = re.search(r'<pre id="latex" hidden="">(.*?)</pre>', page_text.decode("utf-8", "replace"), re.DOTALL)
     if latex is None or not pdf.is_file():
         raise BackendUnavailableError(f"{program} printed no {pdf.name}; open {page} and use its button PDF")
-    tex = pdf.with_suffix(".tex")
-    tex.write_text(html.unescape(latex[1]), encoding="utf-8")
-    return [pdf, tex]
+    return [pdf, write_text_file(pdf.with_suffix(".tex"), html.unescape(latex[1]))]
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")

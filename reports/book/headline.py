@@ -199,14 +199,14 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
     runs = f"; {fewest}{counted(counts[-1], 'run')} of each" if counts else ""
     middlewares = [object_of(session.host.get("middleware")) for session in analysis.sessions]
     executors = sorted({str(setting["executor"]) for setting in middlewares if "executor" in setting})
-    ros = f"; ROS 2 with the {printable(joined(executors))} executor" if executors else ""
     through_ros, without_ros = (
         sorted({groups.vendors.of(s.vendor) for s in analysis.sessions if (s.backend == "ros2") is is_ros})
         for is_ros in (True, False)
     )
+    ros = f"ROS 2 with the {printable(joined(executors))} executor" if executors else ""
     if ros and without_ros:
-        ros = f"{ros.replace('; ', f'; {joined(through_ros)} through ')}, {joined(without_ros)} through Python without ROS 2"
-    return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{ros}."
+        ros = f"{joined(through_ros)} through {ros}, {joined(without_ros)} through Python without ROS 2"
+    return f"Measured on {some_of(parts, 'more links', 'more link')}{runs}{'; ' * bool(ros)}{ros}."
 
 
 def limits_words(analysis: Analysis) -> str:
